@@ -11,6 +11,7 @@ from imucal.readers.containers import Container
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.readers.contents import LogContents
 from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.ways_out import way_out
 from imucal.recording import Recording
 
 #: The name that stands for standard input.
@@ -98,15 +99,15 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(name="PX4 ULog", module="imucal.readers.ulog", magic=(b"ULog\x01\x12\x35",), suffixes=(".ulg",)),
     Format(
-        name="Parquet, NPZ, NPY, MATLAB",
+        name="Parquet, HDF5, NPZ, NPY, MATLAB",
         module="imucal.readers.tables.typed_table",
-        magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"\x89HDF\r\n\x1a\n"),
-        suffixes=(".parquet", ".npz", ".npy", ".mat"),
+        magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"MATLAB 7.3", b"\x89HDF\r\n\x1a\n"),
+        suffixes=(".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat"),
     ),
     Format(
         name="text",
         module="imucal.readers.tables.text_table",
-        suffixes=(".csv", ".tsv", ".txt", ".log", ".dat"),
+        suffixes=(".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl"),
     ),
 )
 
@@ -135,6 +136,10 @@ def detect_head(path: Path, head: bytes) -> Format:
     ReadError
         If it is none of the formats.
     """
+    way = way_out(str(path), head)
+    if way:
+        msg = f"{path}: {way}"
+        raise ReadError(msg)
     # `startswith` is false of no magic at all.
     by_magic = next((entry for entry in FORMATS if head.startswith(entry.magic)), None)
     return by_magic or _by_ending(path, head)
@@ -158,7 +163,10 @@ def _by_ending(path: Path, head: bytes) -> Format:
             return text
         known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
         start = head[:8].hex(" ")
-        msg = f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}"
+        msg = (
+            f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}; export a "
+            "device's own format as CSV with its maker's program"
+        )
         raise ReadError(msg)
     return ending
 

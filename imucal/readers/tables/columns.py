@@ -111,6 +111,7 @@ class NamedTable:
     columns: tuple[NamedColumn, ...]
     cells: Cells
     dialect: Dialect | None = None
+    preamble: Sequence[str] = ()
 
     @property
     def headers(self) -> list[str]:
@@ -137,6 +138,12 @@ class NamedTable:
             return int(name)
         problem = f"{len(matches)} columns are called {name!r}" if matches else f"there is no column {name!r}"
         raise ValueError(problem)
+
+    def names_of_rows(self, tag: str) -> list[str]:
+        """Return the names that a comment gives the cells of tagged rows; such as ``column 3`` without one."""
+        comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in self.preamble)
+        plain = [f"column {column.index}" for column in self.columns]
+        return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
 
     def columns_text(self, *triads: Triad | None, rows: str = "") -> str:
         """Return the ready columns text of a choice; `rows` says which rows, such as ``@I:0``."""

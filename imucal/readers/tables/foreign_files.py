@@ -1,6 +1,6 @@
-"""What Parquet, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
+"""What Parquet, HDF5, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
 
-Parquet and MATLAB files are read by the packages that know them, in a child process: every result can be
+Parquet, HDF5 and MATLAB files are read by the packages that know them, in a child process: every result can be
 pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything is
 unpacked: arrays that are too large together go to temporary files, and where only their first values are
 wanted nothing else is unpacked. What a MATLAB file unpacks to is counted without keeping any of it.
@@ -27,6 +27,9 @@ WIDEST = 64
 
 #: Rows that are looked at to choose columns.
 HEAD = 400
+
+#: What stands for an object of MATLAB in the package's arrays: its name, its system, its class, its numbers.
+_OBJECT = ("s0", "s1", "s2", "arr")
 
 #: Structures within structures of a MATLAB file that are looked into.
 _DEEP = 8
@@ -95,28 +98,80 @@ def _expression(dtype: Any, name: str, part: str | int | None) -> Any:  # noqa: 
     return getter.get(part, null_on_oob=True)
 
 
-def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of numbers in a MATLAB file; those in structures under names with points."""
+class Arrays(NamedTuple):
+    """The arrays of numbers in a file, those in structures under names with points; and objects of MATLAB.
+
+    Of those, such as a ``table``, a file holds numbers that only MATLAB understands: name -> class.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    objects: dict[str, str]
+
+
+def mat_arrays(path: Path) -> Arrays:
+    """Return the arrays of numbers in a MATLAB file up to version 7."""
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    arrays: dict[str, NDArray[Any]] = {}
+    found = Arrays({}, {})
     for name, value in content.items():
         if not name.startswith("__"):
-            _flatten(name, value, arrays)
-    return arrays
+            _flatten(name, value, found)
+    return found
 
 
-def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int = 0) -> None:  # noqa: ANN401
+def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
     """Collect the arrays of MATLAB structures under names with points."""
     array = np.asarray(value)
-    if array.dtype.names is not None and depth < _DEEP:
+    if array.dtype.names == _OBJECT and array.size == 1:
+        own, _, kind, _ = array.item()
+        found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode("latin-1")
+    elif array.dtype.names is not None and depth < _DEEP:
         for part in array.dtype.names:
             inner = array[part]
             inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
-            _flatten(f"{name}.{part}", inner, arrays, depth + 1)
+            _flatten(f"{name}.{part}", inner, found, depth + 1)
     elif array.dtype.kind in "biufM":
-        arrays[name] = array
+        found.arrays[name] = array
+
+
+def hdf5_arrays(path: Path, limit: int) -> Arrays:
+    """Return the arrays of numbers in an HDF5 file, MATLAB's of version 7.3 among them, and single attributes.
+
+    Raises
+    ------
+    ValueError
+        If they take more than `limit` bytes.
+    """
+    import h5py
+
+    found, sets = Arrays({}, {}), []
+
+    def collect(path: str, node: Any) -> None:  # noqa: ANN401 - a group or a set of h5py
+        name = path.replace("/", ".")
+        if path.startswith(("#refs#", "#subsystem#")):
+            return
+        kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
+        if "MATLAB_object_decode" in node.attrs:
+            found.objects[name] = kind
+        elif isinstance(node, h5py.Dataset) and (node.dtype.kind in "biufV") and kind not in {"char", "cell"}:
+            sets.append((name, node))
+        for key, value in {} if matlab else node.attrs.items():
+            if np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
+                found.arrays[f"{name}.{key}".lstrip(".")] = np.asarray(value)
+
+    with h5py.File(path) as file:
+        matlab = any("MATLAB_class" in node.attrs for node in file.values())
+        collect("", file)
+        file.visititems(collect)
+        size = sum(node.size * node.dtype.itemsize for _, node in sets)
+        if size > limit:
+            msg = f"its arrays take {size / 1e6:.4g} MB, and it is read whole; expected at most {limit / 1e6:.4g} MB"
+            raise ValueError(msg)
+        for name, node in sets:
+            # MATLAB writes columns where others write rows.
+            found.arrays[name] = node[()].T if matlab else node[()]
+    return found
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.

@@ -32,6 +32,7 @@ from imucal.readers.tables.columns import (
     parse_columns_text,
     pick,
     sensor_of_name,
+    triad_of,
     triad_of_axes,
 )
 from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
@@ -124,7 +125,8 @@ def make_plan(
         parse_column(header, index, unit=row_units[index], context=context)
         for index, header in enumerate(headers)
     )
-    table = NamedTable(path=path, columns=columns, cells=cells, dialect=find_dialect(headers, preamble))
+    dialect = find_dialect(headers, preamble)
+    table = NamedTable(path=path, columns=columns, cells=cells, dialect=dialect, preamble=preamble)
     try:
         if options.columns is not None:
             return _as_asked(table, parse_columns_text(options.columns, table), options)
@@ -258,8 +260,9 @@ def rows_of_sensors(
         names = tags[sensor]
         triad = own
         if own is None and other is not None and names:
-            # The header names these columns for the other sensor; the unit in this one's rows is open.
-            triad = replace(other, sensor=sensor, unit=None)
+            # The header names these columns for the other sensor, and not this one's unit.
+            own_names = table.names_of_rows(names[0])
+            triad = triad_of(sensor, [parse_column(own_names[at], at) for at in other.indices])
         if triad is not None and len(names) != 1:
             raise _unclear(table, column, triad, tags)
         both[sensor] = replace(triad, rows=(column.index, names[0])) if triad is not None else None

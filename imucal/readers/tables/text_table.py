@@ -48,6 +48,7 @@ from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
+from imucal.readers.ways_out import way_out
 from imucal.recording import Recording, Sensor
 from imucal.resources import column_limit
 from imucal.units import TIME_UNITS_NS, parse_time_unit
@@ -67,12 +68,11 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     if messages is not None:
         return messages
     layout = find_layout(lines)
-    if layout is None:
+    way = way_out(path, "\n".join(lines).encode(), text=True)
+    if layout is None or (way and not layout.headers):
         first = next((line.strip() for line in lines if line.strip()), "")
-        msg = (
-            f"{path}: no rows of numbers, the first line is {first[:80]!r}; "
-            "expected a table with a row per sample"
-        )
+        expected = way or "expected a table with a row per sample"
+        msg = f"{path}: no rows of numbers, the first line is {first[:80]!r}; {expected}"
         raise ReadError(msg)
     layout = name_columns(layout)
     if options.columns is not None or layout.headers:
