@@ -97,7 +97,18 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
         folders=True,
     ),
-    Format(name="PX4 ULog", module="imucal.readers.ulog", magic=(b"ULog\x01\x12\x35",), suffixes=(".ulg",)),
+    Format(
+        name="PX4 ULog",
+        module="imucal.readers.flight_logs",
+        magic=(b"ULog\x01\x12\x35",),
+        suffixes=(".ulg",),
+    ),
+    Format(
+        name="ArduPilot log",
+        module="imucal.readers.flight_logs",
+        magic=(b"\xa3\x95\x80\x80",),
+        suffixes=(".bin", ".tlog"),
+    ),
     Format(
         name="Parquet, HDF5, NPZ, NPY, MATLAB",
         module="imucal.readers.tables.typed_table",

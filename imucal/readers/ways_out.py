@@ -8,6 +8,8 @@ import shlex
 from typing import NamedTuple
 
 _SHEET = "save the sheet with the samples as CSV (File, Save As, CSV)"
+_TRUSTED = "where you trust it"
+_LOADED = 'python -c "import numpy, sys; log = numpy.load(sys.argv[1], allow_pickle=True); '
 _UNPACK = "unpack it, and name the log that was in it"
 
 
@@ -17,6 +19,10 @@ class _Foreign(NamedTuple):
     start: bytes
     name: str
     way: str
+
+    def said(self, path: str) -> str:
+        """Return what the file is and what to do with it."""
+        return f"it is {self.name}; {self.way.replace('LOG', shlex.quote(path))}"
 
 
 #: In the order in which they are tried; `LOG` is the file.
@@ -32,18 +38,28 @@ _BINARY = (
     _Foreign(
         rb"\x80[\x02-\x05]",
         "a Python pickle, which may run any program when it is loaded",
-        "where you trust it and it is a dict of arrays or a data frame, type: python -c "
+        f"{_TRUSTED} and it is a dict of arrays or a data frame, type: python -c "
         "\"import pickle, numpy, sys; numpy.savez('log.npz', **pickle.load(open(sys.argv[1], 'rb')))\" LOG",
+    ),
+    _Foreign(
+        rb"\x93NUMPY.{4}\{'descr': '\|O', 'fortran_order': \w+, 'shape': \(\)",
+        "a Python object",
+        f"{_TRUSTED} and it is a dict of arrays, type: {_LOADED}numpy.savez('log.npz', **log.item())\" LOG",
+    ),
+    _Foreign(
+        rb"\x93NUMPY.{4}\{'descr': '\|O'",
+        "an array of Python objects",
+        f"{_TRUSTED} and they are numbers, type: {_LOADED}numpy.save('log.npy', log.astype(float))\" LOG",
     ),
     _Foreign(
         rb"ARROW1",
         "an Arrow (Feather) file",
         'type: python -c "import polars, sys; '
-        "polars.read_ipc(sys.argv[1], memory_map=False).write_parquet('log.parquet')\" LOG",
+        "polars.read_ipc(sys.argv[1]).write_parquet('log.parquet')\" LOG",
     ),
     _Foreign(rb"TDSm", "a TDMS file of National Instruments", "export it as CSV from LabVIEW, DIAdem or Excel"),
     _Foreign(rb"\xfa\xff", "Xsens' binary messages", "open it in MT Manager and export it as ASCII"),
-    _Foreign(rb"\x75\x65", "MicroStrain's binary packets", "export it as CSV from SensorConnect"),
+    _Foreign(rb"ue[\x80-\xff]", "MicroStrain's binary packets", "export it as CSV from SensorConnect"),
     _Foreign(rb"\xaa\x44[\x12\x13]", "NovAtel's binary messages", "convert them to ASCII with NovAtel Convert"),
     _Foreign(rb"....ftyp", "a video", "extract its telemetry as CSV with a program for your camera"),
     _Foreign(rb"Rar!|7z\xbc\xaf\x27\x1c", "an archive", _UNPACK),
@@ -71,6 +87,15 @@ _TEXT = (
 )
 
 
+#: What is in an NPZ file is seen only when it is read.
+OBJECTS_IN_NPZ = _Foreign(
+    b"",
+    "arrays of Python objects",
+    f"{_TRUSTED} and they are numbers, type: {_LOADED}"
+    "numpy.savez('log.npz', **{name: numpy.array(log[name].tolist()) for name in log})\" LOG",
+)
+
+
 def way_out(path: str, start: bytes, *, text: bool = False) -> str:
     """Return what a file is and what to do with it; empty where its first bytes are none of a foreign format.
 
@@ -78,4 +103,4 @@ def way_out(path: str, start: bytes, *, text: bool = False) -> str:
     """
     known = _TEXT if text else _BINARY
     found = next((one for one in known if re.match(one.start, start, re.DOTALL)), None)
-    return f"it is {found.name}; {found.way.replace('LOG', shlex.quote(path))}" if found else ""
+    return found.said(path) if found else ""

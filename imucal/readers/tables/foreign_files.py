@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import release
 from imucal.readers.store import allocated
+from imucal.readers.ways_out import OBJECTS_IN_NPZ
 
 #: Parts of a list or a matrix that are shown as columns.
 WIDEST = 64
@@ -230,7 +231,7 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
         shape, fortran, dtype = read(member)
         header = _Header(info, tuple(shape), bool(fortran), np.dtype(dtype), member.tell())
     if header.dtype.hasobject:
-        msg = f"Object arrays cannot be loaded: {info.filename}"
+        msg = OBJECTS_IN_NPZ.said(str(archive.filename))
         raise ValueError(msg)
     if header.start + header.size > info.file_size:
         msg = f"{info.filename} claims {header.size} bytes, it holds {info.file_size - header.start}"

@@ -1,15 +1,15 @@
-"""PX4 ULog files: raw IMU samples of the flight controller, read by pyulog.
+"""Logs of flight controllers: PX4's ULog, read by pyulog, and ArduPilot's, read by pymavlink, an extra.
 
-pyulog may loop for ever on a damaged file, so it runs in a child process. Messages: ``sensor_combined`` (the
-estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each sensor), ``sensor_gyro_fifo`` and
-``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu`` (integrals, divided by their time here).
-One instance of a message is named ``sensor_gyro:1``. Source: PX4's message definitions
-(`msg/SensorCombined.msg`, `SensorGyro.msg`, `SensorGyroFifo.msg`, `VehicleImu.msg`, and those of the
-accelerometer): microseconds since boot, rad/s, m/s^2.
+Either may loop for ever on a damaged file, so they run in a child process. Messages of PX4: ``sensor_combined``
+(the estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each sensor), ``sensor_gyro_fifo`` and
+``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu`` (integrals, divided by their time here);
+of ArduPilot see `imucal.readers.ardupilot`. One instance of a message is named ``sensor_gyro:1``. Source: PX4's
+message definitions (`msg/SensorCombined.msg`, `SensorGyro.msg`, `SensorGyroFifo.msg`, `VehicleImu.msg`, and
+those of the accelerometer): microseconds since boot, rad/s, m/s^2.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,30 +22,46 @@ from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.isolation import isolated
+from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
 from imucal.recording import AXES, Recording, Sensor
 
-__all__ = ["MESSAGES", "describe", "read"]
-
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
-#: Message -> what it measures.
-MESSAGES: dict[str, tuple[Sensor, ...]] = {
-    "sensor_combined": (_GYRO, _ACCEL),
-    "sensor_gyro": (_GYRO,),
-    "sensor_accel": (_ACCEL,),
-    "sensor_gyro_fifo": (_GYRO,),
-    "sensor_accel_fifo": (_ACCEL,),
-    "vehicle_imu": (_GYRO, _ACCEL),
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What a message measures: the fields of each sensor's x, y, z, and those of its stamps, best first.
+
+    Stamps are in us, or in ms where their name ends so. `units` are those of the samples; None where the log
+    leaves them open.
+    """
+
+    fields: dict[Sensor, tuple[str, ...]]
+    times: tuple[str, ...] = ("timestamp_sample", "timestamp")
+    units: dict[Sensor, str | None] = field(default_factory=lambda: {sensor: sensor.unit for sensor in Sensor})
+
+    @classmethod
+    def of_px4(cls, **names: str) -> "Message":
+        """Return a message of PX4 with the arrays of some sensors; in messages of one they are x, y and z."""
+        owners = {"gyro": _GYRO, "accel": _ACCEL}
+        of = {owners[k]: tuple(f"{v}[{i}]" for i in range(3)) if v else AXES for k, v in names.items()}
+        return cls(fields=of)
+
+
+#: Message of PX4 -> what it measures.
+PX4 = {
+    "sensor_combined": Message.of_px4(gyro="gyro_rad", accel="accelerometer_m_s2"),
+    "sensor_gyro": Message.of_px4(gyro=""),
+    "sensor_accel": Message.of_px4(accel=""),
+    "sensor_gyro_fifo": Message.of_px4(gyro=""),
+    "sensor_accel_fifo": Message.of_px4(accel=""),
+    "vehicle_imu": Message.of_px4(gyro="delta_angle", accel="delta_velocity"),
 }
 
-#: The fields of a sensor in messages of both; in messages of one they are x, y and z.
-_FIELDS = {
-    "sensor_combined": {_GYRO: "gyro_rad", _ACCEL: "accelerometer_m_s2"},
-    "vehicle_imu": {_GYRO: "delta_angle", _ACCEL: "delta_velocity"},
-}
+#: The first bytes of a ULog.
+ULOG = b"ULog\x01\x12\x35"
 
 #: No board runs longer, in microseconds: a stamp beyond it is damaged. About 140 years.
 _LATEST_US = 1 << 52
@@ -70,6 +86,7 @@ class Instance:
     multi: int
     several: bool
     data: dict[str, NDArray[Any]]
+    kind: Message
 
     @property
     def name(self) -> str:
@@ -78,7 +95,7 @@ class Instance:
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        return MESSAGES[self.message]
+        return tuple(self.kind.fields)
 
     @property
     def count(self) -> int:
@@ -86,13 +103,13 @@ class Instance:
         samples = self.data.get("samples")
         if self.message.endswith("_fifo") and samples is not None:
             return int(np.asarray(samples, dtype=np.int64).sum())
-        return int(self.data["timestamp"].size)
+        return int(self.times().size)
 
     @property
     def duration_s(self) -> float:
-        stamps = self.data["timestamp"]
-        good = stamps[stamps < _LATEST_US].astype(np.int64)
-        return float(good[-1] - good[0]) * 1e-6 if good.size > 1 else 0.0
+        stamps = self.times()
+        good = stamps[stamps >= 0]
+        return float(good[-1] - good[0]) * 1e-9 if good.size > 1 else 0.0
 
     @property
     def rate_hz(self) -> float | None:
@@ -108,9 +125,10 @@ class Instance:
 
     def times(self) -> IntArray:
         """Return when samples were taken, in ns; -1 where the stamp is damaged."""
-        taken = self.data.get("timestamp_sample")
-        stamps = taken if taken is not None and bool(np.all(taken)) else self.data["timestamp"]
-        return np.where(stamps < _LATEST_US, stamps, 0).astype(np.int64) * 1000 - (stamps >= _LATEST_US)
+        there = [name for name in self.kind.times if name in self.data]
+        name = next((name for name in there if bool(np.all(self.data[name]))), there[-1])
+        stamps, ns = self.data[name], 1_000_000 if name.lower().endswith("ms") else 1000
+        return np.where(stamps < _LATEST_US, stamps, 0).astype(np.int64) * ns - (stamps >= _LATEST_US)
 
 
 def samples_of(instance: Instance, sensor: Sensor) -> Samples:
@@ -119,11 +137,11 @@ def samples_of(instance: Instance, sensor: Sensor) -> Samples:
         return _of_fifo(instance)
     data, stamps = instance.data, instance.times()
     keep = stamps >= 0
-    field = _FIELDS.get(instance.message, {}).get(sensor)
-    vectors = instance.columns([f"{field}[{i}]" for i in range(3)] if field else AXES)
+    fields = instance.kind.fields[sensor]
+    vectors = instance.columns(fields)
     if instance.message == "vehicle_imu":
         # Integrals over a time; those over no time have no rate.
-        over = np.asarray(data[f"{field}_dt"], dtype=np.float64) * 1e-6
+        over = np.asarray(data[fields[0].replace("[0]", "_dt")], dtype=np.float64) * 1e-6
         keep &= over > 0
         return Samples(stamps=stamps[keep], vectors=vectors[keep] / over[keep, None])
     warmth = data.get("temperature")
@@ -146,23 +164,25 @@ def _of_fifo(instance: Instance) -> Samples:
     return Samples(stamps=stamps, vectors=np.stack(axes, axis=1))
 
 
-class UlogContent(NamedTuple):
-    """What a ULog file holds: IMU messages, whether parts are damaged, and dropouts of the logger in ms."""
+class FlightLog(NamedTuple):
+    """What a log holds: its format, IMU messages, whether parts are damaged, and the logger's dropouts in ms."""
 
+    format: str
     instances: list[Instance]
     damaged: bool
     dropouts: list[int]
 
 
-def ulog_content(path: Path) -> UlogContent:
+def ulog_content(path: Path) -> FlightLog:
     """Return the IMU messages of a ULog file."""
     from pyulog import ULog
 
     with path.open("rb") as file:
-        log = ULog(file, message_name_filter_list=list(MESSAGES))
-    known = [e for e in log.data_list if e.name in MESSAGES and np.size(e.data.get("timestamp", ()))]
+        log = ULog(file, message_name_filter_list=list(PX4))
+    known = [e for e in log.data_list if e.name in PX4 and np.size(e.data.get("timestamp", ()))]
     names = [entry.name for entry in known]
-    return UlogContent(
+    return FlightLog(
+        format="ulog",
         instances=[
             Instance(
                 message=entry.name,
@@ -170,6 +190,7 @@ def ulog_content(path: Path) -> UlogContent:
                 several=names.count(entry.name) > 1,
                 # Copies: the fields of pyulog are views of all messages together.
                 data={name: np.ascontiguousarray(values) for name, values in entry.data.items()},
+                kind=PX4[entry.name],
             )
             for entry in known
         ],
@@ -179,12 +200,12 @@ def ulog_content(path: Path) -> UlogContent:
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    """Read the IMU of a ULog file.
+    """Read the IMU of a flight controller's log.
 
     Raises
     ------
     ReadError
-        If it is no ULog file.
+        If it can't be read, or the package that reads it is not installed.
     ChoiceError
         If several message instances could be meant, or none fits.
     DataError
@@ -197,10 +218,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
         msg = f"{path}: {findings[0].text} Expected an undamaged log"
         raise ReadError(msg)
     chosen = _choose(path, log.instances, options)
-    work = RecordingBuilder(path=str(path), format="ulog", options=options, findings=findings)
+    work = RecordingBuilder(path=str(path), format=log.format, options=options, findings=findings)
     how = "as asked" if options.topics else "the only ones logged at the full rate"
     work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {how}"))
     timed = _timed(path, chosen, options)
+    maker = "PX4" if log.format == "ulog" else "ArduPilot"
     work.add(
         [
             Unscaled(
@@ -208,7 +230,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
                 rows=timed[sensor][0].vectors.T,
                 clock=timed[sensor][1].clock,
                 order=timed[sensor][1].order,
-                stated=UnitGuess(unit=sensor.unit, reason="as PX4 logs it"),
+                stated=_stated(sensor, chosen, maker),
             )
             for sensor in Sensor
             if sensor in timed
@@ -224,13 +246,20 @@ def read(path: Path, options: ReadOptions) -> Recording:
     )
 
 
+def _stated(sensor: Sensor, chosen: Sequence[Instance], maker: str) -> UnitGuess | None:
+    """Return the unit in which the message that was chosen for a sensor has its samples, if that is known."""
+    kind = next(instance.kind for instance in chosen if sensor in instance.sensors)
+    unit = kind.units[sensor]
+    return UnitGuess(unit=unit, reason=f"as {maker} logs it") if unit else None
+
+
 def _refuse_options(path: Path, options: ReadOptions, instances: Sequence[Instance]) -> None:
     time = None if options.time == "header" else options.time
     given = {"columns": options.columns, "time": time, "time unit": options.time_unit}
     for what, value in given.items():
         if value is not None:
             msg = (
-                f"{path}: a ULog has messages with one clock in us, but {what} {value!r} was asked for; "
+                f"{path}: a flight log has messages with one clock, but {what} {value!r} was asked for; "
                 f"expected nothing, or the name of a message; found {_listed(instances) or 'none of an IMU'}"
             )
             raise ChoiceError(msg)
@@ -258,7 +287,7 @@ def _timed(
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 - every reader takes options
-    """Return the IMU messages of a ULog file."""
+    """Return the IMU messages of a flight controller's log."""
     log = _load(path)
     topics = tuple(
         TopicContents(
@@ -273,7 +302,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 -
     )
     return LogContents(
         path=str(path),
-        format="ulog",
+        format=log.format,
         size_bytes=path.stat().st_size,
         topics=topics,
         duration_s=max((topic.duration_s or 0.0 for topic in topics), default=None),
@@ -282,16 +311,24 @@ def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 -
     )
 
 
-def _load(path: Path) -> UlogContent:
+def _load(path: Path) -> FlightLog:
     try:
-        path.open("rb").close()
+        with path.open("rb") as file:
+            head = file.read(len(ULOG))
     except OSError as error:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
-    return isolated(path, ulog_content, "ULog")(path)
+    if head.startswith(ULOG[:4]):
+        return isolated(path, ulog_content, "ULog")(path)
+    from imucal.readers.ardupilot import DATAFLASH, dataflash_content, telemetry_content
+
+    require(path, "pymavlink", "a log of ArduPilot", extra="ardupilot")
+    if head.startswith(DATAFLASH):
+        return isolated(path, dataflash_content, "ArduPilot")(path)
+    return isolated(path, telemetry_content, "ArduPilot telemetry")(path)
 
 
-def _log_findings(log: UlogContent) -> list[Finding]:
+def _log_findings(log: FlightLog) -> list[Finding]:
     findings = []
     if log.damaged:
         text = "Parts of the log are damaged; what could be read around them was read."
@@ -311,7 +348,7 @@ def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> 
         return _asked(path, instances, options.topics)
     if not instances:
         msg = (
-            f"{path}: no IMU messages; expected one of {', '.join(MESSAGES)}; "
+            f"{path}: no IMU messages; expected one of {', '.join(PX4)}; of ArduPilot IMU, GYR or ACC; "
             "log them with the sensor profile of the logger"
         )
         raise ChoiceError(msg)
