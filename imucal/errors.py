@@ -41,10 +41,11 @@ class ChoiceError(ReadError):
 
 
 def raise_all(where: str, lacking: Sequence[ChoiceError]) -> None:
-    """Raise errors that begin with `where` as one, which asks for everything at once; none if there are none."""
+    """Raise errors that begin with `where` as one, which asks for everything at once; or nothing for none."""
     if len(lacking) > 1:
         texts = dict.fromkeys(str(error).removeprefix(f"{where}: ") for error in lacking)
-        raise ChoiceError(f"{where}: {ALSO.join(texts)}") from lacking[0]
+        msg = f"{where}: {ALSO.join(texts)}"
+        raise ChoiceError(msg) from lacking[0]
     if lacking:
         raise lacking[0]
 

@@ -191,7 +191,9 @@ def _run(arguments: Sequence[str] | None) -> int:
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG and not os.environ.get("IMUCAL_DEBUG"):
             name = str(error.filename or "")
-            return _explain(click.UsageError(f"a name of {len(name)} characters is too long for a file: {name}"))
+            return _explain(
+                click.UsageError(f"a name of {len(name)} characters is too long for a file: {name}")
+            )
         # Files of the library's own end in a WriteError; what is left is the stream of results.
         if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
             return _explain(error)

@@ -1,9 +1,10 @@
 """ArduPilot's logs, by pymavlink: ``.bin`` from the board's memory, ``.tlog`` of what it sent to the ground.
 
-The package finds the records of a ``.bin`` and says what each kind holds; they are taken out in one go. Messages:
-``IMU``, or ``GYR`` and ``ACC`` of a batch log, in SI; of a ``.tlog`` ``HIGHRES_IMU`` in SI, ``SCALED_IMU`` in
-mg and mrad/s, and ``RAW_IMU``, which ArduPilot sends in the same units and others in counts. Source: ArduPilot,
-`AP_InertialSensor/LogStructure.h` and `GCS_Common.cpp` (`send_raw_imu`); MAVLink, `common.xml`.
+The package finds the records of a ``.bin`` and says what each kind holds; they are taken out in one go.
+Messages: ``IMU``, or ``GYR`` and ``ACC`` of a batch log, in SI; of a ``.tlog`` ``HIGHRES_IMU`` in SI,
+``SCALED_IMU`` in mg and mrad/s, and ``RAW_IMU``, which ArduPilot sends in these units and others in counts.
+Source: ArduPilot, `AP_InertialSensor/LogStructure.h` and `GCS_Common.cpp` (`send_raw_imu`); MAVLink,
+`common.xml`.
 """
 
 import re
@@ -54,7 +55,7 @@ def dataflash_content(path: Path) -> FlightLog:
     """Return the IMU messages of a ``.bin``; a part that is none of its records is damage."""
     from pymavlink.DFReader import DFReader_binary
 
-    class Index(DFReader_binary):  # type: ignore[misc] - the package has no types
+    class Index(DFReader_binary):  # type: ignore[misc]
         def init_clock(self) -> None:
             """Pass over the records once, not twice: the time since 1970 is not needed."""
 
@@ -66,10 +67,10 @@ def dataflash_content(path: Path) -> FlightLog:
         starts = starts[starts + form.len <= log.data_len]
         spans.append(np.stack([starts, starts + form.len]))
         # Old logs have a message for each IMU: IMU2, IMU3.
-        name, last = re.fullmatch(r"(.*?)(\d?)", form.name).groups()  # type: ignore[union-attr] - of any text
+        name, last = form.name.rstrip("123"), form.name[-1:]
         if name in _BOARD and starts.size:
             data = _columns(log.data_map, starts, form)
-            instances = data.get("I", np.full(starts.size, int(last or 1) - 1))
+            instances = data.get("I", np.full(starts.size, int(last) - 1 if last.isdigit() else 0))
             for multi in np.unique(instances).tolist():
                 own = {key: values[instances == multi] for key, values in data.items()}
                 found[name, multi] = own | ({"temperature": own["T"]} if "T" in own else {})

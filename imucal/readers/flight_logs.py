@@ -1,15 +1,16 @@
 """Logs of flight controllers: PX4's ULog, read by pyulog, and ArduPilot's, read by pymavlink, an extra.
 
-Either may loop for ever on a damaged file, so they run in a child process. Messages of PX4: ``sensor_combined``
-(the estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each sensor), ``sensor_gyro_fifo`` and
-``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu`` (integrals, divided by their time here);
-of ArduPilot see `imucal.readers.ardupilot`. One instance of a message is named ``sensor_gyro:1``. Source: PX4's
-message definitions (`msg/SensorCombined.msg`, `SensorGyro.msg`, `SensorGyroFifo.msg`, `VehicleImu.msg`, and
-those of the accelerometer): microseconds since boot, rad/s, m/s^2.
+Either may loop for ever on a damaged file, so they run in a child process. Messages of PX4:
+``sensor_combined`` (the estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each sensor),
+``sensor_gyro_fifo`` and ``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu`` (integrals,
+divided by their time here); of ArduPilot see `imucal.readers.ardupilot`. One instance of a message is named
+``sensor_gyro:1``. Source: PX4's message definitions (`msg/SensorCombined.msg`, `SensorGyro.msg`,
+`SensorGyroFifo.msg`, `VehicleImu.msg`, and those of the accelerometer): microseconds since boot, rad/s and
+m/s^2.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,7 +41,9 @@ class Message:
 
     fields: dict[Sensor, tuple[str, ...]]
     times: tuple[str, ...] = ("timestamp_sample", "timestamp")
-    units: dict[Sensor, str | None] = field(default_factory=lambda: {sensor: sensor.unit for sensor in Sensor})
+    units: dict[Sensor, str | None] = field(
+        default_factory=lambda: {sensor: sensor.unit for sensor in Sensor}
+    )
 
     @classmethod
     def of_px4(cls, **names: str) -> "Message":
@@ -165,7 +168,7 @@ def _of_fifo(instance: Instance) -> Samples:
 
 
 class FlightLog(NamedTuple):
-    """What a log holds: its format, IMU messages, whether parts are damaged, and the logger's dropouts in ms."""
+    """What a log holds: its format, its IMU messages, whether it is damaged, the logger's dropouts in ms."""
 
     format: str
     instances: list[Instance]

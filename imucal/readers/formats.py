@@ -175,8 +175,8 @@ def _by_ending(path: Path, head: bytes) -> Format:
         known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
         start = head[:8].hex(" ")
         msg = (
-            f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}; export a "
-            "device's own format as CSV with its maker's program"
+            f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}; "
+            "export a device's own format as CSV with its maker's program"
         )
         raise ReadError(msg)
     return ending

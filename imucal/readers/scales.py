@@ -180,11 +180,10 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
         return UnitGuess(reason="without all three axes gravity does not show it")
     size = median_size(rows)
     seen = f"median magnitude {size:.4g}"
-    mean = float(np.linalg.norm(rows.mean(axis=0, dtype=np.float64))) if size < 2 else size
-    if mean < _CARRIED * size:
-        return UnitGuess(reason=f"{seen} is none of gravity: the mean of the vectors is {mean:.2g} long")
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = float(np.linalg.norm(rows.mean(axis=0)))
     for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
-        if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE:
+        if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE and (unit != "g" or mean >= _CARRIED):
             return UnitGuess(unit=unit, reason=f"{seen} is gravity in {unit}")
     integers = bool((rows == np.round(rows)).all())
     for counts in _COUNTS_PER_G if integers else ():
@@ -198,7 +197,8 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
             near = min(_COUNTS_PER_G, key=lambda counts: abs(np.log(size / counts)))
             reason += f"; a 16 bit sensor of {32768 / near:.0f} g range has {near:.0f} counts per g"
         return UnitGuess(reason=reason)
-    return UnitGuess(reason=f"{seen} is gravity in none of m/s^2, g and mg")
+    moved = f", and the vectors' mean is {mean:.2g} long" if mean < _CARRIED <= size else ""
+    return UnitGuess(reason=f"{seen} is gravity in none of m/s^2, g and mg{moved}")
 
 
 def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:

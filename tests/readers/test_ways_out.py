@@ -54,7 +54,8 @@ def typed(message: str, folder: Path) -> Path:
     command = message[message.index("python -c ") :]
     before = set(folder.iterdir())
     shell = shutil.which("bash") or "sh"
-    subprocess.run([shell, "-c", command.replace("python", sys.executable, 1)], cwd=folder, check=True)
+    here = command.replace("python", sys.executable, 1)
+    subprocess.run([shell, "-c", here], cwd=folder, check=True)  # noqa: S603 - what the message says
     (made,) = set(folder.iterdir()) - before
     return made
 
@@ -175,7 +176,7 @@ def _element(kind: int, data: bytes) -> bytes:
 
 
 def write_matlab_object(path: Path, kind: str) -> None:
-    """Write what MATLAB writes of ``T = table(...)``: six numbers. Source: scipy.io, `mio5` (mxOPAQUE_CLASS)."""
+    """Write what MATLAB writes of ``T = table(...)``: six numbers. Source: scipy.io (mxOPAQUE_CLASS)."""
     texts = b"".join(_element(1, text) for text in (b"T", b"MCOS", kind.encode()))
     numbers = np.array([0xDD000000, 2, 1, 1, 1, 1], dtype="<u4").tobytes()
     shape = _element(5, struct.pack("<ii", 6, 1)) + _element(1, b"")

@@ -140,7 +140,7 @@ class NamedTable:
         raise ValueError(problem)
 
     def names_of_rows(self, tag: str) -> list[str]:
-        """Return the names that a comment gives the cells of tagged rows; such as ``column 3`` without one."""
+        """Return the names that a comment gives the cells of tagged rows, or ``column 3`` and the like."""
         comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in self.preamble)
         plain = [f"column {column.index}" for column in self.columns]
         return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)

@@ -104,14 +104,14 @@ def _leaves(tree: object, path: str) -> Iterator[tuple[str, str]]:
 
 
 def _find_json(lines: Sequence[str]) -> TextLayout | None:
-    """Return the layout of a log with a JSON object in each line, whose members are columns by their paths."""
+    """Return the layout of a log with a JSON object in each line; its members are columns by their paths."""
     rows = [cells for line in lines if (cells := _cells_of(line))]
     if len(rows) < 2 or len(rows) < 0.5 * len(lines):
         return None
     headers = tuple(dict.fromkeys(name for row in rows for name in row))
-    cells = tuple(tuple(row.get(name, "") for name in headers) for row in rows)
+    table = tuple(tuple(row.get(name, "") for name in headers) for row in rows)
     return TextLayout(
-        width=len(headers), headers=headers, rows=cells, prepare=partial(_json_rows, headers=headers)
+        width=len(headers), headers=headers, rows=table, prepare=partial(_json_rows, headers=headers)
     )
 
 

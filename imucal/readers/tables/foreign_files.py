@@ -1,8 +1,8 @@
 """What Parquet, HDF5, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
 
-Parquet, HDF5 and MATLAB files are read by the packages that know them, in a child process: every result can be
-pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything is
-unpacked: arrays that are too large together go to temporary files, and where only their first values are
+Parquet, HDF5 and MATLAB files are read by the packages that know them, in a child process: every result can
+be pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything
+is unpacked: arrays that are too large together go to temporary files, and where only their first values are
 wanted nothing else is unpacked. What a MATLAB file unpacks to is counted without keeping any of it.
 
 Source: MathWorks, MAT-File Format (version 5): a header of 128 bytes, then elements of a tag of 8 bytes (type
@@ -126,7 +126,9 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
     array = np.asarray(value)
     if array.dtype.names == _OBJECT and array.size == 1:
         own, _, kind, _ = array.item()
-        found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode("latin-1")
+        found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode(
+            "latin-1"
+        )
     elif array.dtype.names is not None and depth < _DEEP:
         for part in array.dtype.names:
             inner = array[part]
@@ -137,7 +139,7 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
 
 
 def hdf5_arrays(path: Path, limit: int) -> Arrays:
-    """Return the arrays of numbers in an HDF5 file, MATLAB's of version 7.3 among them, and single attributes.
+    """Return the arrays of numbers in an HDF5 file, perhaps MATLAB's of version 7.3, and single attributes.
 
     Raises
     ------
@@ -146,7 +148,8 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
     """
     import h5py
 
-    found, sets = Arrays({}, {}), []
+    found = Arrays({}, {})
+    sets: list[tuple[str, Any]] = []
 
     def collect(path: str, node: Any) -> None:  # noqa: ANN401 - a group or a set of h5py
         name = path.replace("/", ".")
@@ -167,7 +170,8 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
         file.visititems(collect)
         size = sum(node.size * node.dtype.itemsize for _, node in sets)
         if size > limit:
-            msg = f"its arrays take {size / 1e6:.4g} MB, and it is read whole; expected at most {limit / 1e6:.4g} MB"
+            took, most = size / 1e6, limit / 1e6
+            msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
             raise ValueError(msg)
         for name, node in sets:
             # MATLAB writes columns where others write rows.

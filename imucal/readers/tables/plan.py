@@ -166,7 +166,8 @@ def _plan(
 ) -> TablePlan:
     decisions = []
     for triad in (plan.triad for plan in sensors):
-        shown = ", ".join(table.columns[index].header or f"column {index}" for index in triad.indices)
+        named = zip(triad.headers, triad.indices, strict=True)
+        shown = ", ".join(header or f"column {index}" for header, index in named)
         decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
     dialect = table.dialect
     if dialect is not None:

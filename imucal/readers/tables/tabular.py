@@ -48,6 +48,9 @@ _SECOND = 10**9
 #: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
 _FASTEST, _LONGEST_NS = 1e6, 1e18
 
+#: Where the rate is asked for, the unit is judged by the noise at the slowest that IMUs are logged at, in Hz.
+_SLOWEST = 10.0
+
 #: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
 _SENT_TWICE = 0.1
 
@@ -414,7 +417,7 @@ def _clock(
             clocks[key] = table_clock(work, columns)
         except ChoiceError as error:
             lacking.append(error)
-            clocks[key] = ClockReading(clock=Clock.even(n, 1.0, source=""), order=None, findings=())
+            clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""), order=None, findings=())
         work.findings.extend(clocks[key].findings)
     return clocks[key]
 

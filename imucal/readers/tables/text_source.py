@@ -9,6 +9,7 @@ import codecs
 import gzip
 import hashlib
 import lzma
+import shlex
 import sys
 import zlib
 from collections.abc import Callable, Iterator
@@ -269,7 +270,9 @@ class TextSource:
 
     def why_no_lines(self) -> str:
         """Return what is wrong with a text of which the head has no lines, or hardly any, and what to do."""
-        mark, cells = max(((mark, self._start.count(mark)) for mark in (b",", b";", b"\t", b" ")), key=itemgetter(1))
+        mark, cells = max(
+            ((mark, self._start.count(mark)) for mark in (b",", b";", b"\t", b" ")), key=itemgetter(1)
+        )
         if self.whole or cells < _WIDE:
             found = "is empty" if self.whole else "has no line end in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
@@ -277,8 +280,9 @@ class TextSource:
             return f"the text {found}; {way or 'expected a table of numbers'}"
         cut = f"cut -d '{mark.decode()}' -f 1-7" if mark != b"\t" else "cut -f 1-7"
         return (
-            f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few columns of an IMU; "
-            f"write those to a file of their own, the first seven such as by {cut} LOG > imu.csv"
+            f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few columns "
+            f"of an IMU; write those to a file of their own, the first seven by {cut} "
+            f"{shlex.quote(self.name)} > imu.csv"
         )
 
     def files(self) -> tuple[LogFileInfo, ...]:

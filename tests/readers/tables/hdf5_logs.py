@@ -14,7 +14,9 @@ __all__ = ["write_hdf5", "write_matlab"]
 _BLOCK = 512
 
 
-def write_hdf5(path: Path, arrays: Mapping[str, Any], *, compression: str | None = None, **attributes: Any) -> Path:  # noqa: ANN401
+def write_hdf5(
+    path: Path, arrays: Mapping[str, Any], *, compression: str | None = None, **attributes: float
+) -> Path:
     """Write arrays by their paths, such as ``imu/gyro``, and attributes of the file."""
     with h5py.File(path, "w") as file:
         file.attrs.update(attributes)
@@ -34,7 +36,9 @@ def write_matlab(path: Path, arrays: Mapping[str, Any], *, table: bool = False) 
             owner = file.require_group(group) if group else file
             if group:
                 owner.attrs["MATLAB_class"] = np.bytes_("struct")
-            data = owner.create_dataset(last, data=np.atleast_2d(array).T if np.ndim(array) < 2 else np.transpose(array))
+            data = owner.create_dataset(
+                last, data=np.atleast_2d(array).T if np.ndim(array) < 2 else np.transpose(array)
+            )
             data.attrs["MATLAB_class"] = np.bytes_("double")
         file.create_group("#refs#")["a"] = np.zeros((1, 9))
         if table:

@@ -38,9 +38,13 @@ def test_groups_of_arrays(compression: str | None, tmp_path: Path) -> None:
 
 
 def test_a_table_of_records(tmp_path: Path) -> None:
-    names = ["time_ns", *(f"{sensor}{axis}" for sensor in "ga" for axis in "xyz")]
-    columns = [STAMPS, *truth().gyro.T, *truth().accel.T]
-    is_truth(write_hdf5(tmp_path / "log.h5", {"imu": np.rec.fromarrays(columns, names=names)}))
+    records = np.zeros(
+        N, dtype=[("time_ns", "<i8"), *((f"{s}{axis}", "<f8") for s in "ga" for axis in "xyz")]
+    )
+    records["time_ns"] = STAMPS
+    for index, axis in enumerate("xyz"):
+        records[f"g{axis}"], records[f"a{axis}"] = truth().gyro[:, index], truth().accel[:, index]
+    is_truth(write_hdf5(tmp_path / "log.h5", {"imu": records}))
 
 
 def test_the_rate_in_an_attribute(tmp_path: Path) -> None:
@@ -51,7 +55,7 @@ def test_the_rate_in_an_attribute(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("table", [False, True])
 def test_matlab_7_3(table: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a parameter of the case
-    """The columns of an older MAT file of the same variables; a table of MATLAB beside them is passed over."""
+    """The columns of an older MAT file of the same variables; a table beside them is passed over."""
     arrays = {"imu/t": STAMPS * 1e-9, "imu/gyro": truth().gyro, "imu/accel": truth().accel, "imu/fs": 100.0}
     path = write_matlab(tmp_path / "log.mat", arrays, table=table)
     is_truth(path)
@@ -82,5 +86,6 @@ def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         with pytest.raises(ReadError) as caught:
             action(path)
         assert str(caught.value) == (
-            f"{path}: an HDF5 or MATLAB 7.3 file, which an extra reads; type: pip install 'imucal-noise[hdf5]'"
+            f"{path}: an HDF5 or MATLAB 7.3 file, which an extra reads; "
+            "type: pip install 'imucal-noise[hdf5]'"
         )

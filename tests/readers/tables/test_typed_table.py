@@ -201,7 +201,9 @@ def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
     """An array of objects could run code when it is loaded."""
     path = tmp_path / "log.npz"
     np.savez(path, gyro=np.array([{"x": 1}] * 3, dtype=object))
-    with pytest.raises(ReadError, match="not a readable NPZ file: it is arrays of Python objects; where you trust it"):
+    with pytest.raises(
+        ReadError, match="not a readable NPZ file: it is arrays of Python objects; where you trust it"
+    ):
         read(path, ReadOptions())
 
 

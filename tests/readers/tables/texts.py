@@ -564,7 +564,7 @@ def kitti(t: Truth) -> str:
 
 
 def json_lines(t: Truth) -> str:
-    """A structure for each sensor, numbers with all their digits, and a text with what ends a cell."""
+    """Write a structure for each sensor, numbers with all their digits, and a text with what ends a cell."""
     rows = (
         {
             "time_ns": EPOCH + ns,
@@ -579,7 +579,7 @@ def json_lines(t: Truth) -> str:
 
 
 def json_vectors(t: Truth) -> str:
-    """A list for each sensor, in objects of their own with a time each."""
+    """Write a list for each sensor, in objects of their own with a time each."""
     rows = []
     for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True):
         rows += [{"timestamp": EPOCH + ns, "gyro_rad_s": w}, {"timestamp": EPOCH + ns, "accel_m_s2": f}]
@@ -587,7 +587,7 @@ def json_vectors(t: Truth) -> str:
 
 
 def json_tagged(t: Truth) -> str:
-    """As a phone's logger: each sensor's objects have the same members, and their numbers are texts."""
+    """Write as a phone's logger: each sensor's objects have the same members, whose numbers are texts."""
     rows = []
     for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True):
         for sensor, values in (("gyroscope", w), ("accelerometer", f)):

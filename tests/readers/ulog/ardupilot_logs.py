@@ -32,7 +32,7 @@ def _format(number: int, name: str, form: str, columns: str) -> bytes:
 
 
 def write_dataflash(path: Path, *, instances: int = 1, batch: bool = False) -> Path:
-    """Write a log of one IMU message with all, or of a batch log's GYR and ACC, in which ACC has half the rate."""
+    """Write a log of IMU messages; or a batch log of GYR, and ACC at half the rate."""
     gyro, accel = truth()
     data = _format(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
     data += _format(0x81, *_IMU)

@@ -32,7 +32,9 @@ def test_several_imus_are_for_the_user_to_choose(tmp_path: Path) -> None:
     path = write_dataflash(tmp_path / "log.bin", instances=2)
     with pytest.raises(ChoiceError, match=r"several IMU messages: IMU:0 \(.*\), IMU:1 \(.*name one"):
         read(path)
-    npt.assert_array_equal(read(path, topic="IMU:1").axis("gyroscope", "y").samples, np.float32(truth()[0][:, 1] + 1))
+    npt.assert_array_equal(
+        read(path, topic="IMU:1").axis("gyroscope", "y").samples, np.float32(truth()[0][:, 1] + 1)
+    )
 
 
 def test_a_batch_log_has_each_sensor_at_its_own_rate(tmp_path: Path) -> None:
@@ -78,7 +80,9 @@ def test_si_from_a_vehicle(tmp_path: Path) -> None:
 def test_the_counts_of_another_autopilot_have_no_unit(tmp_path: Path) -> None:
     """RAW_IMU is raw: the scale that is asked for, typed, reads it."""
     path = write_telemetry(tmp_path / "log.tlog", autopilot=12)
-    with pytest.raises(ChoiceError, match="the unit of the gyroscope is open.*the scale of its counts in rad/s"):
+    with pytest.raises(
+        ChoiceError, match=r"the unit of the gyroscope is open.*the scale of its counts in rad/s"
+    ):
         read(path)
     recording = read(path, gyro_scale=1e-3)
     npt.assert_allclose(recording.axis("gyroscope", "z").samples, truth()[0][:, 2], atol=0.51e-3)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from imucal.arrays import IntArray
 from imucal.errors import ChoiceError, DataError
-from imucal.readers.read_options import ReadOptions
 from imucal.readers.flight_logs import (
     PX4,
     FlightLog,
@@ -23,6 +22,7 @@ from imucal.readers.flight_logs import (
     _timed,
     samples_of,
 )
+from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
 LOG = Path("flight.ulg")
