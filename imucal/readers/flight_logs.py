@@ -112,7 +112,7 @@ class Instance:
     def duration_s(self) -> float:
         stamps = self.times()
         good = stamps[stamps >= 0]
-        return float(good[-1] - good[0]) * 1e-9 if good.size > 1 else 0.0
+        return float(good[-1] - good[0]) / 1e9 if good.size > 1 else 0.0
 
     @property
     def rate_hz(self) -> float | None:
