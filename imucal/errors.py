@@ -40,14 +40,10 @@ class ChoiceError(ReadError):
     """Which topic, sensor or columns to read is not clear; the message lists the candidates."""
 
 
-def raise_all(where: str, lacking: Sequence[ChoiceError]) -> None:
-    """Raise errors that begin with `where` as one, which asks for everything at once; or nothing for none."""
-    if len(lacking) > 1:
-        texts = dict.fromkeys(str(error).removeprefix(f"{where}: ") for error in lacking)
-        msg = f"{where}: {ALSO.join(texts)}"
-        raise ChoiceError(msg) from lacking[0]
-    if lacking:
-        raise lacking[0]
+def as_one(where: str, lacking: Sequence[ChoiceError]) -> ChoiceError:
+    """Return errors that begin with `where` as one, which asks for everything at once."""
+    texts = dict.fromkeys(str(error).removeprefix(f"{where}: ") for error in lacking)
+    return lacking[0] if len(texts) == 1 else ChoiceError(f"{where}: {ALSO.join(texts)}")
 
 
 class DataError(ImucalError):

@@ -12,7 +12,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
-from imucal.errors import ChoiceError, raise_all
+from imucal.errors import ChoiceError, as_one
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import AXES, Axis, Sensor
@@ -107,7 +107,8 @@ def find_units(
             )
         except ChoiceError as error:
             lacking.append(error)
-    raise_all(where, lacking)
+    if lacking:
+        raise as_one(where, lacking)
     return units
 
 

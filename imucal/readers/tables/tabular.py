@@ -3,7 +3,7 @@
 A clock is made of the time's columns, or of a counter and a rate.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import blake2b
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.clock import Clock
-from imucal.errors import ChoiceError, DataError, raise_all
+from imucal.errors import ChoiceError, DataError, ImucalError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
@@ -23,6 +23,7 @@ from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled
 from imucal.readers.store import Room, count, extremes
+from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.stamps import (
     Numbers,
@@ -346,12 +347,28 @@ def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: S
         )
     except ChoiceError as error:
         lacking.append(error)
-    raise_all(work.path, lacking)
+    if lacking:
+        raise as_one(work.path, lacking)
     for columns, reading in both:
         if columns.temperature is not None:
             _add_temperature(work, columns.temperature, reading)
             break
     return work.build(topics=topics)
+
+
+def with_more(where: str, error: ColumnsError, reading: Callable[[str], object]) -> ChoiceError:
+    """Return an error for columns with what else is missing: `reading` tries the columns that it proposes."""
+    lacking: list[ChoiceError] = [error]
+    # Of several proposals the user's choice says what is missing.
+    if error.example and " or " not in error.example:
+        try:
+            reading(error.example)
+        except ChoiceError as more:
+            lacking.append(more)
+        except ImucalError:
+            # What is wrong with the samples is said when they are read.
+            pass
+    return as_one(where, lacking)
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:

@@ -46,7 +46,14 @@ from imucal.readers.tables.layout import (
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
+from imucal.readers.tables.tabular import (
+    SensorColumns,
+    assemble,
+    contents_of,
+    of_a_part,
+    refuse_topics,
+    with_more,
+)
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
 from imucal.readers.ways_out import way_out
 from imucal.recording import Recording, Sensor
@@ -84,7 +91,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
             "belongs to a column"
         )
     found = list_columns([""] * layout.width, layout.cells)
-    raise ColumnsError(path, problem, found, _propose(path, lines, layout, options))
+    raise ColumnsError.of(path, problem, found, _propose(path, lines, layout, options))
 
 
 def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
@@ -100,7 +107,7 @@ def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadO
         both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
     columns = tuple(parse_column("", index) for index in range(layout.width))
     table = NamedTable(path=path, columns=columns, cells=layout.cells)
-    return propose(table, options, first=both, suffix=f"@{tags[0]}" if tags else "")
+    return propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
 
 
 def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
@@ -366,7 +373,16 @@ def read_table(
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
-    layout, plan = plan_of_head(source, options, name)
+    try:
+        layout, plan = plan_of_head(source, options, name)
+    except ColumnsError as error:
+        if head and options.columns is not None:
+            raise
+        raise with_more(
+            source.name,
+            error,
+            lambda columns: read_table(source, replace(options, columns=columns), name=name, head=True),
+        ) from error
     groups = _by_rows(plan, stamps)
     expected = 0 if head else source.expected_rows
     readers = [

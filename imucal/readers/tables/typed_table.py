@@ -22,6 +22,7 @@ from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import Room, join_rows
+from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.foreign_files import (
     HEAD,
@@ -36,7 +37,14 @@ from imucal.readers.tables.foreign_files import (
 )
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import Numbers, TimeChoice
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
+from imucal.readers.tables.tabular import (
+    SensorColumns,
+    assemble,
+    contents_of,
+    of_a_part,
+    refuse_topics,
+    with_more,
+)
 from imucal.recording import Recording, Sensor
 from imucal.resources import MEMORY, column_limit, memory_limit
 
@@ -361,11 +369,14 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         widest = max(groups, key=lambda group: (len(group), group[0].size))
         try:
             return [_part(path, widest, options, table.shapes)]
-        except ChoiceError as error:
-            if not table.way:
-                raise
-            msg = f"{error}; or {table.way}"
-            raise ChoiceError(msg) from error
+        except ColumnsError as error:
+
+            def tried(columns: str) -> object:
+                asked = replace(options, columns=columns)
+                return _read(path, table, [_heads(_part(path, widest, asked, table.shapes))], asked)
+
+            asking = with_more(str(path), error, tried)
+            raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
     _refuse_doubles(path, parts)
     return parts
 
