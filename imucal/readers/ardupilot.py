@@ -9,7 +9,7 @@ Source: ArduPilot, `AP_InertialSensor/LogStructure.h` and `GCS_Common.cpp` (`sen
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.readers.containers.container import gather
-from imucal.readers.flight_logs import FlightLog, Instance, Message
+from imucal.readers.flight_messages import FlightLog, Message, flight_log
 from imucal.recording import AXES, Sensor
 
 #: The first bytes of each record of a dataflash log.
@@ -76,7 +76,7 @@ def dataflash_content(path: Path) -> FlightLog:
                 found[name, multi] = own | ({"temperature": own["T"]} if "T" in own else {})
     begun, ended = np.sort(np.concatenate(spans, axis=1), axis=1)
     whole = begun.size and not (begun[1:] - ended[:-1]).any() and log.data_len - ended[-1] <= _PAGE
-    return _log("dataflash", found, _BOARD, damaged=not whole)
+    return flight_log("dataflash", found, _BOARD, damaged=not whole)
 
 
 def _columns(buffer: bytes, starts: IntArray, form: Any) -> dict[str, NDArray[Any]]:  # noqa: ANN401 - of the package
@@ -106,25 +106,10 @@ def telemetry_content(path: Path) -> FlightLog:
     if _ARDUPILOT not in makers.values():
         kinds["RAW_IMU"] = replace(_SENT, units=dict.fromkeys(Sensor))
     found = {key: _fields(messages, kinds[key[0]]) for key, messages in rows.items()}
-    return _log("tlog", found, kinds, damaged=bool(log.mav.total_receive_errors))
+    return flight_log("tlog", found, kinds, damaged=bool(log.mav.total_receive_errors))
 
 
 def _fields(messages: Sequence[Any], kind: Message) -> dict[str, NDArray[Any]]:
     names = [name for fields in kind.fields.values() for name in fields]
     names += [name for name in kind.times if hasattr(messages[0], name)]
     return {name: np.array([getattr(message, name) for message in messages]) for name in names}
-
-
-def _log(
-    form: str,
-    found: Mapping[tuple[str, int], dict[str, NDArray[Any]]],
-    kinds: Mapping[str, Message],
-    *,
-    damaged: bool,
-) -> FlightLog:
-    names = [name for name, _ in found]
-    instances = [
-        Instance(message=name, multi=multi, several=names.count(name) > 1, data=data, kind=kinds[name])
-        for (name, multi), data in found.items()
-    ]
-    return FlightLog(format=form, instances=instances, damaged=damaged, dropouts=[])

@@ -1,205 +1,30 @@
 """Logs of flight controllers: PX4's ULog, read by pyulog, and ArduPilot's, read by pymavlink, an extra.
 
-Either may loop for ever on a damaged file, so they run in a child process. Messages of PX4:
-``sensor_combined`` (the estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each sensor),
-``sensor_gyro_fifo`` and ``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu`` (integrals,
-divided by their time here); of ArduPilot see `imucal.readers.ardupilot`. One instance of a message is named
-``sensor_gyro:1``. Source: PX4's message definitions (`msg/SensorCombined.msg`, `SensorGyro.msg`,
-`SensorGyroFifo.msg`, `VehicleImu.msg`, and those of the accelerometer): microseconds since boot, rad/s and
-m/s^2.
+Either package may loop for ever on a damaged file, so they run in a child process.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
+from imucal.readers.ardupilot import DATAFLASH, dataflash_content, telemetry_content
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.flight_messages import PX4, FlightLog, Instance, Samples, samples_of, ulog_content
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
-from imucal.recording import AXES, Recording, Sensor
-
-_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
-    """What a message measures: the fields of each sensor's x, y, z, and those of its stamps, best first.
-
-    Stamps are in us, or in ms where their name ends so. `units` are those of the samples; None where the log
-    leaves them open.
-    """
-
-    fields: dict[Sensor, tuple[str, ...]]
-    times: tuple[str, ...] = ("timestamp_sample", "timestamp")
-    units: dict[Sensor, str | None] = field(
-        default_factory=lambda: {sensor: sensor.unit for sensor in Sensor}
-    )
-
-    @classmethod
-    def of_px4(cls, **names: str) -> "Message":
-        """Return a message of PX4 with the arrays of some sensors; in messages of one they are x, y and z."""
-        owners = {"gyro": _GYRO, "accel": _ACCEL}
-        of = {owners[k]: tuple(f"{v}[{i}]" for i in range(3)) if v else AXES for k, v in names.items()}
-        return cls(fields=of)
-
-
-#: Message of PX4 -> what it measures.
-PX4 = {
-    "sensor_combined": Message.of_px4(gyro="gyro_rad", accel="accelerometer_m_s2"),
-    "sensor_gyro": Message.of_px4(gyro=""),
-    "sensor_accel": Message.of_px4(accel=""),
-    "sensor_gyro_fifo": Message.of_px4(gyro=""),
-    "sensor_accel_fifo": Message.of_px4(accel=""),
-    "vehicle_imu": Message.of_px4(gyro="delta_angle", accel="delta_velocity"),
-}
+from imucal.recording import Recording, Sensor
 
 #: The first bytes of a ULog.
 ULOG = b"ULog\x01\x12\x35"
 
-#: No board runs longer, in microseconds: a stamp beyond it is damaged. About 140 years.
-_LATEST_US = 1 << 52
 #: An instance logged at less than this share of the fastest rate is a health check, not a recording.
 _TOO_SLOW = 0.2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Samples:
-    """What one message instance gives for one sensor: stamps in ns, samples (n, 3), temperature."""
-
-    stamps: IntArray
-    vectors: FloatArray
-    temperature: FloatArray | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Instance:
-    """One instance of a message in the log, which may hold `several`: its fields, shape (n,) each."""
-
-    message: str
-    multi: int
-    several: bool
-    data: dict[str, NDArray[Any]]
-    kind: Message
-
-    @property
-    def name(self) -> str:
-        """``sensor_gyro:1``; without the number where there is one instance only."""
-        return f"{self.message}:{self.multi}" if self.several else self.message
-
-    @property
-    def sensors(self) -> tuple[Sensor, ...]:
-        return tuple(self.kind.fields)
-
-    @property
-    def count(self) -> int:
-        """Samples: of a fifo message all that it carries."""
-        samples = self.data.get("samples")
-        if self.message.endswith("_fifo") and samples is not None:
-            return int(np.asarray(samples, dtype=np.int64).sum())
-        return int(self.times().size)
-
-    @property
-    def duration_s(self) -> float:
-        stamps = self.times()
-        good = stamps[stamps >= 0]
-        return float(good[-1] - good[0]) / 1e9 if good.size > 1 else 0.0
-
-    @property
-    def rate_hz(self) -> float | None:
-        return (self.count - 1) / self.duration_s if self.duration_s > 0 else None
-
-    def answers_to(self, topic: str) -> bool:
-        """Return whether a user's name for a topic means this instance."""
-        return topic.strip("/") in {self.name, f"{self.message}:{self.multi}"}
-
-    def columns(self, names: Sequence[str]) -> FloatArray:
-        """Return some fields side by side, shape (n, fields)."""
-        return np.stack([np.asarray(self.data[name], dtype=np.float64) for name in names], axis=1)
-
-    def times(self) -> IntArray:
-        """Return when samples were taken, in ns; -1 where the stamp is damaged."""
-        there = [name for name in self.kind.times if name in self.data]
-        name = next((name for name in there if bool(np.all(self.data[name]))), there[-1])
-        stamps, ns = self.data[name], 1_000_000 if name.lower().endswith("ms") else 1000
-        return np.where(stamps < _LATEST_US, stamps, 0).astype(np.int64) * ns - (stamps >= _LATEST_US)
-
-
-def samples_of(instance: Instance, sensor: Sensor) -> Samples:
-    """Return the samples of a sensor in one instance of a message, in SI units."""
-    if instance.message.endswith("_fifo"):
-        return _of_fifo(instance)
-    data, stamps = instance.data, instance.times()
-    keep = stamps >= 0
-    fields = instance.kind.fields[sensor]
-    vectors = instance.columns(fields)
-    if instance.message == "vehicle_imu":
-        # Integrals over a time; those over no time have no rate.
-        over = np.asarray(data[fields[0].replace("[0]", "_dt")], dtype=np.float64) * 1e-6
-        keep &= over > 0
-        return Samples(stamps=stamps[keep], vectors=vectors[keep] / over[keep, None])
-    warmth = data.get("temperature")
-    temperature = np.asarray(warmth, dtype=np.float64)[keep] if warmth is not None else None
-    return Samples(stamps=stamps[keep], vectors=vectors[keep], temperature=temperature)
-
-
-def _of_fifo(instance: Instance) -> Samples:
-    """Return every sample of a sensor's buffer: the stamp is the last one's, the others go before it."""
-    data, last = instance.data, instance.times()
-    count = np.asarray(data["samples"], dtype=np.int64)
-    index = np.arange(sum(1 for name in data if name.startswith("x[")))
-    step = np.asarray(data["dt"], dtype=np.float64) * 1e3
-    good = (last >= 0) & np.isfinite(step) & (count > 0) & (count <= index.size)
-    filled = (index < count[:, None]) & good[:, None]
-    before = (count[:, None] - 1 - index) * np.where(good, step, 0.0)[:, None]
-    stamps = (last[:, None] - np.round(before).astype(np.int64))[filled]
-    scale = np.asarray(data["scale"], dtype=np.float64)[:, None]
-    axes = [(instance.columns([f"{axis}[{i}]" for i in index]) * scale)[filled] for axis in AXES]
-    return Samples(stamps=stamps, vectors=np.stack(axes, axis=1))
-
-
-class FlightLog(NamedTuple):
-    """What a log holds: its format, its IMU messages, whether it is damaged, the logger's dropouts in ms."""
-
-    format: str
-    instances: list[Instance]
-    damaged: bool
-    dropouts: list[int]
-
-
-def ulog_content(path: Path) -> FlightLog:
-    """Return the IMU messages of a ULog file."""
-    from pyulog import ULog
-
-    with path.open("rb") as file:
-        log = ULog(file, message_name_filter_list=list(PX4))
-    known = [e for e in log.data_list if e.name in PX4 and np.size(e.data.get("timestamp", ()))]
-    names = [entry.name for entry in known]
-    return FlightLog(
-        format="ulog",
-        instances=[
-            Instance(
-                message=entry.name,
-                multi=int(entry.multi_id),
-                several=names.count(entry.name) > 1,
-                # Copies: the fields of pyulog are views of all messages together.
-                data={name: np.ascontiguousarray(values) for name, values in entry.data.items()},
-                kind=PX4[entry.name],
-            )
-            for entry in known
-        ],
-        damaged=bool(log.file_corruption),
-        dropouts=[int(dropout.duration) for dropout in log.dropouts],
-    )
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -323,8 +148,6 @@ def _load(path: Path) -> FlightLog:
         raise ReadError(msg) from error
     if head.startswith(ULOG[:4]):
         return isolated(path, ulog_content, "ULog")(path)
-    from imucal.readers.ardupilot import DATAFLASH, dataflash_content, telemetry_content
-
     require(path, "pymavlink", "a log of ArduPilot", extra="ardupilot")
     if head.startswith(DATAFLASH):
         return isolated(path, dataflash_content, "ArduPilot")(path)
@@ -360,8 +183,8 @@ def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> 
     if len(fast) == 1:
         return fast
     pair = {instance.sensors: instance for instance in fast}
-    if len(fast) == 2 and pair.keys() == {(_GYRO,), (_ACCEL,)}:
-        return [pair[_GYRO,], pair[_ACCEL,]]
+    if len(fast) == 2 and pair.keys() == {(Sensor.GYROSCOPE,), (Sensor.ACCELEROMETER,)}:
+        return [pair[Sensor.GYROSCOPE,], pair[Sensor.ACCELEROMETER,]]
     msg = f"{path}: several IMU messages: {_listed(fast)}; name one, or one for each sensor"
     raise ChoiceError(msg)
 

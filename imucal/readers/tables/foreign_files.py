@@ -13,6 +13,7 @@ import math
 import struct
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
@@ -149,34 +150,33 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
     import h5py
 
     found = Arrays({}, {})
-    sets: list[tuple[str, Any]] = []
-
-    def collect(path: str, node: Any) -> None:  # noqa: ANN401 - a group or a set of h5py
-        name = path.replace("/", ".")
-        if path.startswith(("#refs#", "#subsystem#")):
-            return
-        kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
-        if "MATLAB_object_decode" in node.attrs:
-            found.objects[name] = kind
-        elif isinstance(node, h5py.Dataset) and (node.dtype.kind in "biufV") and kind not in {"char", "cell"}:
-            sets.append((name, node))
-        for key, value in {} if matlab else node.attrs.items():
-            if np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
-                found.arrays[f"{name}.{key}".lstrip(".")] = np.asarray(value)
-
     with h5py.File(path) as file:
+        nodes: dict[str, Any] = {"": file}
+        file.visititems(nodes.__setitem__)
         matlab = any("MATLAB_class" in node.attrs for node in file.values())
-        collect("", file)
-        file.visititems(collect)
-        size = sum(node.size * node.dtype.itemsize for _, node in sets)
-        if size > limit:
-            took, most = size / 1e6, limit / 1e6
+        sets = {}
+        for name, node in nodes.items():
+            kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
+            if name.startswith(("#refs#", "#subsystem#")) or kind in {"char", "cell"}:
+                continue
+            if "MATLAB_object_decode" in node.attrs:
+                found.objects[name.replace("/", ".")] = kind
+            elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
+                sets[name.replace("/", ".")] = node
+            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
+        took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
+        if took > most:
             msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
             raise ValueError(msg)
-        for name, node in sets:
-            # MATLAB writes columns where others write rows.
-            found.arrays[name] = node[()].T if matlab else node[()]
+        # MATLAB writes columns where others write rows.
+        found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
+
+
+def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
+    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
+    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.

@@ -5,12 +5,12 @@ nothing is shown, as the x and y of a robot, or latitudes, are no gyroscope.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from imucal.readers.scales import infer_accel_unit
+from imucal.readers.scales import shows_gravity
 from imucal.readers.tables.columns import NamedTable, Triad, sensor_of_name, triad_of_axes
 from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.layout import is_number
@@ -24,6 +24,8 @@ _THRESHOLD = 2
 _NAMED, _HINTED, _VECTOR, _UNKNOWN = 4, 3, 2, -1
 #: The mean vector is gravity, or the columns stand beside those where it is.
 _GRAVITY = _BESIDE = 3
+#: The rows are tagged as those of an inertial sensor.
+_TAGGED = 2
 #: Neighbours have at most one column, such as the time, between them.
 _APART = 2
 #: Beyond this many columns of numbers, three that have the size of gravity may be anything.
@@ -47,88 +49,132 @@ def may_be_samples(table: NamedTable, column: NamedColumn) -> bool:
 
 
 def likely(
-    table: NamedTable, found: Mapping[Sensor, Triad | None] | None = None, *, taken: Sequence[int] = ()
+    table: NamedTable,
+    found: Mapping[Sensor, Triad | None] | None = None,
+    *,
+    taken: Sequence[int] = (),
+    tagged: bool = False,
 ) -> dict[Sensor, Triad | None]:
-    """Return the columns of each sensor: those `found`, or the likeliest; None of less than the threshold."""
+    """Return the columns of each sensor: those `found`, or the likeliest; None of less than the threshold.
+
+    Columns that are `taken` are of none; rows that are `tagged` are those of an inertial sensor.
+    """
     chosen: dict[Sensor, Triad | None] = dict.fromkeys(Sensor) | dict(found or {})
-    for sensor in sorted(Sensor, key=lambda sensor: sensor is Sensor.GYROSCOPE):
-        if chosen[sensor] is not None:
-            continue
-        used = {*taken, *(index for triad in chosen.values() if triad for index in triad.indices)}
-        free = [c for c in table.columns if c.index not in used and may_be_samples(table, c)]
-        other = next((triad for triad in chosen.values() if triad), None)
-        scored = [(_score(table, axes, sensor, other, len(free)), axes) for axes in _sets(free)]
-        best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
-        if best[0] >= _THRESHOLD and (len(best[1]) == len(AXES) or best[0] >= _NAMED):
-            chosen[sensor] = triad_of_axes(sensor, best[1])
+    # The accelerometer first, as gravity tells it.
+    for sensor in reversed(Sensor):
+        if chosen[sensor] is None:
+            chosen[sensor] = _likeliest(
+                table, sensor, list(filter(None, chosen.values())), taken, tagged=tagged
+            )
     return chosen
 
 
-def _sets(free: Sequence[NamedColumn]) -> Iterator[dict[int, NamedColumn]]:
-    """Yield columns whose names differ in their axis alone; then those without an axis, three by three."""
-    families: dict[tuple[str, ...], dict[int, NamedColumn]] = {}
+def _likeliest(
+    table: NamedTable, sensor: Sensor, others: Sequence[Triad], taken: Sequence[int], *, tagged: bool
+) -> Triad | None:
+    """Return the columns of a sensor that most speaks for, beside those of another that is known."""
+    used = {*taken, *(index for triad in others for index in triad.indices)}
+    free = [c for c in table.columns if c.index not in used and may_be_samples(table, c)]
+    several = len(free) > _NARROW
+    scored = [
+        (
+            _name_score(axes, sensor) or _score(table, axes, sensor, others, tagged=tagged, several=several),
+            axes,
+        )
+        for axes in _sets(free)
+    ]
+    # Of equal ones the accelerometer is the last, as people write them.
+    scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
+    score, best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
+    whole = len(best) == len(AXES) or score >= _NAMED
+    return triad_of_axes(sensor, best) if score >= _THRESHOLD and whole else None
+
+
+def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
+    """Return columns whose names differ in their axis alone; then those without an axis, three by three."""
+    lettered: dict[tuple[str, ...], dict[int, NamedColumn]] = {}
+    counted: dict[tuple[str, str], dict[int, NamedColumn]] = {}
     for column in free:
         tail = _NUMBERED.fullmatch(plain_name(column.header))
         if column.axis is not None and not column.numbered:
-            families.setdefault(column.words, {}).setdefault(column.axis, column)
+            lettered.setdefault(column.words, {}).setdefault(column.axis, column)
         elif tail:
-            # Numbers may count from 1, which only three of them tell.
-            families.setdefault(("", tail[1], tail[3]), {})[int(tail[2])] = column
-    sets = [axes for key, axes in families.items() if key[:1] != ("",)]
-    counted = [axes for key, axes in families.items() if key[:1] == ("",) and len(axes) == len(AXES)]
-    firsts = ((min(axes), axes) for axes in counted if sorted(axes) in ([0, 1, 2], [1, 2, 3]))
-    sets += [{number - first: column for number, column in axes.items()} for first, axes in firsts]
-    yield from sets
+            counted.setdefault((tail[1], tail[3]), {})[int(tail[2])] = column
+    sets = list(lettered.values())
+    # Numbers may count from 1, which only three of them tell.
+    whole = [axes for axes in counted.values() if sorted(axes) in ([0, 1, 2], [1, 2, 3])]
+    sets += [{number - min(axes): column for number, column in axes.items()} for axes in whole]
     named = {column.index for axes in sets if len(axes) == len(AXES) for column in axes.values()}
-    plain = [column for column in free if column.index not in named]
+    return sets + _threes([column for column in free if column.index not in named])
+
+
+def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
+    """Return columns three by three where they stand side by side."""
+    found = []
     while plain:
         run = [column for at, column in enumerate(plain[:3]) if column.index == plain[0].index + at]
         if len(run) == len(AXES):
-            yield dict(enumerate(run))
+            found.append(dict(enumerate(run)))
         plain = plain[len(run) :]
+    return found
+
+
+def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
+    """Return what names say of a sensor in some columns; 0 where they say nothing of either."""
+    (opposite,) = set(Sensor) - {sensor}
+    names = [plain_name(column.header) for column in axes.values()]
+    roles = {column.role for column in axes.values()}
+    if any(map(_HINTS[opposite].search, names)) or Role(str(opposite)) in roles:
+        return -_NAMED
+    if roles == {Role(str(sensor))}:
+        return _NAMED
+    # A group's name may stand above the first of its columns alone.
+    own = [name for name in names if not _HINTS[sensor].search(name)]
+    return _HINTED if len(own) < len(names) and not any(own) and names[0] else 0
 
 
 def _score(
-    table: NamedTable, axes: Mapping[int, NamedColumn], sensor: Sensor, other: Triad | None, free: int
+    table: NamedTable,
+    axes: Mapping[int, NamedColumn],
+    sensor: Sensor,
+    others: Sequence[Triad],
+    *,
+    tagged: bool,
+    several: bool,
 ) -> int:
-    """Return how much speaks for a sensor in some columns, of `free` that it may be in."""
-    columns = list(axes.values())
-    (opposite,) = set(Sensor) - {sensor}
-    names = [plain_name(column.header) for column in columns]
-    if any(map(_HINTS[opposite].search, names)) or Role(str(opposite)) in {c.role for c in columns}:
-        return -_NAMED
-    if all(column.role is Role(str(sensor)) for column in columns):
-        return _NAMED
-    # A group's name may stand above the first of its columns alone.
-    if _HINTS[sensor].search(names[0]) and all(_HINTS[sensor].search(name) or not name for name in names):
-        return _HINTED
-    score = _kind_score(columns)
-    if other is None:
-        # Gravity tells of three columns only, and of a few.
-        told = sensor is Sensor.ACCELEROMETER and len(columns) == len(AXES) and free <= _NARROW
-        return score + (_GRAVITY if told and _is_gravity(table, [axes[at] for at in range(3)]) else 0)
+    """Return what speaks for a sensor in columns whose names don't; gravity tells of no `several`."""
+    if len(axes) != len(AXES):
+        return 0
+    columns = [axes[at] for at in range(len(AXES))]
+    score = (_TAGGED if tagged else 0) + _unknown(columns)
+    if others:
+        return score + _beside(table, columns, others[0])
+    told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(table, columns)
+    return score + (_GRAVITY if told else 0)
+
+
+def _beside(table: NamedTable, columns: Sequence[NamedColumn], other: Triad) -> int:
+    """Return what speaks for columns by those of the other sensor: a bare vector, or neighbours of a kind."""
     theirs = [table.columns[index] for index in other.indices]
     if all(column.role is Role.VECTOR for column in columns):
         return _VECTOR
     near = min(abs(a.index - b.index) for a in columns for b in theirs) <= _APART
-    alike = _kind_score(theirs) == score and not any(c.role in {*map(Role, Sensor)} for c in theirs)
-    return score + (_BESIDE if near and alike and len(columns) == len(AXES) else 0)
+    nameless = not any(column.role in {*map(Role, Sensor)} for column in theirs)
+    return _BESIDE if near and nameless and _unknown(theirs) == _unknown(columns) else 0
 
 
-def _kind_score(columns: Sequence[NamedColumn]) -> int:
+def _unknown(columns: Sequence[NamedColumn]) -> int:
+    """Return what speaks against columns that are called by names of which nothing is known."""
     return _UNKNOWN if any(c.header.strip() and c.role is not Role.VECTOR for c in columns) else 0
 
 
 def _is_gravity(table: NamedTable, columns: Sequence[NamedColumn]) -> bool:
     """Return whether the mean vector of three columns is gravity, in some unit."""
-    rows = np.array([[float(cell) for cell in table.filled(column.index)] for column in columns]).T
-    if rows.ndim != 2:
+    cells = [table.filled(column.index) for column in columns]
+    if len({len(column) for column in cells}) > 1:
         return False
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    guess = infer_accel_unit(rows)
-    return guess.unit is not None and float(np.linalg.norm(rows.mean(axis=0))) > 0.6 * np.median(
-        np.linalg.norm(rows, axis=1)
-    )
+    rows = np.array([[float(cell) for cell in column] for column in cells]).T
+    return shows_gravity(rows[np.isfinite(rows).all(axis=1)])
 
 
 def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
@@ -138,7 +184,7 @@ def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
     """
     time = table.time or _text_time(table) or _onward(table)
     taken = [int(index) for index in time.split("+") if index]
-    chosen = likely(table, taken=taken)
+    chosen = likely(table, taken=taken, tagged=bool(rows))
     if not any(chosen.values()):
         chosen = _one_axis(table, taken, name)
     if not any(chosen.values()):

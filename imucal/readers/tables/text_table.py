@@ -373,16 +373,7 @@ def read_table(
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
-    try:
-        layout, plan = plan_of_head(source, options, name)
-    except ColumnsError as error:
-        if head and options.columns is not None:
-            raise
-        raise with_more(
-            source.name,
-            error,
-            lambda columns: read_table(source, replace(options, columns=columns), name=name, head=True),
-        ) from error
+    layout, plan = _planned(source, options, name)
     groups = _by_rows(plan, stamps)
     expected = 0 if head else source.expected_rows
     readers = [
@@ -419,6 +410,18 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, plan.topics)
+
+
+def _planned(source: TextSource, options: ReadOptions, name: str) -> tuple[TextLayout, TablePlan]:
+    """Return the layout and the columns of a text; where they are open, ask for all that is."""
+    try:
+        return plan_of_head(source, options, name)
+    except ColumnsError as error:
+
+        def tried(columns: str) -> object:
+            return read_table(source, replace(options, columns=columns), name=name, head=True)
+
+        raise with_more(source.name, error, tried) from error
 
 
 def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:

@@ -348,18 +348,7 @@ def _heads(part: _Part) -> _Part:
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     """Choose the columns; of arrays of several lengths each length for itself."""
-    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
-    groups = [tuple(c for c in table.columns if c.size == length) for length in lengths]
-    if not groups and table.way:
-        msg = f"{path}: {table.way}"
-        raise ReadError(msg)
-    if not groups:
-        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
-        msg = (
-            f"{path}: no columns of samples, found {found}; expected arrays of the gyroscope or the "
-            "accelerometer with a row per sample and up to 64 columns; save those columns alone"
-        )
-        raise ReadError(msg)
+    groups = _groups(path, table)
     parts = []
     for group in groups if len(groups) > 1 and options.columns is None else ():
         with suppress(ChoiceError):
@@ -367,18 +356,37 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     if not parts:
         # The indices in a columns text, and in the error that proposes one, are those of the widest table.
         widest = max(groups, key=lambda group: (len(group), group[0].size))
-        try:
-            return [_part(path, widest, options, table.shapes)]
-        except ColumnsError as error:
-
-            def tried(columns: str) -> object:
-                asked = replace(options, columns=columns)
-                return _read(path, table, [_heads(_part(path, widest, asked, table.shapes))], asked)
-
-            asking = with_more(str(path), error, tried)
-            raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
+        return [_only_part(path, table, widest, options)]
     _refuse_doubles(path, parts)
     return parts
+
+
+def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
+    """Return the columns by their lengths; a ReadError where there are none of samples."""
+    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
+    if not lengths:
+        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
+        why = table.way or (
+            f"no columns of samples, found {found}; expected arrays of the gyroscope or the accelerometer "
+            "with a row per sample and up to 64 columns; save those columns alone"
+        )
+        msg = f"{path}: {why}"
+        raise ReadError(msg)
+    return [tuple(column for column in table.columns if column.size == length) for length in lengths]
+
+
+def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
+    """Choose among the columns of one length; where that is open, ask for all that is."""
+    try:
+        return _part(path, columns, options, table.shapes)
+    except ColumnsError as error:
+
+        def tried(text: str) -> object:
+            asked = replace(options, columns=text)
+            return _read(path, table, [_heads(_part(path, columns, asked, table.shapes))], asked)
+
+        asking = with_more(str(path), error, tried)
+        raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
