@@ -56,7 +56,7 @@ def make_lab(folder: Path, *, units: int, seconds: float, seed: int) -> str:
             path.parent.mkdir(parents=True, exist_ok=True)
             stamps = np.arange(len(columns["gyroscope"])) / RATE
             gyro, accel = columns["gyroscope"], columns["accelerometer"]
-            np.savez(path, **{"time (s)": stamps, "gyro (rad/s)": gyro, "accel (m/s^2)": accel})  # type: ignore[arg-type]
+            np.savez(path, **{"time (s)": stamps, "gyro (rad/s)": gyro, "accel (m/s^2)": accel})
     return f"SN{odd:02}"
 
 
