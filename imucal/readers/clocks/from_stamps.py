@@ -15,12 +15,11 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, median
 from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.readers.clocks.period import Period, estimate_period, evened
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
     Breaks,
-    Period,
     Steps,
-    estimate_period,
     find_breaks,
     fit_period,
     step_statistics,
@@ -251,10 +250,10 @@ class _Stamps:
         if repeated is not None and (twice := count(repeated)):
             self._drop(repeated, twice)
         self._replace_zeros()
-        period = estimate_period(self.stamps)
+        period = estimate_period(self.stamps, rate_hz)
         if period is None and self.log_ns is not None and self.source != LOG_TIME and self.stamps.size > 1:
             self._use(self.log_ns, "do not advance")
-            period = estimate_period(self.stamps)
+            period = estimate_period(self.stamps, rate_hz)
         n = self.stamps.size
         if period is not None:
             clock = self._clock(period, rate_hz)
@@ -304,8 +303,10 @@ class _Stamps:
             msg = f"the stamps ({self.source}) go back {times}; expected a clock"
             raise DataError(msg)
         breaks = NO_BREAKS
+        stamps = evened(stamps, period, self.room)
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
-        for longest in (10,) if steps.even else (10, 1000):
+        # How many samples a gap between two batches misses is known to a batch.
+        for longest in (0, 0) if period.burst > 1 else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
             if 0.5 < tau / period.tau_ns < 2:
@@ -322,7 +323,7 @@ class _Stamps:
             source=self.source,
             rate_hz=rate_hz or measured,
             segments=_segments(stamps.size, breaks, missing, jumps),
-            start_ns=int(stamps[0]),
+            start_ns=int(self.stamps[0]),
             jitter_s=jitter / 1e9,
         )
         notes += gap_notes(clock)
