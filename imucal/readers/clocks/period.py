@@ -24,6 +24,8 @@ from imucal.readers.store import Room
 #: Runs of neighbouring samples by which the period is estimated, and samples in each; all samples where there
 #: are fewer.
 _RUNS, _RUN = 10, 4096
+#: Rates at which IMUs are logged, in Hz: what is outside is for the user to say.
+RATES = (1.0, 20_000.0)
 #: Relative difference of two slopes that counts as the same.
 _SAME = 0.03
 #: Steps over which a mean step is taken; it hardly depends on where batches of up to 128 begin.
@@ -59,8 +61,8 @@ class Period:
         taken then, or its first.
     pause_ns
         The step above which a batch ends, in ns.
-    usual_ns
-        The usual step, in ns.
+    usual_ns, regular
+        The usual step, in ns, and whether most steps are as long to a twentieth.
     loose
         Samples by which a stamp may be late without any missing: of a batch by how long its last one waited,
         of a coarse clock by its tick; 0 where the stamps are fine.
@@ -74,6 +76,7 @@ class Period:
     last_place: bool = True
     pause_ns: float = 0.0
     usual_ns: float = 0.0
+    regular: bool = False
     loose: float = 0.0
 
     @property
@@ -111,8 +114,13 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     near = positive[np.abs(positive / chosen.tau_ns - 1) < 0.25] if chosen is missing else steps
     # The standard deviation of one stamp, from the median absolute deviation of steps.
     deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2)
+    usual = median(steps)
     return replace(
-        chosen, jitter=float(deviation / chosen.tau_ns), resolution_ns=quantum, usual_ns=median(steps)
+        chosen,
+        jitter=float(deviation / chosen.tau_ns),
+        resolution_ns=quantum,
+        usual_ns=usual,
+        regular=bool(np.mean(np.abs(steps - usual) < 0.05 * usual) > 0.6),
     )
 
 

@@ -32,7 +32,7 @@ from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable, list_columns, sensor_of_name
-from imucal.readers.tables.dates import NO_STAMP, TextKind, parse_texts, text_kind
+from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
 from imucal.readers.tables.dialects import find_messages, name_columns
 from imucal.readers.tables.layout import (
     BLANKS,
@@ -448,8 +448,9 @@ def _reader(
     for sensor in sensors:
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
     for time in times:
-        text = time.kind == "text"
-        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices if index != EXTERNAL}
+        for index in (index for index in time.indices if index != EXTERNAL):
+            cells = layout.cells(index)
+            kinds[index] = _kind(cells, text=time.kind == "text" or any(map(is_text_stamp, cells)))
     # A row that lacks its last cell was cut, perhaps within a number that stands before it.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
