@@ -99,7 +99,7 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     wide = _mean_step(runs)
     if not positive.size or not wide > 0:
         return None
-    quantum = int(np.gcd.reduce(np.abs(steps[:100_000])))
+    quantum = _resolution(steps[:100_000])
     late, conserved = _late(runs, steps, wide, quantum)
     unit = _unit(positive)
     missing = None
@@ -174,6 +174,15 @@ def _plateau(runs: list[IntArray], wide: float) -> float:
     slopes = [_slope(runs, width) for width in widths]
     stable = (b for a, b in pairwise(slopes) if a > 0 and abs(b / a - 1) <= _SAME)
     return next(stable, wide)
+
+
+def _resolution(steps: IntArray) -> int:
+    """Return the greatest common divisor of steps in ns; of whole us where they are, but for what a float
+    of seconds since 1970 rounds off.
+    """
+    whole = np.rint(steps / 1000).astype(np.int64)
+    rounded = whole.any() and np.abs(steps - 1000 * whole).max() <= 250
+    return int(np.gcd.reduce(np.abs(1000 * whole if rounded else steps)))
 
 
 def _unit(positive: IntArray) -> float:
@@ -318,6 +327,11 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         sizes = last - first + 1
         times = block[last if period.last_stamp else first]
         places = last if period.last_place else first
+        # The log may have cut its first and its last batch: they follow the others, unless a gap is between.
+        for end, near in ((0, 1), (-1, -2)) if times.size > 2 else ():
+            follows = times[near] + round((places[end] - places[near]) * period.tau_ns)
+            if abs(follows - times[end]) < 2 * period.burst * period.tau_ns:
+                times[end] = follows
         behind = np.arange(block.size) - np.repeat(places, sizes)
         spread = np.repeat(times, sizes) + np.round(behind * period.tau_ns).astype(np.int64)
         return np.asarray(spread[part.start - start : part.stop - start])

@@ -31,15 +31,15 @@ class Awkward:
         The number of each sample, shape (n,), as the sensor counted: a repeated one stands there twice.
     said
         A finding that must be there; empty for none.
-    may_refuse
-        Whether stamps have two readings, so that asking for the rate is right as well.
+    refused
+        Whether stamps have two readings, so that only the user can say which.
     """
 
     stamps: IntArray
     rate_hz: float
     samples: IntArray
     said: str = ""
-    may_refuse: bool = False
+    refused: bool = False
 
 
 def _clock(rate: float, n: int) -> FloatArray:
@@ -62,7 +62,8 @@ def fifo(
     tau, own = SECOND / rate, own_us * US
     sizes = np.full(n // size + 1, size)
     if seed:
-        sizes = np.random.default_rng(seed).integers(max(size // 2, 1), max(3 * size // 2, 2) + 1, 2 * n // size + 9)
+        rng = np.random.default_rng(seed)
+        sizes = rng.integers(max(size // 2, 1), max(3 * size // 2, 2) + 1, 2 * n // size + 9)
     edges = np.concatenate([[0], np.cumsum(sizes)])
     sample = np.arange(n)
     batch = np.searchsorted(edges, sample, side="right") - 1
@@ -208,7 +209,8 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
         yield f"lost {share:g}", lossy(200.0, share)
     yield "lost 0.2, jitter 0.1", lossy(200.0, 0.2, jitter=0.1)
     yield "lost 0.05, jitter 0.02", lossy(400.0, 0.05, jitter=0.02)
-    yield "lost 0.6", lossy(200.0, 0.6, may_refuse=True)
+    yield "lost 0.6", lossy(200.0, 0.6, refused=True)
+    yield "a second in ten", throttled(200.0, 200, 2000, 40_000, refused=True)
     yield "lost in runs", bursty_loss(200.0)
     yield "jitter 0.2", even(200.0, jitter=0.2)
     yield "jitter 0.2 in ms", even(100.0, MS, jitter=0.2)
@@ -242,7 +244,7 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     yield "stopped for an hour", stopped(200.0)
     yield "two of three", throttled(200.0, 2, 3)
     yield "nine of ten", throttled(200.0, 9, 10)
-    yield "one of three and of two", throttled(200.0, 1, 3)
+    yield "an eighth of it", throttled(200.0, 7, 8)
 
 
 def fifos(sizes: tuple[int, ...] = SIZES) -> Iterator[tuple[str, Awkward]]:
