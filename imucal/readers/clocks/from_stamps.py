@@ -80,14 +80,14 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
     if jitter_ns > tau:
         text = (
             f"Stamps stray from an even grid by {jitter_ns / tau:.3g} sampling periods (standard deviation): "
-            f"samples were stamped late, not when they were taken. The rate, {1e9 / tau:.6g} Hz, is their mean "
-            f"and good to about {2 * jitter_ns / (tau * n):.1g} of it; N goes with the root of the rate."
+            f"samples were stamped late, not when they were taken. The rate, {1e9 / tau:.6g} Hz, is their "
+            f"mean and good to about {2 * jitter_ns / (tau * n):.1g} of it; N goes with the root of the rate."
         )
     elif period.regular and period.burst == 1 and not period.loose and abs(usual / tau - 1) > 0.02:
         text = (
             f"Most steps are {usual / 1e6:.4g} ms, as at {1e9 / usual:.6g} Hz, but there are {1e9 / tau:.6g} "
-            "samples a second: some stand between the others, such as samples interpolated at the stamps of a "
-            f"camera. The rate is the mean; N would be {np.sqrt(usual / tau) - 1:+.1%} at that of the steps."
+            "samples a second: some stand between the others, as if interpolated at the stamps of a camera. "
+            f"The rate is the mean; at that of the steps N would be {np.sqrt(usual / tau) - 1:+.1%}."
         )
     advice = "Log the samples as the sensor gives them; give the sampling rate if you know it."
     return [Finding(level="warning", code="uneven-stamps", text=text, advice=advice)] if text else []

@@ -1,6 +1,6 @@
 """The sampling period of stamps: two readings of one clock, held against each other.
 
-A sensor samples evenly; its stamps t[k] differ from k tau since samples were *late*, or since some are *missing*.
+A sensor samples evenly; its stamps t[k] differ from k tau as samples were *late*, or as some are *missing*.
 
 - Late: a buffer is read in batches, a clock counts in coarse ticks. Every sample is there, and t[k] - k tau
   stays bounded however long the log is. tau is the mean step, and steps are seldom as long as it.
@@ -127,7 +127,7 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
 def _chosen(
     late: Period, missing: Period, rate_hz: float | None, *, conserved: bool, paused: bool, pauses: int
 ) -> Period:
-    """Return the reading that holds: the one that a given rate names, else the one that explains the stamps."""
+    """Return the reading that a given rate names, or else the one that explains the stamps."""
     share = 1 - missing.tau_ns / late.tau_ns
     if rate_hz is not None:
         return min(late, missing, key=lambda reading: abs(np.log(reading.rate_hz / rate_hz)))
@@ -160,11 +160,9 @@ def _slope(runs: list[IntArray], width: int) -> float:
 
 def _mean_step(runs: list[IntArray]) -> float:
     """Return the usual mean step over many samples, in ns; long gaps, if they are few, don't count."""
-    longest = max(run.size for run in runs)
-    if longest <= 48:
-        run = max(runs, key=len)
-        return (int(run[-1]) - int(run[0])) / max(run.size - 1, 1)
-    return _slope(runs, max(min(_WINDOW, longest // 8), 16))
+    run = max(runs, key=len)
+    usual = _slope(runs, max(min(_WINDOW, run.size // 8), 16)) if run.size > 48 else 0.0
+    return usual if usual > 0 else (int(run[-1]) - int(run[0])) / max(run.size - 1, 1)
 
 
 def _plateau(runs: list[IntArray], wide: float) -> float:
@@ -177,9 +175,7 @@ def _plateau(runs: list[IntArray], wide: float) -> float:
 
 
 def _resolution(steps: IntArray) -> int:
-    """Return the greatest common divisor of steps in ns; of whole us where they are, but for what a float
-    of seconds since 1970 rounds off.
-    """
+    """Return the greatest common divisor of steps in ns; whole us stay so as floats of seconds since 1970."""
     whole = np.rint(steps / 1000).astype(np.int64)
     rounded = whole.any() and np.abs(steps - 1000 * whole).max() <= 250
     return int(np.gcd.reduce(np.abs(1000 * whole if rounded else steps)))

@@ -270,9 +270,14 @@ def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
 
 def _is_time(words: list[str]) -> bool:
     stems = _stems(words)
-    return tuple(words) in STEPS or not _NOT_TIME.intersection(stems) and any(
-        stem in _TIME_WORDS or stem.startswith(("timestamp", "datetime")) or stem.endswith(("time", "stamp"))
-        for stem in stems
+    return tuple(words) in STEPS or (
+        not _NOT_TIME.intersection(stems)
+        and any(
+            stem in _TIME_WORDS
+            or stem.startswith(("timestamp", "datetime"))
+            or stem.endswith(("time", "stamp"))
+            for stem in stems
+        )
     )
 
 

@@ -41,7 +41,6 @@ _LOOKED_AT = 1 << 20
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
 
 
-
 def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
     """Return times as ns since 1970 from year, month, day, hour, minute, second and perhaps nanosecond."""
 
@@ -57,10 +56,12 @@ def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
     return room.made(parts[0].size, np.int64, of, *parts)
 
 
-def pair_stamps(coarse: Numbers, fine: Numbers, ns: int | None, room: Room, *, text: bool = False) -> IntArray:
-    """Return times in ns from whole seconds, or times as `text`, and what is beside them in units of `ns` ns.
+def pair_stamps(
+    coarse: Numbers, fine: Numbers, ns: int | None, room: Room, *, text: bool = False
+) -> IntArray:
+    """Return times in ns from whole seconds, or times as `text`, and finer counts of `ns` ns beside them.
 
-    Without a unit the largest of what is beside them tells it. What goes beyond a second is a time by itself.
+    Without a unit the largest count tells it. What goes beyond a second is a time by itself.
     """
     most = float(extremes(fine)[1]) if fine.size else 0.0
     if ns is None:
@@ -118,7 +119,7 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
 
 
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
-    """Return counts that go on where an unsigned 8, 16, 24 or 32 bit counter starts again, and how often it did.
+    """Return counts that go on where a counter of 8, 16, 24 or 32 bits starts again, and how often it did.
 
     A step back is a wrap only where it leads from near the counter's end to near its start: a restart
     of the logger is none.
@@ -431,6 +432,8 @@ def _with_cells(score: float, filled: Sequence[str]) -> float:
     # Dates are worse than numbers, ns since 1970 better.
     score -= 0 if is_number(filled[0].strip("\"'")) else 30
     digits = [cell.lstrip("+-") for cell in filled]
+    # One that counts more coarsely than the samples come is worse than another.
+    score -= 20 if 2 * len(set(filled)) < len(filled) else 0
     score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
@@ -489,7 +492,9 @@ def _pair(table: NamedTable, coarse: NamedColumn, fine: NamedColumn) -> TimeChoi
 
 
 def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    week = next((c for c in table.columns if "week" in c.words and c.axis is None and not _is_of_week(c)), None)
+    week = next(
+        (c for c in table.columns if "week" in c.words and c.axis is None and not _is_of_week(c)), None
+    )
     tow = next((c for c in table.columns if _is_of_week(c) and c.role is Role.TIME), None)
     return [] if week is None or tow is None else [(60.0, _week(week, tow))]
 

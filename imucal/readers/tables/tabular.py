@@ -261,7 +261,9 @@ def _open_unit(
     shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
     name = time.name.strip().strip("\"'")
     # A header names a unit, but what rate an IMU has only the user says.
-    in_header = f", name it in the header, such as {name}_{likely[0]}," if fits and not name.isdigit() else ","
+    in_header = (
+        f", name it in the header, such as {name}_{likely[0]}," if fits and not name.isdigit() else ","
+    )
     return ChoiceError(f"{found}, which is {shown}; give the time unit{in_header} or give the sampling rate")
 
 

@@ -1,4 +1,4 @@
-"""Clocks as sensors, drivers and loggers spoil them, each with the truth: the rate, and which samples there are.
+"""Clocks as sensors, drivers and loggers spoil them, with the truth: the rate, and which samples there are.
 
 What is realistic: a sensor samples evenly, to parts in a million; its samples wait in a buffer that is read
 when it is full, or when the computer finds the time; whoever reads it stamps them, one after another; clocks
@@ -16,7 +16,35 @@ START = 1_700_000_000_000_000_000
 SECOND, MS, US = 10**9, 10**6, 10**3
 
 #: Sizes of the batches in which a buffer is read.
-SIZES = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 16, 18, 20, 24, 25, 28, 32, 40, 48, 50, 64, 80, 100, 120, 128)
+SIZES = (
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+    12,
+    14,
+    15,
+    16,
+    18,
+    20,
+    24,
+    25,
+    28,
+    32,
+    40,
+    48,
+    50,
+    64,
+    80,
+    100,
+    120,
+    128,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +71,7 @@ class Awkward:
 
 
 def _clock(rate: float, n: int) -> FloatArray:
-    return np.arange(n) * (SECOND / rate)
+    return np.arange(n, dtype=np.float64) * (SECOND / rate)
 
 
 def _whole(times: FloatArray, tick: int = 1) -> IntArray:
@@ -76,8 +104,10 @@ def fifo(
     return Awkward(stamps=_whole(times, tick), rate_hz=rate, samples=sample, said="bursts")
 
 
-def lossy(rate: float, share: float, *, jitter: float = 0.0, seed: int = 3, n: int = 6000, **more: object) -> Awkward:
-    """Return samples of which a share is lost, each by itself, with stamps that jitter by parts of a period."""
+def lossy(
+    rate: float, share: float, *, jitter: float = 0.0, seed: int = 3, n: int = 6000, **more: object
+) -> Awkward:
+    """Return samples of which a share is lost, one by one, with stamps that jitter by parts of a period."""
     rng = np.random.default_rng(seed)
     kept = rng.random(n) >= share
     kept[[0, -1]] = True
@@ -96,7 +126,7 @@ def bursty_loss(rate: float, *, n: int = 20_000, seed: int = 4) -> Awkward:
 
 
 def even(rate: float, tick: int = 1, *, n: int = 6000, jitter: float = 0.0, said: str = "") -> Awkward:
-    """Return samples without loss, on a clock that counts in ticks, whose stamps jitter by parts of a period."""
+    """Return all samples, on a clock that counts in ticks, with stamps that jitter by parts of a period."""
     noise = np.random.default_rng(5).normal(0, 1, n) * jitter * SECOND / rate
     return Awkward(
         stamps=_whole(_clock(rate, n) + noise, tick), rate_hz=rate, samples=np.arange(n), said=said
@@ -104,7 +134,7 @@ def even(rate: float, tick: int = 1, *, n: int = 6000, jitter: float = 0.0, said
 
 
 def scheduled(rate: float, *, n: int = 8000, tick: int = 1, seed: int = 6) -> Awkward:
-    """Return samples that a computer reads when it finds the time: after some ms each, all that wait at once."""
+    """Return samples that a computer reads when it finds the time: all that wait, one after another."""
     rng = np.random.default_rng(seed)
     times = _clock(rate, n)
     reads = np.cumsum(rng.exponential(4.0, 4 * n) + 0.5) * SECOND / rate
@@ -116,14 +146,16 @@ def scheduled(rate: float, *, n: int = 8000, tick: int = 1, seed: int = 6) -> Aw
 
 
 def packets(rate: float, size: int, *, n: int = 8000, interval_ms: float = 7.5) -> Awkward:
-    """Return samples of a radio link: packets of some samples with one stamp, at the next of its intervals."""
+    """Return samples of a radio link: packets of some samples with one stamp, at its next interval."""
     sample = np.arange(n)
     last = sample // size * size + size - 1
     times = np.ceil(last * (SECOND / rate) / (interval_ms * MS)) * interval_ms * MS
     return Awkward(stamps=_whole(times), rate_hz=rate, samples=sample, said="bursts")
 
 
-def changed(of: Callable[[IntArray], IntArray], rate: float = 200.0, n: int = 8000, said: str = "") -> Awkward:
+def changed(
+    of: Callable[[IntArray], IntArray], rate: float = 200.0, n: int = 8000, said: str = ""
+) -> Awkward:
     """Return even samples whose stamps something befalls."""
     clock = even(rate, n=n)
     return Awkward(stamps=of(clock.stamps.copy()), rate_hz=rate, samples=clock.samples, said=said)
@@ -132,7 +164,9 @@ def changed(of: Callable[[IntArray], IntArray], rate: float = 200.0, n: int = 80
 def repeated(every: int, rate: float = 200.0, n: int = 6000) -> Awkward:
     """Return samples of which some come twice, with the same stamp and the same values."""
     sample = np.sort(np.concatenate([np.arange(n), np.arange(5, n, every)]))
-    return Awkward(stamps=even(rate, n=n).stamps[sample], rate_hz=rate, samples=sample, said="duplicate-stamps")
+    return Awkward(
+        stamps=even(rate, n=n).stamps[sample], rate_hz=rate, samples=sample, said="duplicate-stamps"
+    )
 
 
 def _set(by: int) -> Callable[[IntArray], IntArray]:
@@ -181,7 +215,9 @@ def _single(stamps: IntArray) -> IntArray:
 def stopped(rate: float, n: int = 4000, hours: float = 1.0) -> Awkward:
     """Return a log that was stopped for an hour."""
     sample = np.concatenate([np.arange(n), np.arange(n) + round(hours * 3600 * rate)])
-    return Awkward(stamps=START + np.round(sample * SECOND / rate).astype(np.int64), rate_hz=rate, samples=sample)
+    return Awkward(
+        stamps=START + np.round(sample * SECOND / rate).astype(np.int64), rate_hz=rate, samples=sample
+    )
 
 
 def throttled(rate: float, keep: int, of: int, n: int = 6000, **more: object) -> Awkward:
@@ -255,5 +291,7 @@ def fifos(sizes: tuple[int, ...] = SIZES) -> Iterator[tuple[str, Awkward]]:
             rate = (100.0, 200.0, 104.0)[(number // 3) % 3]
             anchor = ("first", "read", "last")[(number // 2) % 3]
             for seed in (0, 7 + number):
-                name = f"{size} at {rate:g} Hz, {own_us:g} us, in {tick} ns, {anchor}" + (", random" if seed else "")
+                name = f"{size} at {rate:g} Hz, {own_us:g} us, in {tick} ns, {anchor}" + (
+                    ", random" if seed else ""
+                )
                 yield name, fifo(rate, size, own_us, tick, seed=seed, anchor=anchor)

@@ -1,4 +1,4 @@
-"""Every awkward clock of known truth is read right, or refused with both of its readings; none is read wrong."""
+"""Every awkward clock of known truth is read right, or refused with both of its readings; none wrong."""
 
 import re
 import struct
@@ -121,7 +121,9 @@ def test_a_rate_of_no_imu_is_for_the_user_to_say(rate: float, tmp_path: Path) ->
     case = even(rate, n=300)
     path = tmp_path / "log.csv"
     path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
-    text = f"column t_ns gives {rate:g} Hz; expected a rate of an IMU, 1 Hz to 20000 Hz; give the sampling rate"
+    text = (
+        f"column t_ns gives {rate:g} Hz; expected a rate of an IMU, 1 Hz to 20000 Hz; give the sampling rate"
+    )
     with pytest.raises(ChoiceError, match=f"{re.escape(text)}$"):
         read(path)
     assert read(path, rate_hz=rate).series[0].rate_hz == rate
@@ -170,11 +172,13 @@ def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
     """To the rate, and through it to N."""
     (note,) = (f for f in clock_of(even(200.0, jitter=1.5)).findings if f.code == "uneven-stamps")
     assert note.level == "warning"
-    assert note.text.startswith("Stamps stray from an even grid by 1.51 sampling periods (standard deviation)")
+    assert note.text.startswith(
+        "Stamps stray from an even grid by 1.51 sampling periods (standard deviation)"
+    )
     assert "The rate, 200.001 Hz, is their mean and good to about 0.0005 of it" in note.text
     (note,) = (f for f in clock_of(KINDS["interpolated"]).findings if f.code == "uneven-stamps")
     assert note.text.startswith("Most steps are 5 ms, as at 200 Hz, but there are 219.3 samples a second")
-    assert note.text.endswith("The rate is the mean; N would be +4.7% at that of the steps.")
+    assert note.text.endswith("The rate is the mean; at that of the steps N would be +4.7%.")
 
 
 def _csv(path: Path, stamps: IntArray, values: FloatArray) -> Path:
