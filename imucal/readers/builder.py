@@ -9,7 +9,7 @@ from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
-from imucal.readers.clocks import RATES
+from imucal.readers.clocks.period import RATES
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled, find_units
 from imucal.readers.store import Room

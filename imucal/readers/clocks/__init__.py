@@ -9,11 +9,10 @@ from imucal.readers.clocks.from_stamps import (
     part_between,
     repeats,
 )
-from imucal.readers.clocks.period import RATES, estimate_period
+from imucal.readers.clocks.period import estimate_period
 
 __all__ = [
     "LOG_TIME",
-    "RATES",
     "ClockReading",
     "clock_from_stamps",
     "compare_clocks",

@@ -13,7 +13,7 @@ Where most samples would be missing and none of the two explains the stamps, bot
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise, product, repeat
+from itertools import product, repeat
 
 import numpy as np
 
@@ -165,15 +165,6 @@ def _mean_step(runs: list[IntArray]) -> float:
     return usual if usual > 0 else (int(run[-1]) - int(run[0])) / max(run.size - 1, 1)
 
 
-def _plateau(runs: list[IntArray], wide: float) -> float:
-    """Return the slope at the first width from which a wider window changes nothing, in ns per sample."""
-    longest = max(run.size for run in runs)
-    widths = [w for w in (16, 32, 64, 128, 256, 512, 1024, 2048) if w <= longest // 3]
-    slopes = [_slope(runs, width) for width in widths]
-    stable = (b for a, b in pairwise(slopes) if a > 0 and abs(b / a - 1) <= _SAME)
-    return next(stable, wide)
-
-
 def _resolution(steps: IntArray) -> int:
     """Return the greatest common divisor of steps in ns; whole us stay so as floats of seconds since 1970."""
     whole = np.rint(steps / 1000).astype(np.int64)
@@ -207,11 +198,18 @@ def _whole_unit(positive: IntArray, short: float) -> float:
 
 def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
     """Return the reading in which no sample is missing, and whether its stamps stay near their places."""
-    if not _bursty(steps, wide):
-        tau, tick = _plateau(runs, wide), quantum / wide
-        late = [run / wide - np.arange(run.size) for run in (run - run[0] for run in runs)]
-        coarse = tick > 0.5 and np.count_nonzero(steps == 0) > 2 and max(map(_strayed, late)) <= 1.05 * tick
-        return Period(tau_ns=tau, loose=tick if coarse else 0.0), _wander(late, tick)[0]
+    if _bursty(steps, wide):
+        return _batched(runs, steps, wide, quantum)
+    tick = quantum / wide
+    late = [(run - run[0]) / wide - np.arange(run.size) for run in runs]
+    coarse = tick > 0.5 and np.count_nonzero(steps == 0) > 2
+    if any(np.ptp(_about_a_line(run)) > 1.05 * tick for run in late):
+        coarse = False
+    return Period(tau_ns=wide, loose=tick if coarse else 0.0), _wander(late, tick)[0]
+
+
+def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
+    """Return the same of samples that come in batches: what each was read at scatters least."""
     best, least, bounded = Period(tau_ns=wide), np.inf, False
     # A batch ends between the steps within it and the mean one; or above the tick of a coarse clock.
     pauses = {(median(steps[steps < wide]) + wide) / 2, max(1.5 * quantum, wide)}
@@ -223,11 +221,10 @@ def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> t
         scatter = median(moves) if moves.size else np.inf
         if scatter < 0.9 * least:
             sizes = np.concatenate([np.diff(places) for _, places in anchors])
-            burst = max(round(percentile(sizes, 75)), 2)
             least, (bounded, loose) = scatter, _wander(late, quantum / tau)
             best = Period(
                 tau_ns=tau,
-                burst=burst,
+                burst=max(round(percentile(sizes, 75)), 2),
                 last_stamp=last_stamp,
                 last_place=last_place,
                 pause_ns=pause,
@@ -244,7 +241,8 @@ def _bursty(steps: IntArray, wide: float) -> bool:
     pauses = np.count_nonzero(steps > 1.5 * wide)
     if pauses < max(3, steps.size / 5000) or np.mean(steps < 0) > 0.02:
         return False
-    return percentile(steps, 49) < (1 - _SAME) * wide or np.mean(np.abs(steps / wide - 1) < 0.25) < 0.3
+    short = percentile(steps, 49) < (1 - _SAME) * wide
+    return short or bool(np.mean(np.abs(steps / wide - 1) < 0.25) < 0.3)
 
 
 def _edges(stamps: IntArray, pause: float) -> tuple[IntArray, IntArray]:
@@ -301,11 +299,8 @@ def _without_jumps(late: FloatArray, tick: float) -> FloatArray:
 def _about_a_line(values: FloatArray) -> FloatArray:
     place = np.arange(values.size) - (values.size - 1) / 2
     rest = values - values.mean()
-    return rest - place * (np.einsum("i,i", place, rest) / np.einsum("i,i", place, place))
-
-
-def _strayed(late: FloatArray) -> float:
-    return float(np.ptp(_about_a_line(late))) if late.size > 2 else 0.0
+    squares = max(float(np.einsum("i,i", place, place)), 1.0)
+    return np.asarray(rest - place * (float(np.einsum("i,i", place, rest)) / squares))
 
 
 def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:

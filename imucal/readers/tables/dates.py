@@ -52,12 +52,6 @@ def is_time_of_day(cell: str) -> bool:
     return match is not None and not _has_date(match)
 
 
-def has_fraction(cell: str) -> bool:
-    """Return whether a text of a time has parts of a second."""
-    match = _PATTERNS["stamp"].fullmatch(_bare(cell))
-    return match is not None and match["fraction"] is not None
-
-
 def text_kind(cells: Sequence[str]) -> TextKind:
     """Return what the filled cells of a column of text are; ``stamp`` where they are nothing else."""
     filled = [_bare(cell) for cell in cells if cell]

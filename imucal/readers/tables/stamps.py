@@ -6,21 +6,21 @@ Joins of columns, counters that wrap, texts, and units that only the steps show.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
-from imucal.readers.clocks import RATES, estimate_period
+from imucal.readers.clocks import estimate_period
+from imucal.readers.clocks.period import RATES
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable, list_columns
 from imucal.readers.tables.dates import (
     DAY,
     HALF_DAY,
     day_first,
-    has_fraction,
     is_text_stamp,
     is_time_of_day,
     text_kind,
@@ -76,13 +76,13 @@ def step_counts(steps: Numbers, room: Room) -> Numbers:
     """Return the times that steps lead to, each from the sample before."""
     done = steps.dtype.type(0)
 
-    def of(part: slice) -> Numbers:
+    def of(part: slice) -> NDArray[Any]:
         nonlocal done
         times = np.cumsum(steps[part]) + done
         done = times[-1]
         return times
 
-    return room.made(steps.size, steps.dtype, of, steps)
+    return cast("Numbers", room.made(steps.size, steps.dtype, of, steps))
 
 
 def week_stamps(weeks: Numbers, of_week: Numbers, ns: int, room: Room) -> IntArray:
@@ -444,27 +444,23 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     A column that is called by a unit alone is part of the only seconds that there are.
     """
     seconds: dict[tuple[str, ...], NamedColumn] = {}
-    fractions: dict[tuple[str, ...], tuple[NamedColumn, int]] = {}
-    for column in table.columns:
-        if column.role is not Role.TIME:
-            continue
+    fractions: dict[tuple[str, ...], NamedColumn] = {}
+    for column in (column for column in table.columns if column.role is Role.TIME):
         counts = _counts(table, column)
         stem = tuple(word for word in column.words if parse_time_unit(word) is None)
         ns = _spelled_ns(column)
-        if counts and ns is not None and ns < _SECOND and max(counts) * ns < _SECOND:
-            fractions.setdefault(stem, (column, ns))
-        elif (counts and (ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1])) or (
-            not counts and _is_whole_text(table.filled(column.index))
-        ):
+        if counts and (ns or _SECOND) * max(counts[0], *counts, 1) < _SECOND:
+            fractions.setdefault(stem, column)
+        elif _is_whole(table.filled(column.index), counts, ns):
             seconds.setdefault(stem, column)
-    found = []
-    for stem, (fraction, _) in fractions.items():
-        coarse = seconds.get(stem) or (None if stem or len(seconds) != 1 else next(iter(seconds.values())))
-        if coarse is not None:
-            # A fraction that stands still is the last choice.
-            score = 92.0 if len(set(table.cells(fraction.index))) > 1 else 4.0
-            found.append((score, _pair(table, coarse, fraction)))
-    return found
+    if len(seconds) == 1:
+        seconds[()] = next(iter(seconds.values()))
+    found = [(fraction, seconds[stem]) for stem, fraction in fractions.items() if stem in seconds]
+    # A fraction that stands still is the last choice.
+    return [
+        (92.0 if len(set(table.cells(fine.index))) > 1 else 4.0, _pair(table, coarse, fine))
+        for fine, coarse in found
+    ]
 
 
 def _spelled_ns(column: NamedColumn) -> int | None:
@@ -473,10 +469,11 @@ def _spelled_ns(column: NamedColumn) -> int | None:
     return next((TIME_UNITS_NS[unit] for unit in units if unit), None)
 
 
-def _is_whole_text(cells: Sequence[str]) -> bool:
-    """Return whether cells are texts of whole seconds, some of them the same."""
-    whole = all(is_text_stamp(cell) and not has_fraction(cell) for cell in cells)
-    return whole and len(set(cells)) < len(cells)
+def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
+    """Return whether cells are whole seconds: counts of that unit or size, or texts, many the same."""
+    if counts:
+        return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
+    return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
 
 
 def _pair(table: NamedTable, coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:

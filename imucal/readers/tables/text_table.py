@@ -448,9 +448,8 @@ def _reader(
     for sensor in sensors:
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
     for time in times:
-        for index in (index for index in time.indices if index != EXTERNAL):
-            cells = layout.cells(index)
-            kinds[index] = _kind(cells, text=time.kind == "text" or any(map(is_text_stamp, cells)))
+        text = time.kind == "text"
+        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices if index != EXTERNAL}
     # A row that lacks its last cell was cut, perhaps within a number that stands before it.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
@@ -481,7 +480,7 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
-    if text:
+    if text or any(map(is_text_stamp, cells)):
         return text_kind(cells)
     filled = [cell.strip("\"'") for cell in cells if cell]
     integers = filled and all(_INTEGER.fullmatch(cell) and -(2**63) <= int(cell) < 2**63 for cell in filled)
