@@ -1,9 +1,9 @@
 """The report folder: every file whole, the old report in place until the new one is complete.
 
 All files are first written, and forced to disk, in a scratch folder on the same file system. A new
-report folder then appears in one step; in an existing one each file takes its place in one step,
-report.json first, so that the folder is known as imucal's own from then on. Whatever fails
-before, Ctrl-C included, leaves what was there.
+report folder then appears in one step; in an existing one each file takes its place in one step, and
+report.json comes last: until then one stands there that says that the report is incomplete. Whatever
+fails before, Ctrl-C included, leaves what was there. Two that write one folder take turns.
 """
 
 import errno
@@ -18,18 +18,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucal.atomic import sweep, sync_folder
+from imucal.atomic import alone, sweep, sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report.json_file import axis_document, dumps, to_document
+from imucal.report.json_file import SCHEMA, axis_document, dumps, to_document
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
     from imucal.report.figure import Drawings
 
-_REPORT = "report.json"
+_REPORT, _BEGUN = "report.json", "begun.json"
+#: What stands in the place of a report that is on its way.
+_INCOMPLETE = "its files were being replaced; write the report again"
 #: Files this module writes, in any version and with any settings.
 _OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
@@ -81,7 +83,7 @@ def write_report(
     with _translated(out):
         _refuse_foreign(out, names)
         with _scratch(out) as scratch:
-            drawings = draw(report, formats, small=html, workers=workers)
+            drawings = draw(report, formats, page=html, workers=workers)
             written = _write_all(report, drawings, names, scratch, tell or (lambda _: None))
             sync_folder(scratch)
             names = tuple(name for name in names if name in written)
@@ -125,16 +127,16 @@ def _write_all(
     tell: Callable[[Finding], None],
 ) -> set[str]:
     """Write each file, pictures first, so that page and JSON say which are missing; return those written."""
-    for name, content in drawings.files.items():
-        _write(scratch / name, content)
-    written = set(drawings.files)
+    written = set(drawings.files) & set(names)
+    for name in written:
+        _write(scratch / name, drawings.files[name])
     failures = tuple(drawings.failures)
     report = replace(report, findings=report.findings + failures)
     if "report.html" in names:
         from imucal.report import html_page
 
         page, failed = try_side_work(
-            lambda: html_page.render_page(report, pictures=drawings.small).encode(),
+            lambda: html_page.render_page(report, drawings=drawings).encode(),
             None,
             what="report.html was left out",
             code="not-drawn",
@@ -222,20 +224,29 @@ def _write(path: Path, content: bytes) -> None:
 def _publish(scratch: Path, out: Path, names: tuple[str, ...]) -> None:
     """Move the complete files to their places, then remove what an older report left over."""
     if not out.exists():
-        scratch.rename(out)
-        sync_folder(out.parent)
-        return
+        try:
+            scratch.rename(out)
+        except OSError:
+            # Another run may have made it meanwhile.
+            if not out.is_dir():
+                raise
+        else:
+            sync_folder(out.parent)
+            return
     moved = 0
     try:
-        for moved, name in enumerate(names):  # noqa: B007 - the message counts them
-            (scratch / name).replace(out / name)
-        for path in out.iterdir():
-            if _OURS.fullmatch(path.name) and path.name not in names and path.is_file():
-                path.unlink()
+        with alone(out):
+            _write(scratch / _BEGUN, dumps({"schema": SCHEMA, "incomplete": _INCOMPLETE}).encode())
+            (scratch / _BEGUN).replace(out / _REPORT)
+            for moved, name in enumerate((*names[1:], _REPORT)):  # noqa: B007 - the message counts them
+                (scratch / name).replace(out / name)
+            for path in out.iterdir():
+                if _OURS.fullmatch(path.name) and path.name not in names and path.is_file():
+                    path.unlink()
     except OSError as error:
         msg = (
             f"{out}: only {moved} of {len(names)} files were replaced: {error.strerror or error}; "
-            "each file is whole, but old and new ones stand together; write the report again"
+            "report.json says that the report is incomplete; write it again"
         )
         raise WriteError(msg) from error
     sync_folder(out)
