@@ -202,8 +202,8 @@ def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> t
         return _batched(runs, steps, wide, quantum)
     tick = quantum / wide
     late = [(run - run[0]) / wide - np.arange(run.size) for run in runs]
-    coarse = tick > 0.5 and np.count_nonzero(steps == 0) > 2
-    if any(np.ptp(_about_a_line(run)) > 1.05 * tick for run in late):
+    coarse = bool(tick > 0.5 and np.count_nonzero(steps == 0) > 2)
+    if coarse and any(np.ptp(_about_a_line(run)) > 1.05 * tick for run in late):
         coarse = False
     return Period(tau_ns=wide, loose=tick if coarse else 0.0), _wander(late, tick)[0]
 

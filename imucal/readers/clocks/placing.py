@@ -118,28 +118,24 @@ def fit_period(
     at, missing = breaks.at[exact], breaks.missing[exact]
     moment = weight = square = 0.0
     count = 0
-    whole: tuple[FloatArray, FloatArray, float] | None = None
     for part in blocks(stamps.size, stamps, size=BLOCK):
         first, block = part.start, stamps[part]
         lo, hi = np.searchsorted(starts, [first, first + block.size])
         edges = distinct(np.concatenate([[0], starts[lo:hi] - first]))
         sizes = np.diff(np.append(edges, block.size))
         lo, hi = np.searchsorted(at, [first, first + block.size])
-        if hi == lo and edges.size == 1 and block.size == BLOCK:
-            # Most blocks are whole: their places are always the same.
-            whole = whole or _grid(np.arange(BLOCK, dtype=np.float64), tau, edges, sizes)
-            times, centred, squares = whole
-        else:
+        place = np.arange(block.size, dtype=np.float64)
+        if hi > lo:
             skipped = np.zeros(block.size)
             skipped[at[lo:hi] - first] = missing[lo:hi]
-            places = np.cumsum(skipped) + np.arange(block.size, dtype=np.float64)
-            times, centred, squares = _grid(places, tau, edges, sizes)
+            place += np.cumsum(skipped)
         late = (block - block[0]).astype(np.float64)
-        late -= times
+        late -= tau * place
+        _center(place, edges, sizes)
         _center(late, edges, sizes)
-        place = _without_outliers(centred, late, edges, sizes)
+        place = _without_outliers(place, late, edges, sizes)
         moment += _dot(place, late)
-        weight += squares if place is centred else _dot(place, place)
+        weight += _dot(place, place)
         square += _dot(late, late)
         count += block.size - edges.size
     if weight == 0 or count < 1:
@@ -151,15 +147,6 @@ def fit_period(
 def _dot(a: FloatArray, b: FloatArray) -> float:
     """Return the scalar product, without the threads that BLAS would start for it."""
     return float(np.einsum("i,i", a, b))
-
-
-def _grid(
-    place: FloatArray, tau: float, edges: IntArray, sizes: IntArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the times of places, shape (n,), these about the mean of their run, and the sum of squares."""
-    times = tau * place
-    _center(place, edges, sizes)
-    return times, place, _dot(place, place)
 
 
 def _without_outliers(place: FloatArray, late: FloatArray, edges: IntArray, sizes: IntArray) -> FloatArray:

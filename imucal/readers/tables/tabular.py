@@ -205,11 +205,6 @@ def _refuse_unit(work: RecordingBuilder, time: TimeChoice, sensor: Sensor) -> No
         raise ChoiceError(msg)
 
 
-def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
-    rates = rates_by_unit(values)
-    return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
-
-
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
     """Return ns per count: as given, as the log says, as the given rate has it, or as steps show.
 
@@ -222,7 +217,9 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
         work.decide("time unit", f"{unit} for {time.name}, {time.ns_source}")
         return time.ns
     if unit is None and rate is not None:
-        unit, how = _unit_of_rate(values, rate), "as the given rate has it"
+        rates = rates_by_unit(values).items()
+        unit = next((name for name, found in rates if abs(found / rate - 1) <= _AS_GIVEN), None)
+        how = "as the given rate has it"
     fits: tuple[str, ...] = ()
     if unit is None:
         unit, fits = infer_time_unit(values)
