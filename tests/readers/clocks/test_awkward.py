@@ -181,6 +181,13 @@ def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
     assert note.text.endswith("The rate is the mean; at that of the steps N would be +4.7%.")
 
 
+def test_steps_shorter_than_the_mean_are_no_interpolation() -> None:
+    """Pairs and threes of a buffer that nearly keeps the sensor's time."""
+    for size in (2, 3, 4):
+        found = {finding.code for finding in clock_of(fifo(833.0, size, 1000.0, US)).findings}
+        assert "uneven-stamps" not in found
+
+
 def _csv(path: Path, stamps: IntArray, values: FloatArray) -> Path:
     path = path.with_suffix(".csv")
     path.write_text(lines(f"t_ns,{SI}", stamps.tolist(), *xyz(values[:3].T), *xyz(values[3:].T)))
