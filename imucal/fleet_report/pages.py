@@ -77,7 +77,7 @@ def _sections(fleet: Fleet) -> Iterator[tuple[str, str, Markup]]:
     """Yield anchor, title and body of each section."""
     models = fleet.models
     if models:
-        yield "config", "The number for the config", _for_the_config(models)
+        yield "config", "The number for the config", config_section(models)
     for i, model in enumerate(models):
         title = f"Units of {model.name}" if model.name else "Units"
         yield f"units-{i}", title, _filled("units.html", model=model)
@@ -98,7 +98,7 @@ def _sections(fleet: Fleet) -> Iterator[tuple[str, str, Markup]]:
     yield "words", "What the words mean", _filled("words.html")
 
 
-def _for_the_config(models: Sequence[SensorModel]) -> Markup:
+def config_section(models: Sequence[SensorModel]) -> Markup:
     few = [model.title for model in models if len(model.units) < 3]
     with_axes = [(model, sorted({term.axis for term in model.terms})) for model in models]
     return _filled("config.html", models=with_axes, few=few)

@@ -8,8 +8,10 @@ import numpy as np
 from imucal.allan.dct import Spectrum
 from imucal.arrays import FloatArray, read_only
 from imucal.clock import Gap
+from imucal.display import Displayed
+from imucal.errors import MissingError
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
@@ -96,6 +98,9 @@ class AxisReport:
         """SI unit of the samples."""
         return self.sensor.unit
 
+    def __getitem__(self, key: str) -> Estimate:
+        return self.fit[key]
+
     @property
     def white_error(self) -> float:
         """Half of the interval of N, relative to N; infinite where no data show it."""
@@ -103,8 +108,8 @@ class AxisReport:
         return (white.high - white.low) / (2 * white.value) if white.value and self.samples else np.inf
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Report:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Report(Displayed):
     """A characterised recording.
 
     Attributes
@@ -127,6 +132,13 @@ class Report:
     settings: Mapping[str, object]
     version: str
     findings: tuple[Finding, ...] = ()
+
+    def __getitem__(self, name: str) -> AxisReport:
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        msg = f"no axis {name!r}; the report has {', '.join(axis.name for axis in self.axes)}"
+        raise MissingError(msg)
 
     @property
     def by_sensor(self) -> dict[Sensor, list[AxisReport]]:

@@ -5,8 +5,6 @@ from imucal.readers.clocks.from_stamps import (
     ClockReading,
     clock_from_stamps,
     compare_clocks,
-    gap_notes,
-    part_between,
     repeats,
 )
 
@@ -15,7 +13,5 @@ __all__ = [
     "ClockReading",
     "clock_from_stamps",
     "compare_clocks",
-    "gap_notes",
-    "part_between",
     "repeats",
 ]
