@@ -33,7 +33,7 @@ def html_of(fleet: Fleet) -> Markup:
 
 
 def frame_of(fleet: Fleet) -> "pl.DataFrame":
-    """Return a row for each term and axis of each sensor model: median and bound in SI, null where unknown."""
+    """Return a row for each term and axis of each sensor model: median and bound in SI, or null."""
     import polars as pl
 
     rows = [

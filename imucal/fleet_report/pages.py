@@ -99,6 +99,7 @@ def _sections(fleet: Fleet) -> Iterator[tuple[str, str, Markup]]:
 
 
 def config_section(models: Sequence[SensorModel]) -> Markup:
+    """Return the number for the config of each term and axis of sensor models, with median and spreads."""
     few = [model.title for model in models if len(model.units) < 3]
     with_axes = [(model, sorted({term.axis for term in model.terms})) for model in models]
     return _filled("config.html", models=with_axes, few=few)
