@@ -27,6 +27,8 @@ class ImucalError(Exception):
     """Anything imucal can't do with what it was given."""
 
     exit_code: ClassVar[int] = 1
+    #: Whether the results were printed all the same, and say what is wrong with them.
+    told = False
 
 
 class ReadError(ImucalError):

@@ -166,7 +166,7 @@ def name_of_log(log: str) -> str:
 
 
 force_option = click.option(
-    "--force", is_flag=True, help="Take data that are not noise at rest all the same (else exit code 4)."
+    "--force", is_flag=True, help="Continue although the log is not at rest (else exit code 4)."
 )
 
 
@@ -177,9 +177,10 @@ def refuse(
     *,
     force: bool,
     forbidden: Sequence[Finding] = (),
-    remedy: str = "record again at rest",
+    remedy: str = "record again at rest, or --force",
+    told: bool = False,
 ) -> None:
-    """Raise what ends a command with exit code 4.
+    """Raise what ends a command with exit code 4; `told` is whether its results were printed.
 
     Raises
     ------
@@ -189,8 +190,11 @@ def refuse(
     """
     if not verdict.usable and not force:
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-        msg = f"{where}: {sentence}; {consequence}; {remedy}, or --force"
-        raise DataError(msg)
-    if codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
+        msg = f"{where}: {sentence}; {consequence}; {remedy}"
+    elif codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
         msg = f"{where}: {', '.join(codes)} found, and --strict allows no warning"
-        raise DataError(msg)
+    else:
+        return
+    error = DataError(msg)
+    error.told = told
+    raise error

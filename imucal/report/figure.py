@@ -634,6 +634,31 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     return figure
 
 
+#: Inches of a column of a paper, its height, and the points of all its text.
+_COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
+
+
+def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
+    """Return Allan deviations for one column of a paper: no title, no foot, text of 8 points."""
+    from matplotlib.text import Text
+
+    figure = new_figure(_COLUMN, _COLUMN_HEIGHT, _DPI)
+    axes = figure.add_axes((0.17, 0.15, 0.81, 0.83))
+    if isinstance(item, Sensor):
+        own = report.by_sensor[item]
+        draw_allan_overview(axes, own, _units(report, item))
+        for axis in own:
+            stroke, mark = AXES[axis.axis], MARKERS[axis.axis]
+            style: dict[str, Any] = {"marker": mark, "markersize": 3.8, "markerfacecolor": "white"}
+            axes.plot([], [], color=stroke.light, label=axis.axis, **style, **dashes(stroke))
+        axes.legend(loc="upper right", **LEGEND_STYLE)
+    else:
+        draw_allan(axes, item.fit, _units(report, item.sensor))
+    for text in figure.findobj(Text):
+        text.set_fontsize(_COLUMN_SIZE)
+    return figure
+
+
 def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     """Return the picture's file: png, svg or pdf; the same report always gives the same png.
 
@@ -779,13 +804,26 @@ class Drawings:
         return found
 
 
-def picture_names(report: Report, formats: Sequence[str]) -> tuple[str, ...]:
+def picture_names(report: Report, formats: Sequence[str], *, paper: bool = False) -> tuple[str, ...]:
     """Return the names of the files that are drawn of a report."""
-    return tuple(f"{_stem(item)}.{form}" for item in _items(report) for form in formats)
+    names = [f"{_stem(item)}.{form}" for item in _items(report) for form in formats]
+    if paper:
+        names += [f"{_stem(item)}-paper.{form}" for item in _items(report) for form in _vectors(formats)]
+    return tuple(names)
+
+
+def _vectors(formats: Sequence[str]) -> Sequence[str]:
+    """Return the formats of pictures for papers: those asked for that scale, else pdf."""
+    return [form for form in formats if form != "png"] or ["pdf"]
 
 
 def draw(
-    report: Report, formats: Sequence[str], *, page: bool = False, workers: int | None = None
+    report: Report,
+    formats: Sequence[str],
+    *,
+    page: bool = False,
+    paper: bool = False,
+    workers: int | None = None,
 ) -> Drawings:
     """Draw the pictures of a report, each once.
 
@@ -795,20 +833,22 @@ def draw(
         Of the files: ``png``, ``svg``, ``pdf``.
     page
         Whether a page shows them: then there is a png where no other format would do.
+    paper
+        Whether to draw them for a paper too, as ``gyro-paper.pdf``.
     workers
         Most at a time; by default as many as the machine has processors.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
         wanted += ("png",)
-    items = _items(report) if wanted else ()
+    items = _items(report) if wanted or paper else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
         # Loaded once, by the process that the others are forked from.
         import_module("matplotlib.figure")
         import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
-    for one in side_by_side(partial(_draw_one, report, formats=wanted), items, workers=count):
+    for one in side_by_side(partial(_draw_one, report, formats=wanted, paper=paper), items, workers=count):
         drawn.files |= one.files
         drawn.failures += one.failures
     return drawn
@@ -823,7 +863,9 @@ def _stem(item: AxisReport | Sensor) -> str:
     return item.short if isinstance(item, Sensor) else item.name
 
 
-def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...]) -> Drawings:
+def _draw_one(
+    report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], paper: bool
+) -> Drawings:
     """Build one figure once, and make all of its files."""
 
     @cache
@@ -832,11 +874,17 @@ def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, 
             return sensor_figure(report, item)
         return axis_figure(report, item)
 
+    @cache
+    def column() -> "Figure":
+        return paper_figure(report, item)
+
     result = Drawings()
-    for form in formats:
-        name = f"{_stem(item)}.{form}"
+    wanted = [(f"{_stem(item)}.{form}", made) for form in formats]
+    wanted += [(f"{_stem(item)}-paper.{form}", column) for form in _vectors(formats) if paper]
+    for name, figure in wanted:
+        form = name.rpartition(".")[2]
         content, failed = try_side_work(
-            lambda form=form: render(made(), form, version=report.version),  # type: ignore[misc]
+            lambda figure=figure, form=form: render(figure(), form, version=report.version),  # type: ignore[misc]
             None,
             what=f"{name} was left out",
             code="not-drawn",

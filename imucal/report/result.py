@@ -15,6 +15,8 @@ from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
+#: Shorter records, in s, do not tell what a filter meets that coasts for a minute: that is a fifth of this.
+_TELLS_S = 300.0
 #: What is said of an axis that has no result.
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
@@ -157,4 +159,12 @@ class Report(Displayed):
         errors = {axis.name: axis.white_error for axis in self.axes if np.isfinite(axis.white_error)}
         failed = (f.axis for f in self.findings if f.code in _WITHOUT_RESULT and f.level == "error")
         names = [*(axis.name for axis in self.axes), *(name for name in failed if name)]
-        return judge_findings(self.all_findings, list(dict.fromkeys(names)), errors=errors)
+        return judge_findings(
+            self.all_findings, list(dict.fromkeys(names)), errors=errors, too_short=self._too_short
+        )
+
+    @property
+    def _too_short(self) -> bool:
+        """Whether no axis shows B or K, and the record tells nothing of the times that filters coast for."""
+        unseen = all(axis.fit[key].value is None for axis in self.axes for key in ("B", "K"))
+        return unseen and any(axis.samples and axis.duration_s < _TELLS_S for axis in self.axes)
