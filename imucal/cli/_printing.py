@@ -144,10 +144,13 @@ def suggestion(finding: Finding) -> str:
     """Return the options that do what the advice of a finding says."""
     if "columns text" in finding.advice:
         return "Say it with --columns."
-    if finding.keep_s is None:
-        return ""
-    start, end = finding.keep_s
-    return f"Try --skip {start:.0f}s --take {end - start:.0f}s."
+    return f"Try {kept_part(finding)}." if finding.keep_s else ""
+
+
+def kept_part(finding: Finding) -> str:
+    """Return the options that keep the part of a log that a finding calls worth keeping."""
+    start, end = finding.keep_s or (0.0, 0.0)
+    return f"--skip {start:.0f}s --take {end - start:.0f}s"
 
 
 def as_typed(path: Path) -> str:

@@ -10,6 +10,7 @@ from imucal.cli._printing import (
     as_typed,
     echo,
     force_option,
+    kept_part,
     name_of_log,
     print_findings,
     refuse,
@@ -166,8 +167,8 @@ def command(
         )  # fmt: skip
         say(_written(folder, [path.name for path in files], replaced=replaced), quiet=request.quiet)
         print_findings(missing, quiet=request.quiet)
-        if opened and folder / "report.html" in files:
-            click.launch(str(folder / "report.html"))
+        if opened:
+            _show(files)
         if report.verdict.usable:
             typed = as_typed(folder)
             say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
@@ -176,6 +177,13 @@ def command(
     remedy = _remedy(() if rests else report.findings, report)
     where = report.source.path
     refuse(report.verdict, where, written, force=force, forbidden=forbidden, remedy=remedy, told=True)
+
+
+def _show(files: Sequence[Path]) -> None:
+    """Show the page in the browser, where there is one."""
+    for path in files:
+        if path.name == "report.html":
+            click.launch(str(path))
 
 
 def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
@@ -199,11 +207,11 @@ def _told(report: "Report", request: LogRequest, *, force: bool) -> Sequence["Fi
 
 def _remedy(findings: Sequence["Finding"], report: "Report") -> str:
     """Return the one thing to do with a log that is refused: keep most, fit its rests, or record again."""
-    keeps = [f.keep_s for f in findings if f.code in {"motion", "touch"} and f.keep_s]
-    longest = max((end - start for start, end in keeps), default=0.0)
+    moved = [f for f in findings if f.code in {"motion", "touch"} and f.keep_s]
+    lengths = {f.keep_s[1] - f.keep_s[0]: f for f in moved if f.keep_s}
+    longest = max(lengths, default=0.0)
     if longest > report.axes[0].duration_s / 2:
-        # The finding has said which options leave the rest out.
-        return "leave that out as said above"
+        return f"fit the rest with {kept_part(lengths[longest])}"
     return "fit what is at rest with --rests" if longest >= _REST_S else "record again at rest, or --force"
 
 

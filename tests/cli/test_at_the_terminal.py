@@ -43,10 +43,9 @@ def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path
     assert done.returncode == 4
     said = " ".join(done.stderr.split())
     assert said.count("error [") == 1
-    assert said.count("--skip") == 1
     assert "--force" not in said
-    assert said.endswith("nothing was written; leave that out as said above")
     options = said.partition("Try ")[2].partition(".")[0].split()
+    assert said.endswith(f"nothing was written; fit the rest with {' '.join(options)}")
     kept = run("fit", "carried.csv", "--no-report", *_QUICK[:4], *options, cwd=tmp_path)
     assert kept.returncode == 0
 
@@ -112,9 +111,7 @@ def test_a_log_of_seconds_is_good_for_n_only(tmp_path: Path) -> None:
     """The verdict says that it is too short for B and K."""
     _write(tmp_path / "short.csv", 20)
     done = run("fit", "short.csv", "--no-report", "-q", cwd=tmp_path)
-    assert done.stdout.startswith(
-        "Good for N; too short for B and K: 6 of 6 axes are stationary noise, N to ±"
-    )
+    assert done.stdout.startswith("Good for N; too short for B and K: 6 of 6 axes are stationary noise")
 
 
 def test_open_shows_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
