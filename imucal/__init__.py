@@ -5,9 +5,11 @@ Q in rad, R in rad/s² (m/s² in place of rad/s for an accelerometer). Coefficie
 and two-sided: the Allan deviation of N reads N at tau = 1 s, that of K reads K at tau = 3 s.
 Deviations and intervals are of the rate signal; times are in s, rates in Hz.
 
-    recording = imucal.read("log.mcap")
-    report = imucal.characterize(recording)
+    recording = imucal.read("log.mcap").skip("60s")
+    report = imucal.fit(recording)
+    imucal.plot(report)
     imucal.write_report(report, "out")
+    imucal.export(report, "kalibr", "imu.yaml")
 
 The public names are loaded on first use (as PEP 562 does).
 """
@@ -23,8 +25,8 @@ if TYPE_CHECKING:
     from imucal.clock import Clock
     from imucal.comparison import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
+    from imucal.facade import check, export, fit, info
     from imucal.findings import Finding
-    from imucal.fitting import fit
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.fleet import LogValue, PooledFit, Population, log_values, pool, population
@@ -47,8 +49,8 @@ if TYPE_CHECKING:
     from imucal.readers import read
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
-    from imucal.report.exports import export
     from imucal.report.given import model_as_report
+    from imucal.report.plotting import plot
     from imucal.rests import at_rest
 
 __all__ = [
@@ -85,6 +87,7 @@ __all__ = [
     "avar_from_acvf",
     "avar_from_psd",
     "characterize",
+    "check",
     "check_fleet",
     "compare",
     "decompose",
@@ -93,11 +96,13 @@ __all__ = [
     "filter_numbers",
     "fit",
     "fleet_as_report",
+    "info",
     "load_fleet",
     "load_report",
     "log_values",
     "model_as_report",
     "plan",
+    "plot",
     "pool",
     "population",
     "read",
@@ -115,7 +120,8 @@ _HOMES = {
     "imucal.comparison": ("compare",),
     "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
     "imucal.findings": ("Finding",),
-    "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.facade": ("check", "export", "fit", "info"),
+    "imucal.fitting": ("NoiseFit",),
     "imucal.fitting.decomposition": ("Decomposition", "decompose"),
     "imucal.fleet": ("LogValue", "PooledFit", "Population", "log_values", "pool", "population"),
     "imucal.fleet_report": (
@@ -132,8 +138,8 @@ _HOMES = {
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
     "imucal.rests": ("at_rest",),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
-    "imucal.report.exports": ("export",),
     "imucal.report.given": ("model_as_report",),
+    "imucal.report.plotting": ("plot",),
 }
 
 # Now, as the libraries beneath ask only once how many threads they may start.

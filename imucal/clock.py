@@ -6,6 +6,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.errors import ArgumentError
+
+#: Unit -> seconds.
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def seconds_of(text: str | float) -> float:
+    """Return a duration in s of a number alone, or with s, min, m, h or d.
+
+    Raises
+    ------
+    ArgumentError
+        If the text is no duration.
+    """
+    text = str(text).strip()
+    number = text.rstrip("smindh")
+    try:
+        seconds = float(number) * _SECONDS.get(text[len(number) :], np.nan)
+    except ValueError:
+        seconds = np.nan
+    if not 0 <= seconds < np.inf:
+        msg = f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h"
+        raise ArgumentError(msg)
+    return seconds
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segment:

@@ -11,10 +11,13 @@
     ├── LimitsError    2  a check's limits or config can't be read (2 is usage, as for a wrong option)
     ├── ManifestError  2  the manifest of a fleet is wrong
     ├── StoreError     5  a file in the folder of a fleet is damaged
+    ├── ArgumentError 2  an argument says what can't be meant; a `ValueError` too
+    ├── MissingError  2  there is no axis or term of that name; a `KeyError` too
     └── EngineError    5  the workers of a fleet, or who hands out their work, are gone
 
 A message reads *where: what was found, what was expected, what to do*.
-A caller's mistake (an argument out of range) is a plain `ValueError`.
+A caller's mistake (an argument out of range) is a `ValueError`; of what people type in notebooks, an
+`ArgumentError`.
 """
 
 from collections.abc import Sequence
@@ -28,6 +31,8 @@ class ImucalError(Exception):
     """Anything imucal can't do with what it was given."""
 
     exit_code: ClassVar[int] = 1
+    #: Whether the results were printed all the same, and say what is wrong with them.
+    told = False
 
 
 class ReadError(ImucalError):
@@ -68,6 +73,20 @@ class SettingError(ImucalError):
     """An environment variable that sets imucal up holds what it can't."""
 
     exit_code = 2
+
+
+class ArgumentError(ImucalError, ValueError):
+    """An argument says what can't be meant; the message says what can."""
+
+    exit_code = 2
+
+
+class MissingError(ImucalError, KeyError):
+    """There is no axis or term of that name; the message lists those there are."""
+
+    exit_code = 2
+    # A KeyError would show its message in quotes.
+    __str__ = Exception.__str__
 
 
 class ManifestError(ImucalError):

@@ -108,7 +108,11 @@ def grade_of(finding: Finding) -> Grade:
 
 
 def judge_findings(
-    findings: Iterable[Finding], axes: Sequence[str], *, errors: Mapping[str, float] | None = None
+    findings: Iterable[Finding],
+    axes: Sequence[str],
+    *,
+    errors: Mapping[str, float] | None = None,
+    too_short: bool = False,
 ) -> NoiseVerdict:
     """Return the verdict on a recording.
 
@@ -120,6 +124,8 @@ def judge_findings(
         Names of all axes, such as ``gyro_x``; those without a result too.
     errors
         Relative half-width of the interval of N, by axis, where one is known.
+    too_short
+        Whether the record is too short to tell B and K.
     """
     grave = [finding for finding in findings if grade_of(finding) != "good"]
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
@@ -128,7 +134,8 @@ def judge_findings(
     sound, left = _untouched(grave, axes), _untouched(decisive, axes)
     noise = _noise(sound, len(axes), errors or {})
     if grade == "good":
-        sentence = f"Good: {noise or 'no finding speaks against it'}"
+        good = "Good for N; too short for B and K" if too_short else "Good"
+        sentence = f"{good}: {noise or 'no finding speaks against it'}"
     elif grade == "look":
         sentence = f"Look first: {reasons}{f'; {noise}' if sound else ''}"
     else:

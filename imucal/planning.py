@@ -194,11 +194,12 @@ def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 
         own = [need for need in needs if need.name.partition(".")[0] == name]
         longest = max(own, key=lambda need: need.needed_s)
         if longest.needed_s > _WORTH_SAYING * duration_s:
-            unseen = f"{name} was not seen; were it at its bound, it would need"
-            text = (
-                f"{unseen if longest.bounded else f'{name} needs'} {describe_time(longest.needed_s)} for "
-                f"±{100 * precision:.3g} %, this is {describe_time(duration_s)}."
-            )
+            needed, had = describe_time(longest.needed_s), describe_time(duration_s)
+            sharp = f"±{100 * precision:.3g} %"
+            text = f"{name} needs {needed} for {sharp}; this log has {had}."
+            if longest.bounded:
+                text = f"{name} is not visible in {had}. If it equals its bound, {needed} would "
+                text += f"measure it to {sharp}."
             findings.append(Finding(level="info", code="record-length", text=text))
     return tuple(findings)
 

@@ -1,6 +1,6 @@
 """What was measured: sensors, clocks, axes and recordings. Always SI units."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Literal, TypeAlias
@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, blocks, read_only
-from imucal.clock import Clock
-from imucal.errors import DataError
+from imucal.clock import Clock, seconds_of
+from imucal.display import Displayed
+from imucal.errors import DataError, MissingError
 from imucal.findings import Finding
 
 Axis: TypeAlias = Literal["x", "y", "z"]
@@ -18,6 +19,8 @@ Axis: TypeAlias = Literal["x", "y", "z"]
 #: The axes of a sensor, in their order.
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 
+#: Share of missing samples that makes a warning of a remark.
+_FEW = 1e-3
 #: No sensor measures this, in any unit: larger values are damage, and their squares would overflow.
 ABSURD = 1e100
 
@@ -39,8 +42,8 @@ class Sensor(StrEnum):
         return "rad/s" if self is Sensor.GYROSCOPE else "m/s^2"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AxisSeries:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class AxisSeries(Displayed):
     """The samples of one axis.
 
     Attributes
@@ -261,8 +264,8 @@ class Source:
         object.__setattr__(self, "path", _as_text(self.path))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recording:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Recording(Displayed):
     """All axes read from a log.
 
     Attributes
@@ -308,10 +311,21 @@ class Recording:
             temperature = Temperature(samples=temperature.samples[first:stop], clock=clock.slice(first, stop))
         before = self.source.read.from_s if self.source.read is not None else 0.0
         source = replace(self.source, read=ReadRange.of(series, from_s=before + start_s))
-        return replace(self, source=source, series=series, temperature=temperature)
+        # The part has its own gaps, not those that were left out.
+        others = [finding for finding in self.findings if finding.code != "gaps"]
+        findings = tuple(dict.fromkeys([*others, *gap_findings(one.clock for one in series)]))
+        return replace(self, source=source, series=series, temperature=temperature, findings=findings)
+
+    def skip(self, length: str | float) -> "Recording":
+        """Return the recording without its start, such as ``skip("60s")`` or ``skip("5min")``."""
+        return self.between(seconds_of(length), np.inf)
+
+    def take(self, length: str | float) -> "Recording":
+        """Return so much of the recording from its start, such as ``take("1h")``."""
+        return self.between(0.0, seconds_of(length))
 
     def axis(self, sensor: str, axis: str) -> AxisSeries:
-        """Return one axis, such as ``axis("gyroscope", "x")``.
+        """Return one axis, such as ``axis("gyroscope", "x")`` or ``axis("gyro", "x")``.
 
         Raises
         ------
@@ -319,11 +333,35 @@ class Recording:
             If the recording has no such axis.
         """
         for series in self.series:
-            if series.sensor == sensor and series.axis == axis:
+            if sensor in {series.sensor, series.sensor.short} and series.axis == axis:
                 return series
-        found = ", ".join(series.name for series in self.series) or "none"
-        msg = f"{self.source.path}: no axis {sensor} {axis}; found {found}"
+        msg = f"{self.source.path}: no axis {sensor} {axis}; {self._names}"
         raise DataError(msg)
+
+    def __getitem__(self, name: str) -> AxisSeries:
+        for series in self.series:
+            if series.name == name:
+                return series
+        msg = f"{self.source.path}: no axis {name!r}; {self._names}"
+        raise MissingError(msg)
+
+    @property
+    def _names(self) -> str:
+        return f"found {', '.join(series.name for series in self.series) or 'none'}"
+
+
+def gap_findings(clocks: Iterable[Clock]) -> Iterator[Finding]:
+    """Yield a finding for each clock with missing samples, with the longest gap."""
+    for clock in {id(clock): clock for clock in clocks if clock.gaps}.values():
+        gaps, share = clock.gaps, clock.missing / clock.grid_size
+        longest = max(gaps, key=lambda gap: gap.missing)
+        samples, are = ("sample", "is") if clock.missing == 1 else ("samples", "are")
+        text = (
+            f"{clock.missing} {samples} ({share:.2g} of all) {are} missing in "
+            f"{'one gap' if len(gaps) == 1 else f'{len(gaps)} gaps'}; "
+            f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
+        )
+        yield Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)
 
 
 def _sane(samples: FloatArray) -> NDArray[np.bool_]:

@@ -191,6 +191,13 @@ def duration(seconds: float) -> str:
     return f"{whole} {units[0]} {rest} {units[1]}" if rest else f"{whole} {units[0]}"
 
 
+def time_unit(seconds: float) -> tuple[float, str]:
+    """Return what times of so long an axis are divided by, and their unit then: s, min or h."""
+    if seconds < 600:
+        return 1.0, "s"
+    return (60.0, "min") if seconds < 2 * _HOUR else (_HOUR, "h")
+
+
 def data_size(size: int) -> str:
     """Return a number of bytes as people say it: ``2.5 kB``, ``224 MB``, ``1.344 GB``, ``22.4 TB``."""
     for unit, power in (("TB", 12), ("GB", 9), ("MB", 6)):

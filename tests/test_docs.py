@@ -13,7 +13,8 @@ import pytest
 
 from imucal.units import SAMPLE_UNITS
 from tests.cli.reports import write_report
-from tests.code_blocks import Kept, code_blocks, run_block
+from tests.cli.run import run
+from tests.code_blocks import Kept, code_blocks, missing_lines, run_block
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -22,6 +23,8 @@ PACKAGE = ROOT / "imucal"
 
 #: Blocks in these languages are run; text, sh, yaml and the like only show something.
 RUN = {"python", "console", "toml"}
+#: Pages whose text blocks are what their commands print.
+PRINTED = {"tutorial.md"}
 #: The report that several pages begin with; it is made once.
 KEPT = Kept("imucal fit log.mcap -o report", "report")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -48,9 +51,40 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page: Path, folder: Path) ->
     if page.name == "use-in-ci.md":
         for name in ("golden-imucal", "still-imucal"):
             write_report(folder, name)
+    said = ""
     for language, text in code_blocks(page):
         if language in RUN:
-            run_block(language, text, folder, kept=KEPT)
+            said += run_block(language, text, folder, kept=KEPT)
+        if language == "text" and page.name in PRINTED:
+            written = "".join(path.read_text(encoding="utf-8") for path in folder.glob("*.yaml"))
+            assert missing_lines(text, said + written) == [], f"{page.name} shows what no run prints:\n{said}"
+
+
+def test_the_table_of_the_ci_page_is_what_check_prints(folder: Path) -> None:
+    """Of the sample log of the README, with limits that give each verdict."""
+    limits = """
+        [gyroscope]
+        N = { max = 1, unit = "deg/sqrt(h)" }
+        [gyro_x]
+        B = { max = 30, unit = "deg/h" }
+        K = { max = 1e-5 }
+        [gyro_y]
+        N = { max = 0.5, unit = "deg/sqrt(h)" }
+        [log]
+        duration = { min = 10, unit = "min" }
+    """
+    (folder / "limits.toml").write_text(limits, encoding="utf-8")
+    done = run("check", "log.mcap", "--limits", "limits.toml", cwd=folder)
+    (shown,) = (text for language, text in code_blocks(DOCS / "use-in-ci.md") if language == "text")
+    assert missing_lines(shown, done.stdout) == [], done.stdout
+
+
+def test_a_line_that_no_run_prints_is_found() -> None:
+    """Words to the letter, numbers to a tenth, whatever the line breaks."""
+    said = "x  0.34  [0.33,\n0.35] deg/h for 12 min"
+    assert missing_lines("x 0.35 [0.34, 0.36] deg/h\nfor 12 min", said) == []
+    assert missing_lines("x 0.44 [0.34, 0.36] deg/h", said) == ["x 0.44 [0.34, 0.36] deg/h"]
+    assert missing_lines("for 12 h", said) == ["for 12 h"]
 
 
 def test_every_block_says_its_language() -> None:

@@ -15,10 +15,11 @@ BELOW: dict[str, set[str]] = {
     "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
-    "clock": set(),
+    "clock": {"errors"},
+    "display": set(),
     "printable": set(),
     "resources": {"errors"},
-    "recording": {"arrays", "clock", "errors", "findings"},
+    "recording": {"arrays", "clock", "display", "errors", "findings"},
     "processes": {"errors", "findings"},
     "powerlaw": {"arrays"},
     "solvers": {"arrays"},
@@ -47,6 +48,7 @@ BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
 BELOW["fleet_run"] = (
     BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}
 )
+BELOW["facade"] = BELOW["fleet_run"] | {"checking"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

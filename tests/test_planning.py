@@ -184,10 +184,10 @@ def test_the_sentence_of_a_report() -> None:
     walk = next(f for f in findings if f.text.startswith("K needs "))
     assert walk.code == "record-length"
     assert walk.level == "info"
-    assert walk.text.endswith(" h for ±10 %, this is 5.6 h.")
+    assert walk.text.endswith(" h for ±10 %; this log has 5.6 h.")
     assert not any(f.text.startswith("N ") for f in findings)
     flicker = next(f for f in findings if f.text.startswith("B "))
-    assert flicker.text.startswith("B was not seen; were it at its bound, it would need ")
+    assert flicker.text.startswith("B is not visible in 5.6 h. If it equals its bound, ")
 
 
 def test_a_long_record_needs_no_sentence() -> None:

@@ -173,7 +173,10 @@ def test_a_moved_log_prints_no_numbers_but_what_to_do(tmp_path: Path) -> None:
     assert done.stdout == "Not noise: the IMU was moved; do not use these numbers\n"
     assert "[motion]" in done.stderr
     assert "[model-misfit]" not in done.stderr
-    assert "record again at rest, --rests to fit what is at rest, or --force" in done.stderr
+    assert (
+        "moved; do not use these numbers; nothing was written; fit what is at rest with --rests"
+        in done.stderr
+    )
     told = run(*command, "--rests", "-o", "out", cwd=tmp_path)
     assert told.returncode == 0
     assert "N  angle random walk" in told.stdout

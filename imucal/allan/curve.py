@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
+from imucal.display import Displayed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AllanCurve(ReadOnlyArrays):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class AllanCurve(Displayed, ReadOnlyArrays):
     """Allan variances at rising averaging times.
 
     Attributes

@@ -4,6 +4,7 @@ import difflib
 import errno
 import importlib
 import io
+import json
 import os
 import platform
 import re
@@ -19,7 +20,7 @@ from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
 from imucal.errors import ALSO, ChoiceError, DataError, ImucalError, WriteError
-from imucal.printable import printable
+from imucal.printable import printable, printable_json
 from imucal.resources import single_matrix_thread
 
 __all__ = ["COMMANDS", "main", "options_for"]
@@ -61,12 +62,15 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Name the command that a mistyped one is near to, or all of them."""
+        """Give a command the defaults of the settings file; name the one that a mistyped one is near to."""
         from imucal.remote.addresses import is_url, shown
 
         name = args[0]
         if name in self.table or name.startswith("-") or ctx.resilient_parsing:
-            return super().resolve_command(ctx, args)
+            found = super().resolve_command(ctx, args)
+            if found[1] and not ctx.resilient_parsing:
+                _set_defaults(ctx, name, found[1])
+            return found
         if near := difflib.get_close_matches(name.lower(), self.table, n=1):
             hint = f"did you mean {near[0]!r}?"
         elif Path(name).exists() or is_url(name):
@@ -91,6 +95,20 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in self.table.items()])
+
+
+def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None:
+    """Give a command what the settings file says of its options; commands of a group have tables in its."""
+    from imucal.cli._defaults import defaults_of, settings_file
+
+    tables: object = ctx.default_map if ctx.parent else None
+    where = f"[{ctx.info_name}."
+    if ctx.parent is None and (found := settings_file()) is not None:
+        where, tables = f"{found[0]}: [", found[1]
+    table = tables.get(name) if isinstance(tables, Mapping) else None
+    if table is not None:
+        whole = table if isinstance(command, click.Group) else defaults_of(command, table, f"{where}{name}]")
+        ctx.default_map = {name: whole}
 
 
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
@@ -175,13 +193,15 @@ def _fill_streams() -> None:
 
 def _run(arguments: Sequence[str] | None) -> int:
     """Run a command; the one place that turns exceptions into messages and exit codes."""
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in typed
     try:
         code = imucal.main(
             args=arguments,
             prog_name="imucal",
             standalone_mode=False,
             # What was typed, for a command that says how to go on.
-            obj=list(sys.argv[1:] if arguments is None else arguments),
+            obj=typed,
         )
         sys.stdout.flush()
     except BrokenPipeError:
@@ -192,17 +212,18 @@ def _run(arguments: Sequence[str] | None) -> int:
         if error.errno == errno.ENAMETOOLONG and not os.environ.get("IMUCAL_DEBUG"):
             name = str(error.filename or "")
             return _explain(
-                click.UsageError(f"a name of {len(name)} characters is too long for a file: {name}")
+                click.UsageError(f"a name of {len(name)} characters is too long for a file: {name}"),
+                as_json=as_json,
             )
         # Files of the library's own end in a WriteError; what is left is the stream of results.
         if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
-            return _explain(error)
+            return _explain(error, as_json=as_json)
         _drop_output()
         return _explain(WriteError(f"standard output: can't be written: {error.strerror}; free some space"))
     except (Exception, KeyboardInterrupt) as error:
         if os.environ.get("IMUCAL_DEBUG"):
             raise
-        return _explain(error)
+        return _explain(error, as_json=as_json)
     return code if isinstance(code, int) else 0
 
 
@@ -211,14 +232,13 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _explain(error: BaseException) -> int:
-    """Print what went wrong, without a traceback; return the exit code."""
+def _explain(error: BaseException, *, as_json: bool = False) -> int:
+    """Print what went wrong, as JSON too where that was asked for; return the exit code."""
     match error:
         case click.ClickException():
             said = io.StringIO()
             error.show(said)
-            click.echo(printable(said.getvalue()), err=True, nl=False)
-            return error.exit_code
+            message, code = said.getvalue().rstrip(), error.exit_code
         case ChoiceError():
             hint = options_for(str(error))
             message, code = f"Error: {error}" + (f"\nSay it with {hint}." if hint else ""), error.exit_code
@@ -236,6 +256,13 @@ def _explain(error: BaseException) -> int:
             message = f"Error: internal error ({what}). Please report it; IMUCAL_DEBUG=1 shows where."
             code = 70
     click.echo(printable(message), err=True)
+    if as_json and not getattr(error, "told", False):
+        # Whoever parses standard output learns there what went wrong, unless the results are there already.
+        document = {
+            "schema": "imucal/error/1",
+            "error": {"type": type(error).__name__, "message": message, "exit_code": code},
+        }
+        click.echo(printable_json(json.dumps(document, indent=2)))
     return code
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._printing import echo, fitted, print_findings, say, width
-from imucal.cli.parameters import Text, seconds_of, structure_of
+from imucal.cli.parameters import Text, structure_of
+from imucal.clock import seconds_of
 from imucal.errors import ChoiceError
 from imucal.remote import is_url
 from imucal.resources import parse_size

@@ -144,10 +144,13 @@ def suggestion(finding: Finding) -> str:
     """Return the options that do what the advice of a finding says."""
     if "columns text" in finding.advice:
         return "Say it with --columns."
-    if finding.keep_s is None:
-        return ""
-    start, end = finding.keep_s
-    return f"Try --skip {start:.0f}s --take {end - start:.0f}s."
+    return f"Try {kept_part(finding)}." if finding.keep_s else ""
+
+
+def kept_part(finding: Finding) -> str:
+    """Return the options that keep the part of a log that a finding calls worth keeping."""
+    start, end = finding.keep_s or (0.0, 0.0)
+    return f"--skip {start:.0f}s --take {end - start:.0f}s"
 
 
 def as_typed(path: Path) -> str:
@@ -166,7 +169,7 @@ def name_of_log(log: str) -> str:
 
 
 force_option = click.option(
-    "--force", is_flag=True, help="Take data that are not noise at rest all the same (else exit code 4)."
+    "--force", is_flag=True, help="Continue although the log is not at rest (else exit code 4)."
 )
 
 
@@ -177,9 +180,10 @@ def refuse(
     *,
     force: bool,
     forbidden: Sequence[Finding] = (),
-    remedy: str = "record again at rest",
+    remedy: str = "record again at rest, or --force",
+    told: bool = False,
 ) -> None:
-    """Raise what ends a command with exit code 4.
+    """Raise what ends a command with exit code 4; `told` is whether its results were printed.
 
     Raises
     ------
@@ -189,8 +193,11 @@ def refuse(
     """
     if not verdict.usable and not force:
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-        msg = f"{where}: {sentence}; {consequence}; {remedy}, or --force"
-        raise DataError(msg)
-    if codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
+        msg = f"{where}: {sentence}; {consequence}; {remedy}"
+    elif codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
         msg = f"{where}: {', '.join(codes)} found, and --strict allows no warning"
-        raise DataError(msg)
+    else:
+        return
+    error = DataError(msg)
+    error.told = told
+    raise error

@@ -89,7 +89,8 @@ def command(
     print_findings(findings, quiet=request.quiet, verbose=request.verbose)
     say(verdict.sentence, quiet=request.quiet or not verdict.usable)
     forbidden = findings if request.strict else ()
-    refuse(verdict, recording.source.path, "the curves were printed", force=force, forbidden=forbidden)
+    path = recording.source.path
+    refuse(verdict, path, "the curves were printed", force=force, forbidden=forbidden, told=True)
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:

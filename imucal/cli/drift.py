@@ -13,9 +13,9 @@ from imucal.cli.parameters import (
     Text,
     json_option,
     out_option,
-    seconds_of,
     shown,
 )
+from imucal.clock import seconds_of
 from imucal.prediction import Drift, drift
 from imucal.prediction.drift import STRETCHES
 from imucal.report import numbers

@@ -10,6 +10,7 @@ from imucal.cli._printing import (
     as_typed,
     echo,
     force_option,
+    kept_part,
     name_of_log,
     print_findings,
     refuse,
@@ -86,7 +87,14 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 @click.option("--verify", is_flag=True, help="Check the fit against the exact likelihood (slower).")
 @datasheet_option()
 @pictures_option
+@shown(
+    "--figure",
+    type=click.Choice(["report", "paper"]),
+    default="report",
+    help="paper: curves for one column of a paper too (NAME-paper.pdf; --format svg for SVG).",
+)
 @click.option("--no-html", is_flag=True, help="Write no HTML page.")
+@click.option("--open", "opened", is_flag=True, help="Show the page in the browser when it is written.")
 @click.option("--no-report", is_flag=True, help="Write no files at all.")
 @click.option(
     "--jobs",
@@ -106,7 +114,9 @@ def command(
     no_clean: bool,
     datasheet: bool,
     formats: tuple[str, ...],
+    figure: str,
     no_html: bool,
+    opened: bool,
     no_report: bool,
     jobs: int | None,
     as_json: bool,
@@ -140,6 +150,7 @@ def command(
     from imucal.report.writer import check_folder, write_report
 
     folder = out or report_folder(request.logs[0])
+    replaced = (folder / "report.json").exists()
     if not no_report:
         check_folder(folder)
     report = request.characterise(settings, workers=jobs, rests=rests)
@@ -151,18 +162,37 @@ def command(
     missing: list[Finding] = []
     if not no_report:
         files = write_report(
-            report, folder, formats=formats, html=not no_html, tell=missing.append, workers=jobs
-        )
-        for path in files:
-            say(path, quiet=request.quiet)
+            report, folder, formats=formats, html=not no_html, paper=figure == "paper",
+            tell=missing.append, workers=jobs,
+        )  # fmt: skip
+        say(_written(folder, [path.name for path in files], replaced=replaced), quiet=request.quiet)
         print_findings(missing, quiet=request.quiet)
+        if opened:
+            _show(files)
         if report.verdict.usable:
             typed = as_typed(folder)
             say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
     written = "nothing was written" if no_report else f"{folder} says so"
     forbidden = (*report.all_findings, *missing) if request.strict else ()
-    remedy = _remedy(() if rests else report.findings)
-    refuse(report.verdict, report.source.path, written, force=force, forbidden=forbidden, remedy=remedy)
+    remedy = _remedy(() if rests else report.findings, report)
+    where = report.source.path
+    refuse(report.verdict, where, written, force=force, forbidden=forbidden, remedy=remedy, told=True)
+
+
+def _show(files: Sequence[Path]) -> None:
+    """Show the page in the browser, where there is one."""
+    for path in files:
+        if path.name == "report.html":
+            click.launch(str(path))
+
+
+def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
+    """Return ``Wrote still-imucal: report.json, report.html, 8 pictures, 6 JSON files``."""
+    first = [name for name in names if name.startswith("report.")]
+    data = sum(name.endswith(".json") for name in names if name not in first)
+    pictures = len(names) - len(first) - data
+    counted = [f"{pictures} pictures"] * (pictures > 0) + [f"{data} JSON files"] * (data > 0)
+    return f"{'Replaced the report in' if replaced else 'Wrote'} {folder}: {', '.join([*first, *counted])}"
 
 
 def _told(report: "Report", request: LogRequest, *, force: bool) -> Sequence["Finding"]:
@@ -175,11 +205,14 @@ def _told(report: "Report", request: LogRequest, *, force: bool) -> Sequence["Fi
     )
 
 
-def _remedy(findings: Sequence["Finding"]) -> str:
-    """Return what else to do with a log that is refused: fit its rests, where one is long enough."""
-    keeps = [f.keep_s for f in findings if f.code in {"motion", "touch"} and f.keep_s]
-    long = any(end - start >= _REST_S for start, end in keeps)
-    return "record again at rest" + (", --rests to fit what is at rest" if long else "")
+def _remedy(findings: Sequence["Finding"], report: "Report") -> str:
+    """Return the one thing to do with a log that is refused: keep most, fit its rests, or record again."""
+    moved = [f for f in findings if f.code in {"motion", "touch"} and f.keep_s]
+    lengths = {f.keep_s[1] - f.keep_s[0]: f for f in moved if f.keep_s}
+    longest = max(lengths, default=0.0)
+    if longest > report.axes[0].duration_s / 2:
+        return f"fit the rest with {kept_part(lengths[longest])}"
+    return "fit what is at rest with --rests" if longest >= _REST_S else "record again at rest, or --force"
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:

@@ -16,6 +16,7 @@ import click
 
 from imucal.cli._printing import say
 from imucal.cli._progress import axes_progress, download_progress, reading_progress
+from imucal.clock import seconds_of
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
@@ -85,29 +86,6 @@ class Number(click.FloatRange):
         if self.percent and 1 < number < 100:
             self.fail(f"{value!r} is more than all; did you mean {number / 100:g} or {text}%?", param, ctx)
         return float(super().convert(repr(number), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
-
-
-_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-
-
-def seconds_of(text: str) -> float:
-    """Return a duration in s of a number alone, or with s, min, m, h or d.
-
-    Raises
-    ------
-    ValueError
-        If the text is no duration.
-    """
-    text = text.strip()
-    number = text.rstrip("smindh")
-    try:
-        seconds = float(number) * _SECONDS.get(text[len(number) :], math.nan)
-    except ValueError:
-        seconds = math.nan
-    if not 0 <= seconds < math.inf:
-        msg = f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h"
-        raise ValueError(msg)
-    return seconds
 
 
 #: Units that a column of a log may be called by, but "degs" typed by a person may be degrees.
@@ -317,13 +295,12 @@ class LogRequest:
 
     def _read(self, logs: "LocalLogs") -> Recording:
         from imucal.readers import read
-        from imucal.readers.clocks import part_between
 
         with reading_progress(quiet=self.quiet) as progress:
             recording = read(*logs.paths, **self.reading, strict=self.strict, progress=progress)
         if self.skip_s or self.take_s is not None:
             end = math.inf if self.take_s is None else self.skip_s + self.take_s
-            recording = part_between(recording, self.skip_s, end)
+            recording = recording.between(self.skip_s, end)
         recording = logs.named(recording)
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording

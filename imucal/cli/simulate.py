@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from imucal.cli._printing import echo, picked, print_json, say
-from imucal.cli.parameters import DURATION, RATE, Number, Text, json_option, quiet_option, seconds_of, shown
+from imucal.cli.parameters import DURATION, RATE, Number, Text, json_option, quiet_option, shown
+from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
 from imucal.recording import Sensor
 from imucal.units import G0

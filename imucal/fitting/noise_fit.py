@@ -8,6 +8,8 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
+from imucal.display import Displayed
+from imucal.errors import MissingError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.noise.model import NoiseModel
@@ -37,8 +39,8 @@ def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
     """Return the one of that key; a KeyError says, after `whole`, which there are."""
     found = {part.key: part for part in parts}
     if key not in found:
-        msg = f"{key!r}; {whole} {', '.join(found)}"
-        raise KeyError(msg)
+        msg = f"no term {key!r}; {whole} {', '.join(found)}"
+        raise MissingError(msg)
     return found[key]
 
 
@@ -240,8 +242,8 @@ class Candidate:
     delta: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseFit:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class NoiseFit(Displayed):
     """A noise model of one axis.
 
     Attributes

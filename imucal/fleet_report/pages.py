@@ -83,7 +83,7 @@ def _sections(fleet: Fleet, pictures: Pictures) -> Iterator[tuple[str, str, Mark
         return _filled("pictures.html", section=section, pictures=encoded)
 
     if models:
-        yield "config", "The number for the config", _for_the_config(models)
+        yield "config", "The number for the config", config_section(models)
     for i, model in enumerate(models):
         title = f"Units of {model.name}" if model.name else "Units"
         yield f"units-{i}", title, drawn(f"units-{i}") + _filled("units.html", model=model)
@@ -104,7 +104,8 @@ def _sections(fleet: Fleet, pictures: Pictures) -> Iterator[tuple[str, str, Mark
     yield "words", "What the words mean", _filled("words.html")
 
 
-def _for_the_config(models: Sequence[SensorModel]) -> Markup:
+def config_section(models: Sequence[SensorModel]) -> Markup:
+    """Return the number for the config of each term and axis of sensor models, with median and spreads."""
     few = [model.title for model in models if len(model.units) < 3]
     with_axes = [(model, sorted({term.axis for term in model.terms})) for model in models]
     return _filled("config.html", models=with_axes, few=few)

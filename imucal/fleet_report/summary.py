@@ -5,11 +5,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from imucal._version import __version__
+from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.fleet.population import FALSE_SHARE, Population, UnitValue, adjusted
@@ -173,8 +174,8 @@ class LooseLog:
     values: Mapping[tuple[str, str], LogValue]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fleet:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Fleet(Displayed):
     """What the logs of a fleet say.
 
     Attributes
@@ -194,6 +195,8 @@ class Fleet:
     version
         imucal's version.
     """
+
+    drawn_by: ClassVar[str] = "imucal.fleet_report.notebook"
 
     folder: Path
     models: tuple[SensorModel, ...]

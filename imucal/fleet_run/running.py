@@ -416,14 +416,13 @@ def _characterised(
 def _read(path: Path, reading: Mapping[str, object]) -> Recording:
     """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
     from imucal.readers import read
-    from imucal.readers.clocks import part_between
 
     arguments: dict[str, Any] = dict(reading)
     skip, take = float(arguments.pop("skip_s", 0.0)), arguments.pop("take_s", None)
     recording: Recording = read(path, **arguments)
     if not skip and take is None:
         return recording
-    return part_between(recording, skip, float("inf") if take is None else skip + float(take))
+    return recording.between(skip, float("inf") if take is None else skip + float(take))
 
 
 def _started(recording: Recording) -> str | None:

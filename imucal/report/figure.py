@@ -29,7 +29,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, Line
+from imucal.fitting.noise_fit import Estimate, Line, NoiseFit
 from imucal.noise.term import NoiseTerm, Stroke
 from imucal.noise.terms import TERMS
 from imucal.printable import printable
@@ -275,7 +275,7 @@ def dashes(stroke: Stroke) -> dict[str, Any]:
     return {"dashes": stroke.dashes} if stroke.dashes else {}
 
 
-def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
+def term_entries(fit: NoiseFit, terms: list[Drawn]) -> list[Any]:
     """Return the legend's entries of the terms' lines, one for each symbol."""
     from matplotlib.lines import Line2D
 
@@ -283,7 +283,7 @@ def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
     for drawn in terms:
         symbol, bounded = drawn.estimate.symbol, drawn.estimate.value is None
         stroke = TERMS[symbol].stroke
-        name = f"{symbol}{' bound:' if bounded else ''} {TERMS[symbol].name(axis.sensor)}"
+        name = f"{symbol}{' bound:' if bounded else ''} {numbers.term_name(symbol, fit.sensor)}"
         line: dict[str, Any] = {"color": stroke.light, "linewidth": 1.3, "label": name}
         entries[symbol] = Line2D([], [], **line, **_read_off_mark(stroke, bounded=bounded), **dashes(stroke))
     return list(entries.values())
@@ -294,13 +294,13 @@ def _read_off_mark(stroke: Stroke, *, bounded: bool) -> dict[str, Any]:
     return {"marker": "v" if bounded else "D", "markersize": 5.5, "markerfacecolor": face}
 
 
-def drawn_terms(axis: AxisReport) -> list[Drawn]:
+def drawn_terms(fit: NoiseFit) -> list[Drawn]:
     """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
     found = []
-    by_symbol = {term.symbol: term for term in axis.fit.model.terms}
-    for estimate in axis.fit.estimates:
+    by_symbol = {term.symbol: term for term in fit.model.terms}
+    for estimate in fit.estimates:
         if TERMS[estimate.symbol].repeatable:
-            term: NoiseTerm | None = numbers.gauss_markov_term(axis.fit, estimate)
+            term: NoiseTerm | None = numbers.gauss_markov_term(fit, estimate)
         elif estimate.value is not None:
             term = by_symbol.get(estimate.symbol)
         else:
@@ -327,26 +327,26 @@ _DEEPEST = 40.0
 MARKERS = {"x": "o", "y": "s", "z": "^"}
 
 
-def draw_allan(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
+def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
     """Draw one axis's curve, model and terms in data-sheet units; return the entries of the legend."""
-    curve, rate, factor = axis.fit.curve, axis.fit.rate_hz, units.level.factor
-    shown, terms, m = shown_points(curve), drawn_terms(axis), _dense(curve)
+    curve, rate, factor = fit.curve, fit.rate_hz, units.level.factor
+    shown, terms, m = shown_points(curve), drawn_terms(fit), _dense(curve)
     y_limits = _y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms])
     _style_allan(axes, units, curve.tau[shown], y_limits)
-    entries = _points(axes, axis, shown, factor)
-    total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate)) * factor
-    if axis.fit.model.terms:
-        name = f"model {axis.fit.model}"
+    entries = _points(axes, fit, shown, factor)
+    total = np.sqrt(fit.model.avar(m, rate_hz=rate)) * factor
+    if fit.model.terms:
+        name = f"model {fit.model}"
         entries += axes.plot(m / rate, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
     obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (m / rate, total, 2.0)]
     labels = []
     for drawn in terms:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
         obstacles.append((m / rate, line, 0.7))
-        labels += _term(axes, axis, drawn, units, m / rate, line, total)
-    labels.append(_minimum(axes, axis, units))
+        labels += _term(axes, fit, drawn, units, m / rate, line, total)
+    labels.append(_minimum(axes, fit, units))
     place_labels(axes, labels, obstacles=obstacles, fontsize=LEGEND_SIZE)
-    return entries + term_entries(axis, terms)
+    return entries + term_entries(fit, terms)
 
 
 def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits) -> None:
@@ -400,20 +400,20 @@ def _y_limits(adev: FloatArray, heights: list[float]) -> tuple[float, float]:
     return bottom, top
 
 
-def _points(axes: "Axes", axis: AxisReport, shown: IntArray, factor: float) -> list[Any]:
-    curve = axis.fit.curve
-    low, high = (limit * factor for limit in curve.confidence_interval(axis.fit.level))
+def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list[Any]:
+    curve = fit.curve
+    low, high = (limit * factor for limit in curve.confidence_interval(fit.level))
     adev = curve.adev * factor
     known = shown[np.isfinite(low[shown]) & np.isfinite(high[shown])]
     entries: list[Any] = []
     dots: dict[str, Any] = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
-    used, unused = np.intersect1d(shown, axis.fit.used), np.setdiff1d(shown, axis.fit.used)
+    used, unused = np.intersect1d(shown, fit.used), np.setdiff1d(shown, fit.used)
     if used.size:
         name = f"Allan deviation ({curve.estimator})"
         # Above the labels' white boxes: no label hides a part of a point.
         entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **dots)
     if known.size:
-        name = f"its {100 * axis.fit.level:.4g} % interval"
+        name = f"its {100 * fit.level:.4g} % interval"
         band: dict[str, Any] = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2, "label": name}
         entries.append(axes.fill_between(curve.tau[known], low[known], high[known], **band))
     if unused.size:
@@ -424,7 +424,7 @@ def _points(axes: "Axes", axis: AxisReport, shown: IntArray, factor: float) -> l
 
 def _term(  # noqa: PLR0917 - drawing takes what is drawn
     axes: "Axes",
-    axis: AxisReport,
+    fit: NoiseFit,
     drawn: Drawn,
     units: SheetUnits,
     tau: FloatArray,
@@ -440,7 +440,7 @@ def _term(  # noqa: PLR0917 - drawing takes what is drawn
     if at is None and not bounded:
         # A floor is read where it makes up most of the curve.
         at = float(tau[np.argmax(np.where((tau > left * 2) & (tau < right / 2), line / total, 0))])
-    text = estimate_text(drawn.estimate, axis.sensor, units)
+    text = estimate_text(drawn.estimate, fit.sensor, units)
     if at is not None and left < at < right and bottom < height < top:
         mark = _read_off_mark(stroke, bounded=bounded)
         axes.plot([at], [height], color=stroke.light, linestyle="none", zorder=8, **mark)
@@ -456,12 +456,12 @@ def _term(  # noqa: PLR0917 - drawing takes what is drawn
     return [Label(text=text, x=tau[some], y=line[some], colour=stroke.light)]
 
 
-def _minimum(axes: "Axes", axis: AxisReport, units: SheetUnits) -> Label:
+def _minimum(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> Label:
     """Ring the lowest point of the curve; return its label."""
-    adev, tau = axis.fit.curve.minimum
+    adev, tau = fit.curve.minimum
     adev *= units.level.factor
     axes.plot([tau], [adev], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
-    return _mark_label(f"minimum {numbers.with_interval(units.minimum(axis.fit))}", tau, adev, INK)
+    return _mark_label(f"minimum {numbers.with_interval(units.minimum(fit))}", tau, adev, INK)
 
 
 #: At most this many lines are named, the strongest first; all are marked.
@@ -480,7 +480,7 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     axes.fill_between(frequency, smooth.low * factor, smooth.high * factor, **band)
     axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
     grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
-    for drawn in drawn_terms(axis):
+    for drawn in drawn_terms(axis.fit):
         density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz)) * factor
         stroke = TERMS[drawn.estimate.symbol].stroke
         if drawn.estimate.value is not None and np.any(density > 0):
@@ -597,7 +597,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     write_head(
         figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})"
     )
-    entries = draw_allan(left, axis, units)
+    entries = draw_allan(left, fit, units)
     names = {str(entry.get_label()) for entry in entries}
     entries += [entry for entry in draw_psd(right, axis, units) if str(entry.get_label()) not in names]
     figure.legend(
@@ -631,6 +631,31 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     draw_allan_overview(left, axes, units)
     draw_psd_overview(right, axes, units)
     _write_table(figure, axes, rows)
+    return figure
+
+
+#: Inches of a column of a paper, its height, and the points of all its text.
+_COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
+
+
+def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
+    """Return Allan deviations for one column of a paper: no title, no foot, text of 8 points."""
+    from matplotlib.text import Text
+
+    figure = new_figure(_COLUMN, _COLUMN_HEIGHT, _DPI)
+    axes = figure.add_axes((0.17, 0.15, 0.81, 0.83))
+    if isinstance(item, Sensor):
+        own = report.by_sensor[item]
+        draw_allan_overview(axes, own, _units(report, item))
+        for axis in own:
+            stroke, mark = AXES[axis.axis], MARKERS[axis.axis]
+            style: dict[str, Any] = {"marker": mark, "markersize": 3.8, "markerfacecolor": "white"}
+            axes.plot([], [], color=stroke.light, label=axis.axis, **style, **dashes(stroke))
+        axes.legend(loc="upper right", **LEGEND_STYLE)
+    else:
+        draw_allan(axes, item.fit, _units(report, item.sensor))
+    for text in figure.findobj(Text):
+        text.set_fontsize(_COLUMN_SIZE)
     return figure
 
 
@@ -779,13 +804,26 @@ class Drawings:
         return found
 
 
-def picture_names(report: Report, formats: Sequence[str]) -> tuple[str, ...]:
+def picture_names(report: Report, formats: Sequence[str], *, paper: bool = False) -> tuple[str, ...]:
     """Return the names of the files that are drawn of a report."""
-    return tuple(f"{_stem(item)}.{form}" for item in _items(report) for form in formats)
+    names = [f"{_stem(item)}.{form}" for item in _items(report) for form in formats]
+    if paper:
+        names += [f"{_stem(item)}-paper.{form}" for item in _items(report) for form in _vectors(formats)]
+    return tuple(names)
+
+
+def _vectors(formats: Sequence[str]) -> Sequence[str]:
+    """Return the formats of pictures for papers: those asked for that scale, else pdf."""
+    return [form for form in formats if form != "png"] or ["pdf"]
 
 
 def draw(
-    report: Report, formats: Sequence[str], *, page: bool = False, workers: int | None = None
+    report: Report,
+    formats: Sequence[str],
+    *,
+    page: bool = False,
+    paper: bool = False,
+    workers: int | None = None,
 ) -> Drawings:
     """Draw the pictures of a report, each once.
 
@@ -795,20 +833,22 @@ def draw(
         Of the files: ``png``, ``svg``, ``pdf``.
     page
         Whether a page shows them: then there is a png where no other format would do.
+    paper
+        Whether to draw them for a paper too, as ``gyro-paper.pdf``.
     workers
         Most at a time; by default as many as the machine has processors.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
         wanted += ("png",)
-    items = _items(report) if wanted else ()
+    items = _items(report) if wanted or paper else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
         # Loaded once, by the process that the others are forked from.
         import_module("matplotlib.figure")
         import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
-    for one in side_by_side(partial(_draw_one, report, formats=wanted), items, workers=count):
+    for one in side_by_side(partial(_draw_one, report, formats=wanted, paper=paper), items, workers=count):
         drawn.files |= one.files
         drawn.failures += one.failures
     return drawn
@@ -823,7 +863,9 @@ def _stem(item: AxisReport | Sensor) -> str:
     return item.short if isinstance(item, Sensor) else item.name
 
 
-def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...]) -> Drawings:
+def _draw_one(
+    report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], paper: bool
+) -> Drawings:
     """Build one figure once, and make all of its files."""
 
     @cache
@@ -832,11 +874,17 @@ def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, 
             return sensor_figure(report, item)
         return axis_figure(report, item)
 
+    @cache
+    def column() -> "Figure":
+        return paper_figure(report, item)
+
     result = Drawings()
-    for form in formats:
-        name = f"{_stem(item)}.{form}"
+    wanted = [(f"{_stem(item)}.{form}", made) for form in formats]
+    wanted += [(f"{_stem(item)}-paper.{form}", column) for form in _vectors(formats) if paper]
+    for name, figure in wanted:
+        form = name.rpartition(".")[2]
         content, failed = try_side_work(
-            lambda form=form: render(made(), form, version=report.version),  # type: ignore[misc]
+            lambda figure=figure, form=form: render(figure(), form, version=report.version),  # type: ignore[misc]
             None,
             what=f"{name} was left out",
             code="not-drawn",

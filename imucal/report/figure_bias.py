@@ -36,7 +36,7 @@ from imucal.report.figure import (
     write_head,
 )
 from imucal.report.sheet_units import level_unit
-from imucal.units import duration, pretty
+from imucal.units import duration, pretty, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,8 +48,6 @@ _LEFT, _RIGHT = 0.095, 0.985
 _DPI = 160
 #: Points of a line, and averages of the samples.
 _POINTS, _AVERAGES = 1500, 1000
-#: Seconds below which a time axis is in s, and in min.
-_SECONDS, _MINUTES = 600.0, 2 * 3600.0
 #: Half the width of the band, in standard errors.
 _BAND = 2.0
 
@@ -62,7 +60,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
     height = _HEAD + _TOP + len(shown) * (_PART + _SPACE) + _FOOT
     figure = new_figure(_WIDTH, height, _DPI)
     scale, unit = _unit(parts)
-    divisor, time_unit = _time_unit(float(parts.time_s[-1]))
+    divisor, time_name = time_unit(float(parts.time_s[-1]))
     view = _View(parts, scale, divisor)
     bottom = height - _HEAD - _TOP
     axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _TOP / height))
@@ -72,7 +70,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
         bottom -= _PART + _SPACE
         axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _PART / height))
         _draw_part(axes, view, part, unit)
-    axes.set_xlabel(f"time ({time_unit})", **LABEL_STYLE)
+    axes.set_xlabel(f"time ({time_name})", **LABEL_STYLE)
     series, count = parts.series, f"{int(np.isfinite(parts.samples).sum()):,}".replace(",", " ")
     recorded = f"{duration(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples"
     title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
@@ -125,13 +123,6 @@ def _unit(parts: Decomposition) -> tuple[float, str]:
     size = float(np.ptp(parts.bias.value)) + float(parts.bias.error.max())
     unit = level_unit(parts.series.sensor, size)
     return unit.factor, pretty(unit.name)
-
-
-def _time_unit(duration_s: float) -> tuple[float, str]:
-    """Return what times are divided by, and their unit then."""
-    if duration_s < _SECONDS:
-        return 1.0, "s"
-    return (60.0, "min") if duration_s < _MINUTES else (3600.0, "h")
 
 
 def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:

@@ -164,7 +164,7 @@ def _fine(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
     frequency = axis.spectrum.frequency
     grid = np.geomspace(frequency[0], frequency[-1], _FINE) if frequency.size else np.zeros(0)
     terms = []
-    for drawn in drawn_terms(axis):
+    for drawn in drawn_terms(axis.fit):
         estimate = drawn.estimate
         line = np.sqrt(drawn.term.avar(m, 1 / rate))
         at = drawn.tau_s

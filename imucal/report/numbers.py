@@ -57,6 +57,11 @@ def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
     return min(terms, key=lambda term: abs(math.log(term.T / time.value)))
 
 
+def term_name(symbol: str, sensor: Sensor | None) -> str:
+    """Return what the field calls a term; what it is, where nobody knows the sensor."""
+    return TERMS[symbol].name(sensor) if sensor else TERMS[symbol].words.meaning
+
+
 def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
     """Return an estimate's coefficient in SI; without a unit where nobody knows the sensor."""
     unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""

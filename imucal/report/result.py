@@ -8,11 +8,15 @@ import numpy as np
 from imucal.allan.dct import Spectrum
 from imucal.arrays import FloatArray, read_only
 from imucal.clock import Gap
+from imucal.display import Displayed
+from imucal.errors import MissingError
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
+#: Shorter records, in s, do not tell what a filter meets that coasts for a minute: that is a fifth of this.
+_TELLS_S = 300.0
 #: What is said of an axis that has no result.
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
@@ -96,6 +100,9 @@ class AxisReport:
         """SI unit of the samples."""
         return self.sensor.unit
 
+    def __getitem__(self, key: str) -> Estimate:
+        return self.fit[key]
+
     @property
     def white_error(self) -> float:
         """Half of the interval of N, relative to N; infinite where no data show it."""
@@ -103,8 +110,8 @@ class AxisReport:
         return (white.high - white.low) / (2 * white.value) if white.value and self.samples else np.inf
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Report:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Report(Displayed):
     """A characterised recording.
 
     Attributes
@@ -128,6 +135,13 @@ class Report:
     version: str
     findings: tuple[Finding, ...] = ()
 
+    def __getitem__(self, name: str) -> AxisReport:
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        msg = f"no axis {name!r}; the report has {', '.join(axis.name for axis in self.axes)}"
+        raise MissingError(msg)
+
     @property
     def by_sensor(self) -> dict[Sensor, list[AxisReport]]:
         """The axes of each sensor that has any, the gyroscope first."""
@@ -145,4 +159,12 @@ class Report:
         errors = {axis.name: axis.white_error for axis in self.axes if np.isfinite(axis.white_error)}
         failed = (f.axis for f in self.findings if f.code in _WITHOUT_RESULT and f.level == "error")
         names = [*(axis.name for axis in self.axes), *(name for name in failed if name)]
-        return judge_findings(self.all_findings, list(dict.fromkeys(names)), errors=errors)
+        return judge_findings(
+            self.all_findings, list(dict.fromkeys(names)), errors=errors, too_short=self._too_short
+        )
+
+    @property
+    def _too_short(self) -> bool:
+        """Whether no axis shows B or K, and the record tells nothing of the times that filters coast for."""
+        unseen = all(axis.fit[key].value is None for axis in self.axes for key in ("B", "K"))
+        return unseen and any(axis.samples and axis.duration_s < _TELLS_S for axis in self.axes)

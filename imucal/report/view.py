@@ -125,7 +125,7 @@ def _rows(fits: tuple[NoiseFit, ...], units: SheetUnits) -> Iterator[Row]:
     symbols = {estimate.key: estimate.symbol for fit in fits for estimate in fit.estimates}
     for key in sorted(symbols, key=lambda key: list(TERMS).index(symbols[key])):
         found = [next((e for e in fit.estimates if e.key == key), None) for fit in fits]
-        name = TERMS[symbols[key]].name(sensor) if sensor else TERMS[symbols[key]].words.meaning
+        name = numbers.term_name(symbols[key], sensor)
         yield Row(
             key=key,
             symbol=symbols[key],

@@ -33,7 +33,7 @@ _REPORT, _BEGUN = "report.json", "begun.json"
 #: What stands in the place of a report that is on its way.
 _INCOMPLETE = "its files were being replaced; write the report again"
 #: Files this module writes, in any version and with any settings.
-_OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")
+_OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?(-paper)?\.(json|png|svg|pdf)")
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
 #: Of a foreign folder's files, the message names so many.
 _NAMED = 3
@@ -45,6 +45,7 @@ def write_report(
     *,
     formats: Sequence[str] = ("png",),
     html: bool = True,
+    paper: bool = False,
     tell: Callable[[Finding], None] | None = None,
     workers: int | None = None,
 ) -> tuple[Path, ...]:
@@ -60,6 +61,8 @@ def write_report(
         Of the pictures: ``png``, ``svg``, ``pdf``; empty for none.
     html
         Whether to write the page.
+    paper
+        Whether to draw the curves for one column of a paper too, such as ``gyro-paper.pdf``.
     tell
         Called with the finding of each picture or page that was left out.
     workers
@@ -79,11 +82,11 @@ def write_report(
     if unknown:
         msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
         raise ValueError(msg)
-    names = _names(report, picture_names(report, formats), html=html)
+    names = _names(report, picture_names(report, formats, paper=paper), html=html)
     with _translated(out):
         _refuse_foreign(out, names)
         with _scratch(out) as scratch:
-            drawings = draw(report, formats, page=html, workers=workers)
+            drawings = draw(report, formats, page=html, paper=paper, workers=workers)
             written = _write_all(report, drawings, names, scratch, tell or (lambda _: None))
             sync_folder(scratch)
             names = tuple(name for name in names if name in written)
@@ -115,7 +118,7 @@ def _names(report: Report, pictures: Sequence[str], *, html: bool) -> tuple[str,
     names = [_REPORT, *(["report.html"] if html else [])]
     for stem in stems:
         names += [f"{stem}.json"] if stem in {axis.name for axis in report.axes} else []
-        names += [name for name in pictures if name.rpartition(".")[0] == stem]
+        names += [name for name in pictures if name.rpartition(".")[0] in {stem, f"{stem}-paper"}]
     return tuple(names)
 
 

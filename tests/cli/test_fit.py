@@ -25,10 +25,10 @@ def test_results_and_talk_go_to_different_streams(
     """Standard output holds the table alone; paths and findings stand on standard error."""
     done, _ = whole
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(("Good: ", "Look first: "))
+    assert done.stdout.startswith(("Good for N; ", "Look first: "))
     assert done.stdout.splitlines()[1:3] == ["", "GYROSCOPE                                ACCELEROMETER"]
     assert "report.json" not in done.stdout
-    assert "too_short-imucal/report.json" in done.stderr
+    assert "Wrote too_short-imucal: report.json, report.html, 8 pictures, 6 JSON files\n" in done.stderr
     assert "imucal export too_short-imucal" in done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "\x1b" not in done.stdout + done.stderr

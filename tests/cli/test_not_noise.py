@@ -74,7 +74,8 @@ def test_fit_and_adev_end_with_code_4_and_one_line(
         done = run(*command, "-q", cwd=tmp_path)
         assert done.returncode == 4
         (line,) = done.stderr.splitlines()
-        ended = "(nothing was written|the curves were printed); record again at rest, or --force"
+        remedy = r"(record again at rest, or --force|fit the rest with --skip \d+s --take \d+s)"
+        ended = f"(nothing was written|the curves were printed); {remedy}"
         assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", line)
         assert done.stdout
     forced = run("adev", "log.csv", "-q", "--force", cwd=tmp_path)
@@ -103,9 +104,9 @@ def test_the_report_is_written_and_says_so(tmp_path: Path) -> None:
     assert done.returncode == 4
     assert done.stdout.splitlines()[0] == said
     assert "imucal export" not in done.stderr
-    assert done.stderr.splitlines()[-1] == (
+    assert done.stderr.splitlines()[-1].startswith(
         "Error: log.csv: not noise: the IMU was moved; do not use these numbers; log-imucal says so; "
-        "record again at rest, or --force"
+        "fit the rest with --skip "
     )
     report = json.loads((tmp_path / "log-imucal" / "report.json").read_text(encoding="utf-8"))
     assert (report["verdict"], report["verdict_sentence"]) == ("not-noise", said)
@@ -139,7 +140,9 @@ def test_noise_at_rest_is_good(tmp_path: Path) -> None:
     write(tmp_path / "log.csv", fine)
     done = run("fit", "log.csv", *QUICK, "-q", "--strict", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("Good: 6 of 6 axes are stationary noise, N to ±")
+    assert done.stdout.startswith(
+        "Good for N; too short for B and K: 6 of 6 axes are stationary noise, N to ±"
+    )
     done = run("adev", "log.csv", cwd=tmp_path)
     assert done.stderr.splitlines()[-1] == "Good: 6 of 6 axes are stationary noise"
 

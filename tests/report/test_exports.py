@@ -139,7 +139,7 @@ def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> 
     largest = np.sqrt(np.min(curve.avar / exact))
     number = Numbers(report=report, choices=Choices(), target="x").of(report.axes[1], "K")
     assert number.excess == pytest.approx(4.1e-7 / largest)
-    assert f"{4.1e-7 / largest:.2g} x the largest that fits under the measured curve" in number.note
+    assert f"{4.1e-7 / largest:.2g} x its line that touches the measured curve" in number.note
     assert Numbers(report=report, choices=Choices(), target="x").of(report.axes[0], "K").excess is None
 
 

@@ -129,7 +129,7 @@ def test_a_term_out_of_view_is_still_named() -> None:
 def test_read_offs_lie_on_their_line(text: str, tau: float, height: float) -> None:
     """Where IEEE Std 952 reads each coefficient, the term's own curve has that height."""
     axis = axis_report(Sensor.GYROSCOPE, "x", text, rate_hz=1000.0)
-    drawn = drawn_terms(axis)[0]
+    drawn = drawn_terms(axis.fit)[0]
     assert drawn.tau_s == pytest.approx(tau)
     assert drawn.height == pytest.approx(height, rel=1e-3)
     avar = NoiseModel.parse(text).avar(np.array([round(tau * 1000)]), rate_hz=1000.0)

@@ -193,4 +193,4 @@ def _difference(choice: RankedModels, count: int) -> str:
         return f"between {min(numbers)} and {max(numbers)} {symbol} terms"
     if len(unsure) == 1:
         return f"{unsure[0]} may or may not be there"
-    return f"{', '.join(unsure[:-1])} and {unsure[-1]} may stand for one another"
+    return f"it can't distinguish {', '.join(unsure[:-1])} and {unsure[-1]}"

@@ -25,7 +25,7 @@ from imucal.readers.clocks.placing import (
     step_statistics,
 )
 from imucal.readers.store import Room, count, equal, is_constant
-from imucal.recording import Recording
+from imucal.recording import gap_findings
 
 #: Name of the time at which a message was recorded.
 LOG_TIME = "log time"
@@ -36,8 +36,6 @@ _ZEROS = 0.01
 _DAY = 86_400 * 10**9
 #: More resets of a clock than one in so many samples: the stamps are noise.
 _RESETS = 20
-#: Share of missing samples up to which gaps are not worth a warning.
-_FEW = 1e-3
 #: Samples looked at, evenly spread.
 _MOST = 100_000
 #: Shortest log whose clocks are compared, in s, and difference worth a word, as a fraction.
@@ -116,22 +114,6 @@ def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
     return [_warning("clock-jump", text)]
 
 
-def gap_notes(clock: Clock) -> list[Finding]:
-    """Return a finding for the missing samples, with the longest gap."""
-    gaps = clock.gaps
-    if not gaps:
-        return []
-    longest = max(gaps, key=lambda gap: gap.missing)
-    share = clock.missing / clock.grid_size
-    samples, are = ("sample", "is") if clock.missing == 1 else ("samples", "are")
-    text = (
-        f"{clock.missing} {samples} ({share:.2g} of all) {are} missing in "
-        f"{'one gap' if len(gaps) == 1 else f'{len(gaps)} gaps'}; "
-        f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
-    )
-    return [_warning("gaps", text) if share > _FEW else _info("gaps", text)]
-
-
 def repeats(
     stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
 ) -> BoolArray | None:
@@ -182,21 +164,6 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
         text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
         findings.append(_warning("clocks-differ", text))
     return findings
-
-
-def part_between(recording: Recording, start_s: float, end_s: float) -> Recording:
-    """Return a part of a log with the finding of its own gaps, not of those that were left out.
-
-    Raises
-    ------
-    DataError
-        As `Recording.between`.
-    """
-    part = recording.between(start_s, end_s)
-    clocks = {id(series.clock): series.clock for series in part.series}
-    gaps = [note for clock in clocks.values() for note in gap_notes(clock)]
-    others = [finding for finding in part.findings if finding.code != "gaps"]
-    return replace(part, findings=tuple(dict.fromkeys([*others, *gaps])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -362,7 +329,7 @@ class _Stamps:
             start_ns=int(self.stamps[0]),
             jitter_s=jitter / 1e9,
         )
-        notes += gap_notes(clock)
+        notes += gap_findings([clock])
         if breaks.doubled.size:
             keep = self.room.made(stamps.size, np.bool_, lambda _: True)
             keep[breaks.doubled] = False

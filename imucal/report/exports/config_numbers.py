@@ -150,7 +150,7 @@ class Number:
         text = f", UPPER BOUND ({level}): the data do not show this term"
         if not self.excess:
             return text
-        return f"{text}; {self.excess:.2g} x the largest that fits under the measured curve"
+        return f"{text}; {self.excess:.2g} x its line that touches the measured curve"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

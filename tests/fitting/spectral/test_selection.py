@@ -154,7 +154,7 @@ def _models(structures: list[Structure], criterion: list[float], second: float =
         (
             [("N", "B"), ("N", "K"), ("N", "GM"), ("Q", "N")],
             [3.0, 4.0, 8.5, 20.0],
-            "N + B from N + K (+1.0), N + GM (+5.5): B, GM and K may stand for one another.",
+            "N + B from N + K (+1.0), N + GM (+5.5): it can't distinguish B, GM and K.",
         ),
         (
             [("N", "GM"), ("N", "GM", "GM")],

@@ -5,9 +5,10 @@ import pytest
 
 from imucal.arrays import IntArray
 from imucal.clock import Clock, Segment
-from imucal.readers.clocks.from_stamps import compare_clocks, gap_notes, jump_notes, stamp_notes
+from imucal.readers.clocks.from_stamps import compare_clocks, jump_notes, stamp_notes
 from imucal.readers.clocks.period import Period
 from imucal.readers.clocks.placing import Breaks, Steps
+from imucal.recording import gap_findings
 
 NONE = np.zeros(0, dtype=np.int64)
 TAU = 5_000_000
@@ -137,9 +138,9 @@ def test_gaps(offsets: tuple[int, ...], level: str, text: str) -> None:
         start_ns=0,
         jitter_s=0.0,
     )
-    (note,) = gap_notes(clock)
+    (note,) = gap_findings([clock])
     assert (note.level, note.code, note.text) == (level, "gaps", text)
-    assert gap_notes(Clock.even(1000, 200.0)) == []
+    assert list(gap_findings([Clock.even(1000, 200.0)])) == []
 
 
 @pytest.mark.parametrize(

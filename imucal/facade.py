@@ -1,0 +1,250 @@
+"""What people type in a notebook: each job is one call; a refusal is an `ImucalError` that says what to type.
+
+These take what is at hand (an array, a path, a text) and hand it to the stage that does the work.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, Unpack, overload
+
+import numpy as np
+
+from imucal.allan import AllanCurve
+from imucal.arrays import FloatArray
+from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
+from imucal.checking import check as check_limits
+from imucal.errors import ArgumentError, ImucalError
+from imucal.fitting import NoiseFit
+from imucal.fitting import fit as fit_axis
+from imucal.pipeline import Settings, characterize
+from imucal.readers import LogContents, describe
+from imucal.recording import AxisSeries, Recording
+from imucal.report.exports import AxisPolicy, Basis, Unidentified
+from imucal.report.exports import export as export_report
+from imucal.report.json_file import load
+from imucal.report.result import Report
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["check", "export", "fit", "info"]
+
+
+class FitOptions(TypedDict, total=False):
+    """How to fit; see `imucal.fitting.fit`."""
+
+    model: str
+    method: str
+    level: float
+    criterion: str
+    weights: str
+    clean: bool
+    verify: bool
+    max_gm: int
+    segments: int
+
+
+class ExportOptions(TypedDict, total=False):
+    """What to write; see `imucal.report.exports.export`."""
+
+    axis_policy: AxisPolicy
+    inflate: Mapping[str, float]
+    unidentified: Unidentified
+    topic: str
+    numbers: Basis
+    horizon_s: float
+    step_s: float
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Turn what the stages say of an argument into an error that is imucal's too."""
+    try:
+        yield
+    except ImucalError:
+        raise
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+
+
+@overload
+def fit(source: Recording, **options: Unpack[FitOptions]) -> Report: ...
+@overload
+def fit(
+    source: "AxisSeries | AllanCurve | ArrayLike",
+    *,
+    rate_hz: float | None = None,
+    sensor: str = "gyroscope",
+    curve: AllanCurve | None = None,
+    temperature: FloatArray | None = None,
+    **options: Unpack[FitOptions],
+) -> NoiseFit: ...
+def fit(
+    source: "Recording | AxisSeries | AllanCurve | ArrayLike",
+    *,
+    rate_hz: float | None = None,
+    sensor: str = "gyroscope",
+    curve: AllanCurve | None = None,
+    temperature: FloatArray | None = None,
+    **options: Unpack[FitOptions],
+) -> NoiseFit | Report:
+    """Fit a noise model to one axis, or to every axis of a recording.
+
+    Parameters
+    ----------
+    source
+        An axis of a recording, an Allan curve, or samples of your own, shape (n,), evenly spaced, in rad/s or
+        m/s^2; or a whole recording, which is screened too, as by `imucal.characterize`.
+    rate_hz, sensor
+        Of samples of your own: the sampling rate, and ``gyroscope`` or ``accelerometer``.
+    curve
+        The samples' Allan curve, where it has been computed already.
+    temperature
+        In degrees Celsius, shape (n,), at the samples: its linear effect is taken out with the fit.
+    options
+        ``model``, ``method``, ``level``, ``criterion``, ``weights``, ``clean``, ``verify``, ``max_gm`` and
+        ``segments``, as in `imucal.fitting.fit`.
+
+    Returns
+    -------
+    The fit of one axis; of a recording a report, whose axes hold theirs.
+
+    Raises
+    ------
+    ArgumentError
+        If something is no recording, axis, curve or array, or an option is unknown.
+    DataError
+        If the samples can't be analysed: too few, constant, not finite.
+    """
+    with _refusals():
+        if isinstance(source, Recording):
+            if rate_hz is not None:
+                msg = "a recording has its own rate; leave rate_hz out, or read the log with rate_hz"
+                raise ArgumentError(msg)
+            return characterize(source, Settings(**options))
+        if not isinstance(source, AxisSeries | AllanCurve):
+            source = _own_samples(source, rate_hz, sensor)
+        return fit_axis(source, curve=curve, temperature=temperature, **options)
+
+
+def _own_samples(samples: "ArrayLike", rate_hz: float | None, sensor: str) -> AxisSeries:
+    if isinstance(samples, str | Path):
+        msg = f"{samples} is a path; type imucal.fit(imucal.read({str(samples)!r}))"
+        raise ArgumentError(msg)
+    try:
+        array = np.asarray(samples, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        msg = (
+            f"found {type(samples).__name__}, expected a recording, one of its axes, an Allan curve or an "
+            "array of samples; type imucal.fit(samples, rate_hz=200.0)"
+        )
+        raise ArgumentError(msg) from error
+    if array.ndim != 1:
+        msg = f"samples must have shape (n,), got {array.shape}; give one axis, such as samples[:, 0]"
+        raise ArgumentError(msg)
+    if rate_hz is None:
+        msg = "an array has no sampling rate of its own; give it, such as imucal.fit(samples, rate_hz=200.0)"
+        raise ArgumentError(msg)
+    return AxisSeries.from_samples(array, rate_hz=rate_hz, sensor=sensor)
+
+
+def _report(report: object) -> Report:
+    if isinstance(report, str | Path):
+        return load(Path(report))
+    if not isinstance(report, Report):
+        msg = f"found {type(report).__name__}, expected a report; type imucal.fit(recording) to make one"
+        raise ArgumentError(msg)
+    return report
+
+
+def export(
+    report: Report | str | Path, target: str, path: str | Path, **options: Unpack[ExportOptions]
+) -> tuple[Path, ...]:
+    """Write the config file of a filter or simulator, such as ``export(report, "kalibr", "imu.yaml")``.
+
+    Parameters
+    ----------
+    report
+        What was found; or the path of a report.json or its folder.
+    target
+        The format, such as ``kalibr`` or ``px4``; ``all`` writes each into the folder `path`.
+    path
+        The file to write, or a folder.
+    options
+        ``axis_policy``, ``inflate``, ``unidentified``, ``topic``, ``numbers``, ``horizon_s`` and ``step_s``,
+        as in `imucal.report.exports.export`.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+
+    Raises
+    ------
+    ArgumentError
+        If the format or an option is unknown.
+    DataError
+        If the report lacks what the format needs.
+    WriteError
+        If a file can't be written, or one of the same name wasn't written by imucal.
+    """
+    with _refusals():
+        return export_report(_report(report), target, Path(path), **options)
+
+
+def check(
+    report: Report | str | Path,
+    limits: Limits | str | Path | None = None,
+    *,
+    config: str | Path | None = None,
+    baseline: Report | None = None,
+) -> CheckResult:
+    """Hold a report against limits, a filter's config file, or both.
+
+    Parameters
+    ----------
+    report
+        What was found; or the path of a report.json or its folder.
+    limits
+        A TOML file of limits, or its text, such as ``[gyroscope]`` and below it ``N = { max = 1e-4 }``.
+    config
+        A filter's config file, whose noise parameters are held to those of the report.
+    baseline
+        An older report, for limits that compare with one.
+
+    Raises
+    ------
+    ArgumentError
+        If there is nothing to check against.
+    LimitsError
+        If the limits or the config can't be read.
+    """
+    with _refusals():
+        found = _report(report)
+        if limits is None and config is None:
+            msg = "nothing to check against; type check(report, 'limits.toml'), or give config='imu.yaml'"
+            raise ArgumentError(msg)
+        result = check_limits(found, _limits(limits), baseline=baseline)
+        if config is None:
+            return result
+        return replace(result, rows=result.rows + check_config(Path(config), found))
+
+
+def _limits(limits: Limits | str | Path | None) -> Limits:
+    if limits is None or isinstance(limits, Limits):
+        return limits or Limits()
+    text = str(limits)
+    return parse_limits(text) if "\n" in text or "=" in text else read_limits(Path(text))
+
+
+def info(log: str | Path) -> LogContents:
+    """Return what is in a log: its topics with their types, counts, rates and lengths.
+
+    Raises
+    ------
+    ReadError
+        If the file is missing, damaged beyond reading or of an unknown format.
+    """
+    return describe(log)

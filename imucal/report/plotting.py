@@ -1,0 +1,166 @@
+"""`imucal.plot`: recordings, curves, fits and reports in the style of the report's pictures."""
+
+from functools import singledispatch
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.errors import ArgumentError
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.recording import AxisSeries, Recording, Sensor
+from imucal.report.figure import (
+    AXES,
+    DATA,
+    INK,
+    LABEL_STYLE,
+    LEGEND_STYLE,
+    MARKERS,
+    MODEL,
+    axis_title,
+    dashes,
+    draw_allan,
+    draw_allan_overview,
+    limits,
+    quiet_frame,
+    shown_points,
+    style_axes,
+)
+from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.sheet_units import sheet_units
+from imucal.units import pretty, time_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
+__all__ = ["plot"]
+
+#: Inches: of one plot, and how much wider each further one makes the figure.
+_WIDTH, _HEIGHT = 6.4, 4.2
+#: Most stretches that a signal is drawn of.
+_STRETCHES = 800
+
+
+def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tuple[Axes, ...]":
+    """Draw a value in the report's style, with named units.
+
+    Parameters
+    ----------
+    value
+        A recording or an axis of it (the lowest and highest sample of each stretch of time), an Allan curve,
+        a fit or an axis of a report (curve, model and terms), or a report (the curves of each sensor).
+    ax
+        Where to draw: matplotlib's axes, for a recording or a report one for each sensor. By default in a new
+        figure of pyplot's, which a notebook shows.
+
+    Returns
+    -------
+    The axes; of a recording and of a report a tuple, the gyroscope's first.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no picture of such a value, or not one of the axes for each sensor.
+    """
+    if isinstance(value, Recording | Report):
+        each = _by_sensor(value)
+        places = _places(ax, len(each))
+        for place, (sensor, parts) in zip(places, each.items(), strict=True):
+            _draw_sensor(parts, place)
+            place.set_title(str(sensor).capitalize(), loc="left", color=INK, fontweight="bold")
+        return places
+    (place,) = _places(ax, 1)
+    _draw(value, place)
+    return place
+
+
+def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]":
+    """Return so many axes: those that were given, or those of a new figure."""
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        width = _WIDTH * (1 + 0.9 * (count - 1))
+        figure, made = plt.subplots(1, count, squeeze=False, figsize=(width, _HEIGHT))
+        # Final at once: labels find their places by it.
+        left, room = 0.75 / width, 0.28
+        figure.subplots_adjust(left=left, right=1 - 0.15 / width, top=0.92, bottom=room, wspace=3 * left)
+        return tuple(made[0])
+    given = tuple(np.ravel(np.asarray(ax, dtype=object)))
+    if len(given) != count:
+        msg = f"found {len(given)} axes, expected {count}, one for each sensor; give so many as ax, or none"
+        raise ArgumentError(msg)
+    return given
+
+
+def _by_sensor(value: Recording | Report) -> dict[Sensor, list[Any]]:
+    parts = value.series if isinstance(value, Recording) else value.axes
+    found = {sensor: [part for part in parts if part.sensor is sensor] for sensor in Sensor}
+    return {sensor: own for sensor, own in found.items() if own}
+
+
+def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
+    """Draw the signals, or the curves, of a sensor's axes, and a legend of which is which."""
+    if isinstance(parts[0], AxisReport):
+        draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
+        for axis in parts:
+            stroke = AXES[axis.axis]
+            mark: dict[str, Any] = {"marker": MARKERS[axis.axis], "markerfacecolor": "white"}
+            axes.plot([], [], color=stroke.light, label=axis.axis, **mark, **dashes(stroke))
+    else:
+        for series in parts:
+            _draw_signal(series, axes)
+    axes.legend(loc="upper right", **LEGEND_STYLE)
+
+
+@singledispatch
+def _draw(value: object, _: "Axes") -> None:
+    known = "a recording, one of its axes, an Allan curve, a fit or a report"
+    msg = f"{type(value).__name__} has no picture; give {known}"
+    raise ArgumentError(msg)
+
+
+def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
+    seen = Overview.of(series, stretches=_STRETCHES)
+    divisor, name = time_unit(series.duration_s)
+    mean = float(np.nanmean((seen.low + seen.high) / 2)) if seen.low.size else 0.0
+    style: dict[str, Any] = {"color": AXES[series.axis].light, "alpha": 0.45, "linewidth": 0.5}
+    axes.fill_between(seen.time_s / divisor, seen.low - mean, seen.high - mean, label=series.axis, **style)
+    quiet_frame(axes)
+    axes.set_xlabel(f"time ({name})", **LABEL_STYLE)
+    axes.set_ylabel(f"samples less their middle ({pretty(series.unit)})", **LABEL_STYLE)
+
+
+_draw.register(AxisSeries)(_draw_signal)
+
+
+@_draw.register(AllanCurve)
+def _(curve: AllanCurve, axes: "Axes") -> None:
+    shown = shown_points(curve)
+    tau, adev = curve.tau[shown], curve.adev[shown]
+    style_axes(
+        axes,
+        x="averaging time τ (s)",
+        y="Allan deviation (unit of the samples)",
+        x_limits=limits(tau, below=1.6, above=1.9),
+        y_limits=limits(adev, below=2.2, above=2.2),
+    )
+    low, high = (limit[shown] for limit in curve.confidence_interval())
+    axes.fill_between(tau, low, high, color=MODEL.light, alpha=0.2, linewidth=0, label="95 % interval")
+    axes.plot(
+        tau, adev, color=DATA.light, marker="o", markersize=4.4, linestyle="none", label=curve.estimator
+    )
+    axes.legend(**LEGEND_STYLE)
+
+
+@_draw.register(NoiseFit)
+def _(fit: NoiseFit, axes: "Axes") -> None:
+    entries = draw_allan(axes, fit, sheet_units([fit]))
+    axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, **LEGEND_STYLE)
+
+
+@_draw.register(AxisReport)
+def _(axis: AxisReport, axes: "Axes") -> None:
+    _draw(axis.fit, axes)
+    axes.set_title(axis_title(axis), loc="left", color=INK, fontweight="bold")

@@ -1,0 +1,126 @@
+"""What a run leaves on the terminal: one line a folder, one remedy, errors as JSON, defaults from a file."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.cli import main
+from tests.cli.run import SAMPLE_LOGS, run
+
+_QUICK = ("--model", "N", "--segments", "1", "--no-html", "--format", "svg")
+_SHORT = str(SAMPLE_LOGS / "too_short.db3")
+
+
+def _write(path: Path, seconds: int, *, carried_s: float = 0.0) -> None:
+    """Write six axes of white noise at 50 Hz, carried about for some time at both ends."""
+    rng, t = np.random.default_rng(12), np.arange(seconds * 50) / 50
+    values = rng.standard_normal((t.size, 6)) * ([1e-3] * 3 + [1e-2] * 3)
+    values[:, 5] += 9.81
+    moved = (t < carried_s) | (t >= seconds - carried_s)
+    values[moved] += (0.5 * np.sin(2 * np.pi * 0.7 * t[moved]))[:, None]
+    header = "t[s],gx[rad/s],gy[rad/s],gz[rad/s],ax[m/s^2],ay[m/s^2],az[m/s^2]"
+    np.savetxt(path, np.column_stack([t, values]), delimiter=",", header=header, comments="", fmt="%.9g")
+
+
+def test_a_folder_is_one_line_and_a_second_run_says_that_it_replaces(tmp_path: Path) -> None:
+    """Instead of a line a file."""
+    first = run("fit", _SHORT, "-o", "out", *_QUICK, cwd=tmp_path)
+    assert "Wrote out: report.json, 8 pictures, 6 JSON files\n" in first.stderr
+    again = run("fit", _SHORT, "-o", "out", *_QUICK, "--figure", "paper", cwd=tmp_path)
+    assert "Replaced the report in out: report.json, 16 pictures, 6 JSON files\n" in again.stderr
+    picture = (tmp_path / "out" / "gyro-paper.svg").read_text(encoding="utf-8")
+    # 3.5 inches of 72 points.
+    assert 'width="252pt"' in picture
+    assert "imucal 0" not in picture.partition("</metadata>")[2]
+
+
+def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path) -> None:
+    """The options that the finding gives do it."""
+    _write(tmp_path / "carried.csv", 120, carried_s=10.0)
+    done = run("fit", "carried.csv", "--no-report", *_QUICK[:4], cwd=tmp_path)
+    assert done.returncode == 4
+    said = " ".join(done.stderr.split())
+    assert said.count("error [") == 1
+    assert "--force" not in said
+    options = said.partition("Try ")[2].partition(".")[0].split()
+    assert said.endswith(f"nothing was written; fit the rest with {' '.join(options)}")
+    kept = run("fit", "carried.csv", "--no-report", *_QUICK[:4], *options, cwd=tmp_path)
+    assert kept.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "code"),
+    [
+        (("fit", "nothing.mcap", "--json"), "ReadError", 3),
+        (("info", "nothing.mcap", "--json"), "ReadError", 3),
+        (("fit", _SHORT, "--levl", "0.9", "--json"), "NoSuchOption", 2),
+    ],
+)
+def test_errors_are_json_where_json_was_asked_for(
+    arguments: tuple[str, ...], kind: str, code: int, tmp_path: Path
+) -> None:
+    """On standard output, beside the sentence on standard error."""
+    done = run(*arguments, cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert document["schema"] == "imucal/error/1"
+    assert (document["error"]["type"], document["error"]["exit_code"]) == (kind, code)
+    assert done.returncode == code
+    assert document["error"]["message"] in done.stderr
+
+
+def test_results_that_were_printed_stay_one_document(tmp_path: Path) -> None:
+    """A log that is not noise has its report on standard output, and the error on standard error alone."""
+    _write(tmp_path / "carried.csv", 120, carried_s=10.0)
+    done = run("fit", "carried.csv", "--no-report", "--json", *_QUICK[:4], cwd=tmp_path)
+    assert done.returncode == 4
+    assert json.loads(done.stdout)["verdict"] == "not-noise"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("imucal.toml", "[adev]\ntaus = '0.1,1'\n"), ("pyproject.toml", "[tool.imucal.adev]\ntaus = '0.1,1'\n")],
+)
+def test_defaults_come_from_a_file(name: str, text: str, tmp_path: Path) -> None:
+    """What is typed goes first."""
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    two = run("adev", _SHORT, "-q", cwd=tmp_path).stdout.splitlines()
+    typed = run("adev", _SHORT, "-q", "--taus", "octave", cwd=tmp_path).stdout.splitlines()
+    assert len(two) == 1 + 6 * 2
+    assert len(typed) > len(two)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[adev]\ntau = '1'\n", "imucal.toml: [adev]: there is no option 'tau'; did you mean taus?"),
+        ("adev = 3\n", "imucal.toml: [adev] is 3, expected a table of options"),
+        ("[adev\n", "imucal.toml: can't be read as TOML ("),
+    ],
+)
+def test_a_wrong_file_of_defaults_is_named(text: str, said: str, tmp_path: Path) -> None:
+    """Nothing is run with half of it."""
+    (tmp_path / "imucal.toml").write_text(text, encoding="utf-8")
+    done = run("adev", _SHORT, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert said in done.stderr
+
+
+def test_a_log_of_seconds_is_good_for_n_only(tmp_path: Path) -> None:
+    """The verdict says that it is too short for B and K."""
+    _write(tmp_path / "short.csv", 20)
+    done = run("fit", "short.csv", "--no-report", "-q", cwd=tmp_path)
+    assert done.stdout.startswith("Good for N; too short for B and K: 6 of 6 axes are stationary noise")
+
+
+def test_open_shows_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """In the browser, once it is written; not without a page."""
+    shown: list[str] = []
+    monkeypatch.setattr("click.launch", shown.append)
+    monkeypatch.chdir(tmp_path)
+    for more in (("--open",), ("--open", "--no-html"), ()):
+        with pytest.raises(SystemExit) as ended:
+            main(["fit", _SHORT, "-o", "out", "-q", "--model", "N", "--segments", "1", *more])
+        assert ended.value.code == 0
+    assert shown == [str(Path("out") / "report.html")]

@@ -1,0 +1,222 @@
+"""A notebook is a first-class place: values show themselves in a few lines and as the page's table."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import nbformat
+import numpy as np
+import polars as pl
+import pytest
+from lxml import html
+from nbclient import NotebookClient
+
+import imucal
+from imucal.display import Displayed
+from imucal.report.view import views
+from tests.fleet_report.simulated_store import write_store
+from tests.report.synthetic import consumer_report
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_the_notebook_of_the_docs_runs(tmp_path: Path) -> None:
+    """From top to bottom, in a folder with the sample logs: tables, pictures and texts."""
+    shutil.copytree(ROOT / "sample_logs", tmp_path / "sample_logs")
+    notebook = nbformat.read(ROOT / "docs" / "notebook.ipynb", as_version=4)  # type: ignore[no-untyped-call]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "IPYTHONDIR": str(tmp_path / "ipython")}
+    client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
+    client.create_kernel_manager()
+    client.execute(env=environment)
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    kinds = [kind for output in outputs for kind in output.get("data", {})]
+    assert kinds.count("image/png") == 3
+    assert kinds.count("text/html") >= 7
+    said = [output.text for output in outputs if output.output_type == "stream"]
+    assert said == [
+        "an array has no sampling rate of its own; give it, such as imucal.fit(samples, rate_hz=200.0)\n"
+    ]
+    texts = [output["data"]["text/plain"] for output in outputs if "data" in output]
+    assert max(len(text.splitlines()) for text in texts) <= 20
+    assert (tmp_path / "imu.yaml").is_file()
+    if kept := os.environ.get("IMUCAL_KEEP_NOTEBOOK"):
+        nbformat.write(notebook, kept)  # type: ignore[no-untyped-call]
+
+
+def _recording() -> imucal.Recording:
+    rng = np.random.default_rng(8)
+    series = [
+        imucal.AxisSeries.from_samples(rng.standard_normal(4000), rate_hz=100.0, sensor=sensor, axis=axis)
+        for sensor in ("gyroscope", "accelerometer")
+        for axis in ("x", "y", "z")
+    ]
+    return imucal.Recording(source=consumer_report().source, series=tuple(series))
+
+
+def _values() -> dict[str, Displayed]:
+    report, recording = consumer_report(), _recording()
+    return {
+        "recording": recording,
+        "series": recording["gyro_x"],
+        "curve": report.axes[0].fit.curve,
+        "fit": report.axes[2].fit,
+        "report": report,
+    }
+
+
+@pytest.mark.parametrize("name", _values())
+def test_values_show_themselves_in_twelve_lines(name: str) -> None:
+    """As text, as one or two tables, and as a data frame with as many rows as there are values."""
+    value = _values()[name]
+    assert 1 <= len(repr(value).splitlines()) <= 12
+    assert max(map(len, repr(value).splitlines())) < 200
+    tables = html.fromstring(value._repr_html_()).xpath(".//table")
+    assert len(tables) == (2 if name == "report" else 1)
+    assert all(table.xpath("caption") for table in tables)
+    assert isinstance(value.to_frame(), pl.DataFrame)
+    assert value.to_frame().height > 1
+
+
+def test_a_fleet_shows_itself(tmp_path: Path) -> None:
+    """A line a sensor model; the page's table of numbers for the config; a row a term and axis."""
+    write_store(tmp_path / "fleet", units=4, weak="", failures=False)
+    fleet = imucal.load_fleet(tmp_path / "fleet", unit_logs=False)
+    assert 2 <= len(repr(fleet).splitlines()) <= 12
+    assert html.fromstring(fleet._repr_html_()).xpath(".//table[@class='summary config']")
+    assert fleet.to_frame().height == sum(len(model.terms) for model in fleet.models)
+
+
+def test_a_frame_has_what_the_table_has() -> None:
+    """A row a term and axis; what is only bounded has no value."""
+    report = consumer_report()
+    frame = report.to_frame()
+    assert frame.height == sum(1 for seen in views(report) for row in seen.rows for cell in row.cells if cell)
+    bound = frame.filter((pl.col("axis") == "gyro_y") & (pl.col("term") == "K")).row(0, named=True)
+    assert (bound["value"], bound["low"], bound["high"]) == (None, 0.0, 4.1e-7)
+    assert bound["sheet_unit"] == "deg/h/sqrt(h)"
+
+
+def test_axes_and_terms_are_found_by_their_names() -> None:
+    """And parts of a recording by a length of time."""
+    report = consumer_report()
+    assert report["gyro_x"]["N"] is report.axes[0].fit["N"]
+    recording = _recording()
+    assert recording["accel_z"] is recording.axis("accel", "z") is recording.axis("accelerometer", "z")
+    assert recording.skip("10s").take("0.5min")["gyro_x"].duration_s == pytest.approx(30.0)
+    assert recording.skip(35)["gyro_y"].n == 500
+
+
+def test_a_part_has_the_gaps_of_its_own() -> None:
+    """Not those that were left out."""
+    clock = imucal.Clock.even(1000, 100.0).keeping(np.arange(1000) != 50)
+    series = imucal.AxisSeries(sensor=imucal.Sensor.GYROSCOPE, axis="x", samples=np.ones(999), clock=clock)
+    recording = imucal.Recording(source=consumer_report().source, series=(series,)).between(0.0, np.inf)
+    assert [finding.code for finding in recording.findings] == ["gaps"]
+    assert recording.skip("1s").findings == ()
+
+
+_SAMPLES = np.random.default_rng(3).standard_normal(2000)
+
+
+#: As who types it has it: unchecked.
+_api: Any = imucal
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: _api.fit(_SAMPLES), "give it, such as imucal.fit(samples, rate_hz=200.0)"),
+        (lambda: _api.fit("log.mcap"), "type imucal.fit(imucal.read('log.mcap'))"),
+        (lambda: _api.fit(_SAMPLES.reshape(-1, 2), rate_hz=1.0), "give one axis, such as samples[:, 0]"),
+        (lambda: _api.fit(object()), "found object, expected a recording"),
+        (lambda: _api.fit(_SAMPLES, rate_hz=-1.0), "rate_hz must be positive"),
+        (
+            lambda: _api.fit(_SAMPLES, rate_hz=1.0, method="mlee"),
+            "method 'mlee' is not one of mle, gmwm, slope",
+        ),
+        (lambda: _api.fit(_SAMPLES, rate_hz=1.0, sensor="baro"), "'baro' is not a valid Sensor"),
+        (lambda: _api.fit(_recording(), rate_hz=1.0), "leave rate_hz out"),
+        (lambda: _api.export(consumer_report(), "kalibrr", "k.yaml"), "did you mean kalibr?"),
+        (lambda: _api.export(3, "kalibr", "k.yaml"), "found int, expected a report"),
+        (
+            lambda: _api.check(consumer_report()),
+            "type check(report, 'limits.toml'), or give config='imu.yaml'",
+        ),
+        (lambda: _api.check(consumer_report(), "N = 3"), "N"),
+        (lambda: consumer_report()["gyro"], "no axis 'gyro'; the report has gyro_x, gyro_y, gyro_z, accel_x"),
+        (lambda: consumer_report()["gyro_x"]["Z"], "no term 'Z'; the fit has N, B, K"),
+        (lambda: _recording()["x"], "no axis 'x'; found gyro_x"),
+        (lambda: _recording().skip("2 fortnights"), "write seconds, or such as 90s, 5min, 2.5h"),
+        (lambda: imucal.plot(3), "int has no picture; give a recording"),
+        (lambda: imucal.info("nothing.mcap"), "nothing.mcap"),
+    ],
+)
+def test_refusals_say_what_to_type(call: Callable[[], object], said: str) -> None:
+    """Each is an `ImucalError`, in one sentence, with a code that a script may end with."""
+    with pytest.raises(imucal.ImucalError) as caught:
+        call()
+    assert said in str(caught.value)
+    assert caught.value.exit_code in {2, 3, 4}
+
+
+def test_fits_of_arrays_and_recordings_are_those_of_their_stages() -> None:
+    """An array is an axis; a recording is characterised."""
+    fit = imucal.fit(list(_SAMPLES), rate_hz=100.0, sensor="accelerometer")
+    assert fit.sensor is imucal.Sensor.ACCELEROMETER
+    assert fit["N"].value == pytest.approx(0.1, rel=0.1)
+    recording = _recording()
+    one = replace(recording, series=recording.series[:1])
+    report = imucal.fit(one, model="N", segments=1)
+    assert str(report["gyro_x"].fit.model) == "N"
+
+
+def test_export_and_check_take_paths(tmp_path: Path) -> None:
+    """A report by its folder, limits by their file or their text, a config to hold them to."""
+    imucal.write_report(consumer_report(), tmp_path / "out", formats=(), html=False)
+    (config,) = imucal.export(str(tmp_path / "out"), "kalibr", str(tmp_path / "k.yaml"))
+    assert imucal.check(tmp_path / "out", config=config).passed
+    limits = "[gyroscope]\nN = { max = 1e-5 }\n"
+    (tmp_path / "limits.toml").write_text(limits, encoding="utf-8")
+    assert not imucal.check(consumer_report(), limits).passed
+    assert not imucal.check(consumer_report(), tmp_path / "limits.toml").passed
+
+
+@pytest.mark.parametrize("name", _values())
+def test_everything_can_be_drawn(name: str) -> None:
+    """The axes come back; those that are given are drawn on, and no figure is made."""
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    value, several = _values()[name], name in {"recording", "report"}
+    made = imucal.plot(value)
+    places = made if isinstance(made, tuple) else (made,)
+    assert len(places) == 1 + several
+    assert all(place.get_xlabel().startswith(("averaging time", "time")) for place in places)
+    before = plt.get_fignums()
+    _, given = plt.subplots(1, len(places), squeeze=False)
+    again = imucal.plot(value, ax=given[0] if several else given[0][0])
+    assert (again if isinstance(again, tuple) else (again,)) == tuple(given[0])
+    assert len(plt.get_fignums()) == len(before) + 1
+    plt.close("all")
+
+
+def test_a_picture_of_two_sensors_needs_two_axes() -> None:
+    """Their units differ."""
+    from matplotlib.figure import Figure
+
+    with pytest.raises(imucal.ImucalError, match="found 1 axes, expected 2, one for each sensor"):
+        imucal.plot(consumer_report(), ax=Figure().subplots())
+
+
+def test_what_draws_a_value_is_loaded_when_somebody_looks() -> None:
+    """Not with the value."""
+    code = "import imucal, sys; imucal.Recording; print('imucal.report.notebook' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout == "False\n"
