@@ -8,9 +8,9 @@ those of the accelerometer): microseconds since boot, rad/s and m/s^2.
 
 Messages of ArduPilot's ``.bin``, from the board's memory: ``IMU``, or ``GYR`` and ``ACC`` of a batch log, in
 SI; the package finds the records and says what each kind holds, and they are taken out in one go. Of its
-``.tlog``, what was sent to the ground: ``HIGHRES_IMU`` in SI, ``SCALED_IMU`` in mg and mrad/s, and ``RAW_IMU``,
-which ArduPilot sends in these units and others in counts. Source: ArduPilot, `AP_InertialSensor/LogStructure.h`
-and `GCS_Common.cpp` (`send_raw_imu`); MAVLink, `common.xml`.
+``.tlog``, what was sent to the ground: ``HIGHRES_IMU`` in SI, ``SCALED_IMU`` in mg and mrad/s, and
+``RAW_IMU``, which ArduPilot sends in these units and others in counts. Source: ArduPilot,
+`AP_InertialSensor/LogStructure.h` and `GCS_Common.cpp` (`send_raw_imu`); MAVLink, `common.xml`.
 """
 
 import re
