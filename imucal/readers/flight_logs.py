@@ -10,11 +10,20 @@ import numpy as np
 
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
-from imucal.readers.ardupilot import DATAFLASH, dataflash_content, telemetry_content
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.flight_messages import PX4, FlightLog, Instance, Samples, samples_of, ulog_content
+from imucal.readers.flight_messages import (
+    DATAFLASH,
+    PX4,
+    FlightLog,
+    Instance,
+    Samples,
+    dataflash_content,
+    samples_of,
+    telemetry_content,
+    ulog_content,
+)
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
@@ -55,13 +64,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
         [
             Unscaled(
                 sensor=sensor,
-                rows=timed[sensor][0].vectors.T,
-                clock=timed[sensor][1].clock,
-                order=timed[sensor][1].order,
-                stated=_stated(sensor, chosen, maker),
+                rows=samples.vectors.T,
+                clock=reading.clock,
+                order=reading.order,
+                stated=UnitGuess(unit=samples.unit, reason=f"as {maker} logs it") if samples.unit else None,
             )
-            for sensor in Sensor
-            if sensor in timed
+            for sensor, (samples, reading) in timed.items()
         ]
     )
     for samples, reading in timed.values():
@@ -72,13 +80,6 @@ def read(path: Path, options: ReadOptions) -> Recording:
     return work.build(
         topics=[instance.name for instance in chosen], message_types=[instance.message for instance in chosen]
     )
-
-
-def _stated(sensor: Sensor, chosen: Sequence[Instance], maker: str) -> UnitGuess | None:
-    """Return the unit in which the message that was chosen for a sensor has its samples, if that is known."""
-    kind = next(instance.kind for instance in chosen if sensor in instance.sensors)
-    unit = kind.units[sensor]
-    return UnitGuess(unit=unit, reason=f"as {maker} logs it") if unit else None
 
 
 def _refuse_options(path: Path, options: ReadOptions, instances: Sequence[Instance]) -> None:
@@ -96,7 +97,7 @@ def _refuse_options(path: Path, options: ReadOptions, instances: Sequence[Instan
 def _timed(
     path: Path, chosen: Sequence[Instance], options: ReadOptions
 ) -> dict[Sensor, tuple[Samples, ClockReading]]:
-    """Return the samples and the clock of each sensor once; equal stamps share a clock."""
+    """Return the samples and the clock of each sensor once, gyroscope first; equal stamps share a clock."""
     done: dict[Sensor, tuple[Samples, ClockReading]] = {}
     for instance in chosen:
         for sensor in instance.sensors:
@@ -111,7 +112,7 @@ def _timed(
             if reading is None or reading.order is not None:
                 reading = _clock(path, instance, samples, options)
             done[sensor] = (samples, reading)
-    return done
+    return {sensor: done[sensor] for sensor in Sensor if sensor in done}
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 - every reader takes options

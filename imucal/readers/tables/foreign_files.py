@@ -13,7 +13,9 @@ import math
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
@@ -37,22 +39,30 @@ _OBJECT = ("s0", "s1", "s2", "arr")
 _DEEP = 8
 
 
-class ParquetColumn(NamedTuple):
-    """A column of a Parquet file, or a part of one: the field of a structure, the place in a list.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TypedColumn:
+    """A column under the name and unit that the rules for names take; some cells are empty if it `has_gaps`.
 
-    `name` is that of the column, `part` the field's name, the place, or None for all of it.
+    `values` reads all of it, shape (size,); `head` are the first ones.
     """
 
-    label: str
     name: str
-    part: str | int | None
-    rows: int
-    head: NDArray[Any]
-    unit: str | None
-    has_gaps: bool
+    size: int
+    values: Callable[[], NDArray[Any]] = field(repr=False)
+    head: NDArray[Any] = field(repr=False)
+    unit: str | None = None
+    has_gaps: bool = False
+
+    @property
+    def cells(self) -> list[str]:
+        """The first values as the cells of a text table; an empty one for NaN."""
+        values = self.head
+        if values.dtype.kind == "M":
+            return [str(value) for value in values.astype("datetime64[ns]").astype(np.int64).tolist()]
+        return ["" if value is None or value != value else str(value) for value in values.tolist()]  # noqa: PLR0124 - NaN
 
 
-def parquet_columns(path: Path) -> list[ParquetColumn]:
+def parquet_columns(path: Path) -> list[TypedColumn]:
     """Return the columns of a Parquet file with their first values."""
     import polars as pl
 
@@ -73,9 +83,16 @@ def parquet_columns(path: Path) -> list[ParquetColumn]:
             parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), WIDEST))}
         for label, part in parts.items():
             head = scan.head(HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
-            unit = "ns" if isinstance(head.dtype, pl.Datetime) else None
-            gaps = head.null_count() > 0
-            columns.append(ParquetColumn(label, name, part, rows, head.to_numpy(), unit, gaps))
+            columns.append(
+                TypedColumn(
+                    name=label,
+                    size=rows,
+                    values=partial(parquet_values, path, name, part),
+                    head=head.to_numpy(),
+                    unit="ns" if isinstance(head.dtype, pl.Datetime) else None,
+                    has_gaps=head.null_count() > 0,
+                )
+            )
     return columns
 
 

@@ -3,6 +3,7 @@
 A clock is made of the time's columns, or of a counter and a rate.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -359,10 +360,11 @@ def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: S
 def with_more(where: str, error: ColumnsError, reading: Callable[[str], object]) -> ChoiceError:
     """Return an error for columns with what else is missing: `reading` tries the columns that it proposes."""
     lacking: list[ChoiceError] = [error]
-    # Of several proposals the user's choice says what is missing.
-    if error.example and " or " not in error.example:
+    proposals = error.example.split(" or ")
+    # Where they are of different sensors, the user's choice says what is missing.
+    if error.example and len({tuple(re.findall("[ga][xyz]?=", text)) for text in proposals}) == 1:
         try:
-            reading(error.example)
+            reading(proposals[0])
         except ChoiceError as more:
             lacking.append(more)
         except ImucalError:

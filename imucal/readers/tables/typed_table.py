@@ -6,9 +6,9 @@ accelerometer another.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,11 +28,11 @@ from imucal.readers.tables.foreign_files import (
     HEAD,
     WIDEST,
     Arrays,
+    TypedColumn,
     hdf5_arrays,
     mat_arrays,
     npz_arrays,
     parquet_columns,
-    parquet_values,
     unpacks_to_more,
 )
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
@@ -68,29 +68,6 @@ _RATES = frozenset(
 
 #: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
 _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TypedColumn:
-    """A column under the name and unit that the rules for names take; some cells are empty if it `has_gaps`.
-
-    `values` reads all of it, shape (size,); `head` are the first ones.
-    """
-
-    name: str
-    size: int
-    values: Callable[[], NDArray[Any]] = field(repr=False)
-    head: NDArray[Any] = field(repr=False)
-    unit: str | None = None
-    has_gaps: bool = False
-
-    @property
-    def cells(self) -> list[str]:
-        """The first values as the cells of a text table; an empty one for NaN."""
-        values = self.head
-        if values.dtype.kind == "M":
-            return [str(value) for value in values.astype("datetime64[ns]").astype(np.int64).tolist()]
-        return ["" if value is None or value != value else str(value) for value in values.tolist()]  # noqa: PLR0124 - NaN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +109,9 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         raise ReadError(msg) from error
     kind = _kind(path, head)
     if kind == "Parquet":
-        return TableFile(format="parquet", columns=_parquet(path))
+        columns = isolated(path, parquet_columns, "Parquet")(path)
+        each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
+        return TableFile(format="parquet", columns=tuple(each))
     if kind in {"MAT", "HDF5"}:
         found = _mat(path) if kind == "MAT" else _hdf5(path)
         return _of_arrays(kind.lower(), found.arrays, found.objects)
@@ -156,21 +135,6 @@ def _kind(path: Path, head: bytes) -> str:
         return "MAT"
     msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
     raise ReadError(msg)
-
-
-def _parquet(path: Path) -> tuple[TypedColumn, ...]:
-    values = isolated(path, parquet_values, "Parquet")
-    return tuple(
-        TypedColumn(
-            name=column.label,
-            size=column.rows,
-            head=column.head,
-            values=partial(values, path, column.name, column.part),
-            unit=column.unit,
-            has_gaps=column.has_gaps,
-        )
-        for column in isolated(path, parquet_columns, "Parquet")(path)
-    )
 
 
 def _hdf5(path: Path) -> Arrays:

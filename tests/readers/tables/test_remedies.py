@@ -206,3 +206,18 @@ def test_a_wrong_unit_behind_one_axis_is_refused_and_a_missing_one_is_not(tmp_pa
     is_truth(read(path))
     path.write_text(lines("t_s,wx(rad/s),wy(deg/s),wz,ax,ay,az", t, *sensors()), encoding="utf-8")
     assert "the axes of the gyroscope carry different units" in refused(path)
+
+
+def test_several_proposals_for_the_same_sensors_are_completed_too(tmp_path: Path) -> None:
+    """Two IMUs without a time: each of the texts reads with the rate and the unit that are asked for."""
+    path = tmp_path / "log.csv"
+    header = ",".join(f"imu{i}_{sensor}{axis}" for i in (1, 2) for sensor in "ga" for axis in "xyz")
+    both = np.column_stack([truth().deg, truth().g]).T.tolist()
+    path.write_text(lines(header, *both, *both), encoding="utf-8")
+    asked, rate, unit = refused(path).split("; also, ")
+    assert rate.endswith("give the sampling rate")
+    assert unit.startswith("the unit of the gyroscope is open")
+    ready = re.search(r"such as (\S+) or (\S+) \(places", asked)
+    assert ready is not None
+    for columns in ready.groups():
+        is_truth(read(path, columns=columns, rate_hz=100.0, gyro_unit="deg/s"))
