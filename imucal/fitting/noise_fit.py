@@ -154,6 +154,9 @@ class Estimate:
         T of a Gauss-Markov term, in s; None for others.
     alternatives
         Symbols of terms that may stand in this one's place: to this record they are one thing.
+    horizon_s
+        Longest time for which the coefficient holds, in s: a walk that may be the beginning of a Gauss-Markov
+        term holds up to the least T that such a term may have; infinite where nothing limits it.
     widening
         By what factor the interval is wider than the likelihood says, because the record's segments differ
         or the model does not describe it.
@@ -169,6 +172,7 @@ class Estimate:
     high: float
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
+    horizon_s: float = np.inf
     widening: float = 1.0
     origin: str = ""
 

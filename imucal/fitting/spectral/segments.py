@@ -20,7 +20,7 @@ from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import COLUMN, behind_filter
 from imucal.fitting.spectral.common_terms import Parts, visible
-from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
+from imucal.fitting.spectral.estimates import Fitted, Problem, quantile, student_quantile
 from imucal.fitting.spectral.likelihood import derivatives
 from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
@@ -306,14 +306,12 @@ class _Tests:
         n = _trace(abs(white.values[0]), fast, z * np.sqrt(surplus / sure.information[row]))
         if not slow:
             return n, None, np.nan
-        fast, rest = shares["N"] * np.exp(fast), slow * np.exp(rest)
-        total = fast + rest + shares.get("Q", 0.0)
-        fast, rest = fast / total, rest / total
-        # The variance of the log of a sum of both parts that have these shares of it.
+        # What tells the slow part is a few ordinates: Student's quantile of the freedom that it has.
         (tested, both), (_, beside) = np.moveaxis(sure.matrix[row], 0, -1)
-        variance = surplus * fast**2 * beside - 2 * fast * rest * both + rest**2 * tested
-        error = np.sqrt(variance / (tested * beside - both**2))
-        return n, _trace(1.0, np.log(total), z * error), tau
+        reach = student_quantile(self.problem.level, np.sqrt(tested / (tested * beside - both**2)))
+        sums = self.parts.of(row).sum_limits(np.array([shares["N"], slow]), reach)
+        value, low, high = np.sqrt(np.array(sums) + shares.get("Q", 0.0))
+        return n, Trace(value=value, low=low, high=high), tau
 
 
 def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:

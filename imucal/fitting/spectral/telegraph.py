@@ -312,7 +312,7 @@ def _likelihoods(means: FloatArray, gaussian: FloatArray, rows: FloatArray) -> F
 
 def _gain_of_a_cycle(block: Block, sharings: _Sharings) -> float:
     """Return what a cycle gains in log-likelihood beside Gaussian noise, beyond what it costs."""
-    # Half of ln n for each of its period, amplitude and phase, as elsewhere.
+    # Half of ln n for each of its period, amplitude and phase.
     at = np.unravel_index(np.argmin(sharings.distance), sharings.distance.shape)
     spectrum = sharings.spectrum[at][block.bins.first - 1]
     gain, _ = best_cycle(Whitened.by([block], spectrum, ()), block.bins.n)
