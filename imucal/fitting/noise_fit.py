@@ -1,7 +1,7 @@
 """NoiseFit: what explains an axis, with an interval on each number; Segments: what its parts say of it."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -154,6 +154,11 @@ class Estimate:
         T of a Gauss-Markov term, in s; None for others.
     alternatives
         Symbols of terms that may stand in this one's place: to this record they are one thing.
+    drawn
+        The coefficient that the fit's model has, in SI: also of a bounded term, whose interval holds zero,
+        where the model without it would be less likely. None where the model has no such term: an estimate
+        with a value is then another name of what other terms are, as the walk that a slow Gauss-Markov term
+        begins with is, and adds nothing to them. Set by the `NoiseFit` that it belongs to.
     horizon_s
         Longest time for which the coefficient holds, in s: a walk that may be the beginning of a Gauss-Markov
         term holds up to the least T that such a term may have; infinite where nothing limits it.
@@ -172,6 +177,7 @@ class Estimate:
     high: float
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
+    drawn: float | None = None
     horizon_s: float = np.inf
     widening: float = 1.0
     origin: str = ""
@@ -276,7 +282,7 @@ class NoiseFit:
     candidates
         Models within reach of the best, the chosen one (delta 0) first.
     criterion
-        ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
+        ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
     findings
         What the fit showed.
     noise_share
@@ -315,6 +321,21 @@ class NoiseFit:
 
     def __getitem__(self, key: str) -> Estimate:
         return keyed(self.estimates, key, "the fit has")
+
+    def __post_init__(self) -> None:
+        coefficients = {key: abs(term.coefficient) for key, term in self.drawn.items()}
+        estimates = tuple(replace(e, drawn=coefficients.get(e.key)) for e in self.estimates)
+        object.__setattr__(self, "estimates", estimates)
+
+    @property
+    def drawn(self) -> dict[str, NoiseTerm]:
+        """The model's terms by the keys of their estimates; those with a value come before bounded ones."""
+        found: dict[str, NoiseTerm] = {}
+        for symbol in dict.fromkeys(term.symbol for term in self.model.terms):
+            terms = [term for term in self.model.terms if term.symbol == symbol]
+            own = sorted((e.value is None, e.key) for e in self.estimates if e.symbol == symbol)
+            found |= zip(sorted(key for _, key in own[: len(terms)]), terms, strict=False)
+        return found
 
     @property
     def correlation(self) -> FloatArray:

@@ -5,7 +5,7 @@
                                                                         input | how many hold N, B, K
     python tests/benchmarks/disturbances.py clean [records] [seed]      truth | how often each finding
     python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often each finding
-    python tests/benchmarks/disturbances.py cycles [records] [seed]     truth | cycles named, K held, false cycles
+    python tests/benchmarks/disturbances.py cycles [records] [seed]     truth | cycles named, and K held
     python tests/benchmarks/disturbances.py lengths                     length | CPU of transform and analysis
 
 Run with another version on PYTHONPATH it prints that version's figures.
@@ -22,7 +22,6 @@ import numpy as np
 
 import imucal
 from imucal.clock import Clock
-
 from imucal.fitting.spectral.blocks import make_blocks
 from imucal.fitting.spectral.disturbances import exact_places, find_disturbances
 
@@ -255,7 +254,7 @@ def cycles(records: int, seed: int) -> None:
             rng = np.random.default_rng([seed, number, record, 2])
             series = AxisSeries.from_samples(noise(text, N_SHORT, rng), rate_hz=RATE)
             named, doubtful = find_disturbances(make_blocks(series).blocks, exact=exact_places(series))
-            codes.update({one.kind for one in named}, ["doubtful"] if doubtful else [])
+            codes.update({one.kind for one in named} | {"doubtful" for _ in doubtful})
         print(f"| clean {text} | {10 * records} | {dict(codes)} |", flush=True)
 
 

@@ -332,9 +332,7 @@ def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[
     return [(m.say, m.terms[key]) for m in models if m.terms.keys() - set(ALWAYS) == others]
 
 
-def either(
-    estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]
-) -> tuple[Estimate, ...]:
+def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
     """Return estimates with N, B and K so wide that they hold the limits of two fits; else the first's."""
     other = {e.key: e for e in others if e.symbol in ALWAYS}
     return tuple(

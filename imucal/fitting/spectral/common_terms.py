@@ -101,15 +101,12 @@ class Parts:
                 break
         return best
 
-
     def of(self, test: int) -> "Parts":
         """Return the parts of one test."""
         rows = slice(test, test + 1)
         return replace(self, varied=self.varied[rows], held=self.held[rows])
 
-    def sum_limits(
-        self, weights: FloatArray, reach: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def sum_limits(self, weights: FloatArray, reach: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a weighted sum of the two scales of one test in each group, and its least and greatest.
 
         `weights` is of shape (2,), the others of shape (g,). The limits are the extremes over all scales at
@@ -119,7 +116,9 @@ class Parts:
         """
         best = self.fit(common=False)
         tested, beside = np.moveaxis(best.logs[0], -1, 0)
-        longest = _FIRST_REACH * np.exp(np.maximum(beside, -2.0) / 2) * 1.5 ** np.arange(_WIDER)[:, np.newaxis]
+        longest = (
+            _FIRST_REACH * np.exp(np.maximum(beside, -2.0) / 2) * 1.5 ** np.arange(_WIDER)[:, np.newaxis]
+        )
         inside = 2 * (self._at_second(longest, tested).objective - best.objective) < reach**2
         top = np.take_along_axis(longest, np.argmin(inside, axis=0)[np.newaxis], axis=0)
         found = self._at_second(np.linspace(0.0, 1.0, _GRID)[:, np.newaxis] * top, tested)

@@ -198,9 +198,9 @@ _SPACING, _FINE = 0.25, 1 / 64
 _MARGIN = 7.0
 #: Share of clean records in which a step would gain what it must, were their spectrum known.
 _CHANCE_STEP = 0.002
-#: What a cycle must gain beyond the margin. Its frequencies to choose among are the periods a record, whatever
-#: the rate: were the spectrum known, chance would gain 21 in one of 500 records by Baluev (2008), MNRAS 385,
-#: 1279; beside one that is fitted, 23 by `tests/benchmarks/disturbances.py cycles`.
+#: What a cycle must gain beyond the margin. Its frequencies to choose among are the periods a record,
+#: whatever the rate: were the spectrum known, chance would gain 21 in one of 500 records by Baluev (2008),
+#: MNRAS 385, 1279; beside one that is fitted, 23.
 _PRICE_CYCLE = 16.0
 #: A cycle that gains more than 95 of 100 clean records give, and is not named, may be there or not.
 _DOUBT = 15.5
@@ -286,7 +286,9 @@ def find_disturbances(
             break
         found.append(candidates[best])
         base = _fits(low, [(*names, *candidates[best].names)])
-    return _sized(found, base), _sized(doubtful, _fits(low, [(*names, *doubtful[0].names)])) if doubtful else ()
+    return _sized(found, base), _sized(
+        doubtful, _fits(low, [(*names, *doubtful[0].names)])
+    ) if doubtful else ()
 
 
 def _sized(found: Sequence[Disturbance], fits: "_Fits") -> tuple[Disturbance, ...]:

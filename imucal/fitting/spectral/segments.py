@@ -302,7 +302,7 @@ class _Tests:
         row = self.names.index("N")
         sure = self.parts.at(np.zeros(self.free.logs.shape))
         z, surplus = quantile(self.problem.level), self.surplus("N")
-        fast, rest = self.free.logs[row].T
+        fast = self.free.logs[row, :, 0]
         n = _trace(abs(white.values[0]), fast, z * np.sqrt(surplus / sure.information[row]))
         if not slow:
             return n, None, np.nan
