@@ -93,7 +93,7 @@ class Segments(ReadOnlyArrays):
     white
         N in each segment; None where the fit has no N.
     floor
-        Allan deviation of the model in each segment at `floor_tau_s`, the curve's minimum or a quarter of a
+        Allan deviation of the model in each segment at `floor_tau_s`, where it is lowest, or a quarter of a
         segment; None where the fit has no slow noise.
     floor_tau_s
         In s; NaN without a floor.
