@@ -238,9 +238,12 @@ def hull_estimates(
     if found["N"].value is None:
         found["N"] = _floor(problem, found["N"], [model.fitted for model in models])
         others["N"] = tuple(dict.fromkeys((*others["N"], GaussMarkov.symbol)))
-    found["K"] = replace(found["K"], horizon_s=min(model.terms["K"].horizon_s for model in models))
-    if found["K"].horizon_s < np.inf:
-        others["K"] = tuple(dict.fromkeys((*others["K"], GaussMarkov.symbol)))
+    horizon = min(model.terms["K"].horizon_s for model in models)
+    if GaussMarkov.symbol in others["K"]:
+        horizon = min(horizon, _shortest_rival(problem, choice))
+    elif horizon < np.inf:
+        others["K"] = (*others["K"], GaussMarkov.symbol)
+    found["K"] = replace(found["K"], horizon_s=horizon)
     return fitted, own, ordered(replace(e, alternatives=others[e.symbol]) for e in found.values())
 
 
@@ -290,6 +293,15 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
     return replace(walk, horizon_s=span.low if span else np.inf)
 
 
+def _shortest_rival(problem: Problem, choice: RankedModels) -> float:
+    """Return the lower limit, in s, of T of the slowest term that the nearest model has in place of K."""
+    rivals = (s for s in choice.structures if GaussMarkov.symbol in s and "K" not in s)
+    model = fitted_model(choice, choice.structures.index(next(rivals)))
+    slowest = [column for name, column in model.columns() if name.endswith(".T")][-1]
+    lows, _ = problem.limits(model, [slowest])
+    return problem.tau0 * float(np.exp(lows[0]))
+
+
 def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
     """Return the greatest white noise below the spectra of the near models, where N may be zero.
 
@@ -335,9 +347,10 @@ def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[
 def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
     """Return estimates with N, B and K so wide that they hold the limits of two fits; else the first's."""
     other = {e.key: e for e in others if e.symbol in ALWAYS}
+    spans = {e.key: [(1.0, e), (1.0, other[e.key])] for e in estimates if e.key in other}
     return tuple(
-        replace(_hull(e, [(1.0, e), (1.0, other[e.key])]), alternatives=e.alternatives)
-        if e.key in other
+        replace(_hull(e, spans[e.key]), alternatives=e.alternatives, horizon_s=e.horizon_s)
+        if e.key in spans
         else e
         for e in estimates
     )
