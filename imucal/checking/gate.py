@@ -188,7 +188,7 @@ def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]
     if quantity in exact:
         return ((quantity, Measured.exactly(exact[quantity])),)
     if quantity == "minimum":
-        lowest = numbers.minimum(axis)[0]
+        lowest = numbers.minimum(axis.fit)
         return ((quantity, Measured(value=lowest.value, low=lowest.low, high=lowest.high)),)
     return tuple(
         (estimate.key, Measured(value=estimate.value, low=estimate.low, high=estimate.high))

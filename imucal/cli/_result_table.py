@@ -2,16 +2,14 @@
 
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
 
 from imucal.cli._printing import FULL, can_print
 from imucal.noise.terms import TERMS
-from imucal.report import numbers
-from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
-from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.report.view import Row, view
 from imucal.units import duration, pretty
 
 #: Two columns and the space between them make 80; a narrower table has one column after the other.
@@ -48,18 +46,17 @@ def summary_table(
     """
     plain, verdict = not can_print("√²³µ", encoding), report.verdict
     usable = [axis for axis in report.axes if forced or axis.name in verdict.axes]
-    sensors = list(_sensors(replace(report, axes=tuple(usable)), datasheet=datasheet, plain=plain))
+    sensors = [
+        _blocks(axes, datasheet=datasheet, plain=plain)
+        for axes in replace(report, axes=tuple(usable)).by_sensor.values()
+    ]
     sentence = verdict.sentence
     lines = _wrapped(sentence.replace("±", "+-") if plain else sentence, columns)
     if not sensors:
         return "\n".join(lines)
     lines.append("")
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
-        for key in _order(beside):
-            sides = [sensor.get(key, []) for sensor in beside]
-            rows = zip_longest(*sides, fillvalue="")
-            lines += [(" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip() for row in rows]
-            lines.append("")
+        lines += _beside_each_other(beside)
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
     legend = f"[low, high]: {shown} interval; < high: not shown by the data, upper bound"
@@ -67,11 +64,14 @@ def summary_table(
     return "\n".join(lines)
 
 
-def _sensors(report: Report, *, datasheet: bool, plain: bool) -> Iterator[dict[str, _Block]]:
-    """Yield the blocks of each sensor that has axes."""
-    for sensor, axes in report.by_sensor.items():
-        units = sheet_units(report, sensor) if datasheet else None
-        yield dict(_blocks(axes, units, plain=plain))
+def _beside_each_other(sensors: Sequence[dict[str, _Block]]) -> list[str]:
+    """Return the blocks of sensors in columns, those of one key side by side, an empty line below each."""
+    lines = []
+    for key in _order(sensors):
+        rows = zip_longest(*(sensor.get(key, []) for sensor in sensors), fillvalue="")
+        lines += [(" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip() for row in rows]
+        lines.append("")
+    return lines
 
 
 def _wrapped(text: str, columns: int) -> list[str]:
@@ -82,7 +82,7 @@ def _wrapped(text: str, columns: int) -> list[str]:
 
 def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
     """Return the keys of all blocks: the heading, the terms by rising slope, the minimum."""
-    keys = {key for column in columns for key in column}
+    keys = dict.fromkeys(key for column in columns for key in column)
     first = [
         "",
         *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T")),
@@ -90,31 +90,14 @@ def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
     return [key for key in first if key in keys] + ["minimum"]
 
 
-def _blocks(axes: list[AxisReport], units: SheetUnits | None, *, plain: bool) -> Iterator[tuple[str, _Block]]:
-    """Yield each block of a sensor's column with its key, in data-sheet units or, with None, in SI."""
-    sensor, unit = axes[0].sensor, units.estimate if units else numbers.si
-    yield "", _heading(axes)
-    for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
-        found = [(axis, e) for axis in axes for e in axis.fit.estimates if e.key == key]
-        name = TERMS[found[0][1].symbol].name(sensor).replace("acceleration", "accel.")
-        rows = [(a, unit(e, sensor), numbers.alternatives(e)) for a, e in found]
-        yield key, _block(f"{key}  {name}", rows, plain=plain)
-        timed = [(a, e.correlation_time) for a, e in found]
-        times = [(a, numbers.correlation_time(time), "") for a, time in timed if time is not None]
-        if times:
-            yield f"{key} T", _block(f"{key}  correlation time", times, plain=plain)
-    lowest = [
-        (
-            axis,
-            units.minimum(axis) if units else numbers.minimum(axis)[0],
-            f"at {numbers.seconds(axis.fit.curve.minimum[1])}",
-        )
-        for axis in axes
-    ]
-    yield "minimum", _block("minimum of the curve", lowest, plain=plain)
+def _blocks(axes: Sequence[AxisReport], *, datasheet: bool, plain: bool) -> dict[str, _Block]:
+    """Return each block of a sensor's column by its key, in data-sheet units or in SI."""
+    seen = view({axis.axis: axis.fit for axis in axes})
+    rows = {row.key: _block(row, seen.names, datasheet=datasheet, plain=plain) for row in seen.rows}
+    return {"": _heading(axes), **rows}
 
 
-def _heading(axes: list[AxisReport]) -> _Block:
+def _heading(axes: Sequence[AxisReport]) -> _Block:
     """Return sensor, rate, duration and samples; one line for axes that share a clock."""
     lines = [str(axes[0].sensor).upper()]
     clocks: dict[str, list[str]] = {}
@@ -127,18 +110,23 @@ def _heading(axes: list[AxisReport]) -> _Block:
     return lines
 
 
-def _block(title: str, rows: list[tuple[AxisReport, Quantity, str]], *, plain: bool) -> _Block:
+def _block(row: Row, names: Sequence[str], *, datasheet: bool, plain: bool) -> _Block:
     """Return a title with its unit and one line an axis, all in the same power of ten."""
-    quantities = [quantity for _, quantity, _ in rows]
-    exponent = numbers.engineering_exponent(quantities)
-    unit = quantities[0].unit if plain else pretty(quantities[0].unit)
-    unit = f"1e{exponent} {unit}" if exponent else unit
+    column = row.column(datasheet=datasheet)
+    unit = column.unit if plain else pretty(column.unit)
+    unit = f"1e{column.exponent} {unit}" if column.exponent else unit
+    key, name = row.key.removesuffix(" T"), row.name.replace("acceleration", "accel.")
+    title = f"{key} {name}" if row.key == "minimum" else f"{key}  {name}"
     head = f"{title}  {unit}"
     lines = [head] if len(head) <= _COLUMN else [title, f"   in {unit}"]
-    texts = [numbers.compact(quantity, exponent=exponent) for quantity in quantities]
-    widest = max(len(value) for value, _ in texts)
-    for (axis, _, note), (value, interval) in zip(rows, texts, strict=True):
-        line = f"{axis.axis}  {value:{widest}}  {interval}{'  ' if note else ''}{note}".rstrip()
+    widest = max(len(text.value) for text in column.texts if text)
+    for axis, text in zip(names, column.texts, strict=True):
+        if text is None:
+            continue
+        line = (
+            f"{axis}  {text.value:{widest}}  {text.interval}{'  ' if text.note else ''}{text.note}".rstrip()
+        )
         fits = len(line) <= _COLUMN
-        lines += [line] if fits else [line.removesuffix(note).rstrip(), *([f"   {note}"] if note else [])]
+        note = [f"   {text.note}"] if text.note and not fits else []
+        lines += [line] if fits else [line.removesuffix(text.note).rstrip(), *note]
     return lines

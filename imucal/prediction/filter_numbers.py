@@ -149,6 +149,9 @@ def filter_numbers(
     if not np.max(goal.wanted) > 0:
         msg = "found neither a term nor a bound on one, expected noise to cover; record for longer"
         raise DataError(msg)
+    if not np.all(np.isfinite(goal.wanted)):
+        msg = "found a term without an upper limit, expected noise that can be covered; record for longer"
+        raise DataError(msg)
     # A walk that covers everything alone, and every smaller one with the white noise that it lacks.
     walks = float(np.max(goal.wanted / goal.slow)) * np.concatenate(
         [[0.0], np.geomspace(_SMALLEST, 1.0, _PAIRS)]

@@ -206,7 +206,10 @@ def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursio
             continue
         value = of(_term(estimate, estimate.value))
         name, time_name = _names(estimate)
-        yield _Excursion(name, caution.shown * (of(_term(estimate, estimate.high)) - value))
+        # Nobody knows how large a term without an upper limit may be, nor what it does.
+        known = math.isfinite(estimate.high)
+        top = of(_term(estimate, estimate.high)) if known else np.full_like(value, math.inf)
+        yield _Excursion(name, caution.shown * (top - value))
         for by in _of_time(estimate, of, value, 1.0):
             yield _Excursion(time_name, caution.shown * by)
 
@@ -234,7 +237,7 @@ def _of_time(estimate: Estimate, of: Quantity, value: FloatArray, up: float) -> 
     time = estimate.correlation_time
     if time is None or estimate.value is None:
         return
-    high = max(time.high, time.value)
+    high = min(max(time.high, time.value), time.value / _SHORTEST_TIME)
     low = max(min(time.low, time.value), time.value * _SHORTEST_TIME)
     longer, shorter = (up * (of(_term(estimate, estimate.value, t)) - value) for t in (high, low))
     yield np.where(longer > 0, longer, np.where(shorter > 0, -shorter, 0.0))
@@ -252,5 +255,7 @@ def _joint(fit: NoiseFit, excursions: Iterator[_Excursion]) -> FloatArray:
         known = np.nan_to_num(fit.correlation)
         form += [[known[i, j] * (i >= 0 <= j and i != j) for j in at] for i in at]
     by = np.stack(np.broadcast_arrays(*(each.by for each in found)))
+    unknown = np.isinf(by).any(axis=0)
+    by = np.where(unknown, 0.0, by)
     square: FloatArray = np.einsum("i...,ij,j...->...", by, form, by)
-    return np.sqrt(np.maximum(square, 0.0))
+    return np.where(unknown, math.inf, np.sqrt(np.maximum(square, 0.0)))

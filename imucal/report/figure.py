@@ -13,6 +13,7 @@ and sets every power of ten by its formula parser. Here the minor ticks of an ax
 a tenth of the time.
 """
 
+import base64
 import io
 import math
 import textwrap
@@ -38,6 +39,7 @@ from imucal.report import numbers
 from imucal.report.labels import Label, place_labels
 from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.report.view import Row, View, views
 from imucal.resources import threads
 from imucal.units import duration, pretty
 
@@ -310,12 +312,9 @@ def drawn_terms(axis: AxisReport) -> list[Drawn]:
     return found
 
 
-def estimate_text(
-    estimate: Estimate, sensor: Sensor, units: SheetUnits, *, exponent: int | None = None
-) -> str:
+def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) -> str:
     """Return ``N 0.4125 ± 0.0016 deg/√h``; a Gauss-Markov term has its T on a second line."""
-    quantity = units.estimate(estimate, sensor)
-    text = f"{estimate.key} {numbers.with_uncertainty(quantity, exponent=exponent)}"
+    text = f"{estimate.key} {numbers.with_uncertainty(units.estimate(estimate, sensor))}"
     if estimate.correlation_time is None:
         return text
     time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
@@ -462,7 +461,7 @@ def _minimum(axes: "Axes", axis: AxisReport, units: SheetUnits) -> Label:
     adev, tau = axis.fit.curve.minimum
     adev *= units.level.factor
     axes.plot([tau], [adev], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
-    return _mark_label(f"minimum {numbers.with_interval(units.minimum(axis))}", tau, adev, INK)
+    return _mark_label(f"minimum {numbers.with_interval(units.minimum(axis.fit))}", tau, adev, INK)
 
 
 #: At most this many lines are named, the strongest first; all are marked.
@@ -584,8 +583,6 @@ FORMATS = ("png", "svg", "pdf")
 _WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
 _DPI = 160
-#: Of the pictures within the page.
-_SMALL_DPI = 110
 #: Grade -> colour of the verdict.
 _GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
 #: Left edge and width of the two plots, in parts of the figure.
@@ -595,7 +592,7 @@ _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
     figure, left, right = _figure(report, rows=4)
-    fit, units = axis.fit, sheet_units(report, axis.sensor)
+    fit, units = axis.fit, _units(report, axis.sensor)
     structure = str(fit.model) or "no term shown"
     write_head(
         figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})"
@@ -627,8 +624,8 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     if not axes:
         msg = f"the report has no {sensor} axis"
         raise ValueError(msg)
-    units = sheet_units(report, sensor)
-    rows = _rows(axes, units)
+    seen = next(each for each in views(report) if each.sensor is sensor)
+    units, rows = seen.units, _table_rows(seen)
     figure, left, right = _figure(report, rows=len(rows) + 2)
     write_head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
     draw_allan_overview(left, axes, units)
@@ -640,6 +637,8 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
 def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     """Return the picture's file: png, svg or pdf; the same report always gives the same png.
 
+    A png has a palette of 256 colours, which is enough for lines on white and makes it a third as large.
+
     Raises
     ------
     ValueError
@@ -649,21 +648,36 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
         msg = f"format {form!r} is not one of {', '.join(FORMATS)}"
         raise ValueError(msg)
     maker = f"imucal {version}".strip()
-    metadata: dict[str, dict[str, str | None]] = {
-        "png": {"Software": maker},
-        "svg": {"Creator": maker, "Date": None},
-        "pdf": {"Creator": maker, "CreationDate": None},
-    }
     stream = io.BytesIO()
-    figure.savefig(stream, format=form, dpi=figure.dpi, metadata=metadata[form])
+    if form == "png":
+        _save_png(figure, stream, maker)
+    else:
+        dated = "Date" if form == "svg" else "CreationDate"
+        figure.savefig(stream, format=form, dpi=figure.dpi, metadata={"Creator": maker, dated: None})
     return stream.getvalue()
 
 
-def render_small(figure: "Figure") -> bytes:
-    """Return a picture as WebP without loss, small enough to be part of a page."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="webp", dpi=_SMALL_DPI, pil_kwargs={"lossless": True})
-    return stream.getvalue()
+def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    image = Image.fromarray(pixels).convert("RGB")
+    image = image.quantize(method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    palette, paper = image.getpalette() or [], 3 * int(image.getpixel((0, 0)))  # type: ignore[arg-type]
+    # The mean of what is nearly white is not white.
+    palette[paper : paper + 3] = 255, 255, 255
+    image.putpalette(palette)
+    info = PngInfo()
+    info.add_text("Software", maker)
+    image.save(stream, "png", pnginfo=info, dpi=(figure.dpi, figure.dpi))
+
+
+def _units(report: Report, sensor: Sensor) -> SheetUnits:
+    return sheet_units([axis.fit for axis in report.by_sensor[sensor]])
 
 
 def axis_title(axis: AxisReport) -> str:
@@ -693,17 +707,24 @@ def _recording_text(axis: AxisReport) -> str:
     return f"{duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz   ·   {count} samples"
 
 
-def _rows(axes: list[AxisReport], units: SheetUnits) -> list[tuple[str, list[str]]]:
-    """Return the rows under an overview: a name, and a text for each axis."""
-    sensor, rows = axes[0].sensor, []
-    for key, found in numbers.by_term(axes):
-        # One power of ten for all axes.
-        shared = numbers.engineering_exponent(units.estimate(e, sensor) for e in found if e)
-        texts = [estimate_text(e, sensor, units, exponent=shared) if e else "–" for e in found]
-        rows.append((key, [text.removeprefix(f"{key} ").replace("\n", ",  ") for text in texts]))
-    lowest = [units.minimum(axis) for axis in axes]
-    shared = numbers.engineering_exponent(lowest)
-    return [*rows, ("minimum", [numbers.with_interval(each, exponent=shared) for each in lowest])]
+def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
+    """Return the rows under an overview: a name, and a text for each axis; T stands beside its term."""
+    rows: dict[str, list[str]] = {}
+    for row in seen.rows:
+        key, _, time = row.key.partition(" ")
+        if time:
+            also = [f",  T {numbers.with_uncertainty(cell.si)}" if cell else "" for cell in row.cells]
+            rows[key] = [text + more for text, more in zip(rows[key], also, strict=True)]
+        else:
+            rows[key] = _told(row)
+    return list(rows.items())
+
+
+def _told(row: Row) -> list[str]:
+    """Return the texts of a row with their unit, in one power of ten."""
+    exponent = row.column(datasheet=True).exponent
+    tell = numbers.with_uncertainty if row.symbol else numbers.with_interval
+    return [tell(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
@@ -727,6 +748,10 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
             figure.text(x, y, text, **style)
 
 
+#: Format -> media type, of the formats that a page can show, the best first.
+_SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
+
+
 @dataclass(slots=True)
 class Drawings:
     """What was drawn, and what could not be.
@@ -735,15 +760,23 @@ class Drawings:
     ----------
     files
         Contents by the name of the file.
-    small
-        The page's pictures by the name of the axis.
     failures
         Why a file is missing, in the order of the files.
     """
 
     files: dict[str, bytes] = field(default_factory=dict)
-    small: dict[str, bytes] = field(default_factory=dict)
     failures: list[Finding] = field(default_factory=list)
+
+    @property
+    def addresses(self) -> dict[str, str]:
+        """The pictures as addresses that hold them, for a page; by the names of files, less the ending."""
+        found: dict[str, str] = {}
+        for form, kind in _SHOWN_BY_PAGES.items():
+            for name, content in self.files.items():
+                stem, _, ending = name.partition(".")
+                if ending == form and stem not in found:
+                    found[stem] = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+        return found
 
 
 def picture_names(report: Report, formats: Sequence[str]) -> tuple[str, ...]:
@@ -751,29 +784,32 @@ def picture_names(report: Report, formats: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{_stem(item)}.{form}" for item in _items(report) for form in formats)
 
 
-def draw(report: Report, formats: Sequence[str], *, small: bool, workers: int | None = None) -> Drawings:
-    """Draw the pictures of a report.
+def draw(
+    report: Report, formats: Sequence[str], *, page: bool = False, workers: int | None = None
+) -> Drawings:
+    """Draw the pictures of a report, each once.
 
     Parameters
     ----------
     formats
         Of the files: ``png``, ``svg``, ``pdf``.
-    small
-        Whether to draw those of the page too.
+    page
+        Whether a page shows them: then there is a png where no other format would do.
     workers
         Most at a time; by default as many as the machine has processors.
     """
-    items = _items(report) if formats else tuple(report.axes) if small else ()
+    wanted = tuple(formats)
+    if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
+        wanted += ("png",)
+    items = _items(report) if wanted else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
         # Loaded once, by the process that the others are forked from.
         import_module("matplotlib.figure")
         import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
-    work = partial(_draw_one, report, formats=tuple(formats), small=small)
-    for one in side_by_side(work, items, workers=count):
+    for one in side_by_side(partial(_draw_one, report, formats=wanted), items, workers=count):
         drawn.files |= one.files
-        drawn.small |= one.small
         drawn.failures += one.failures
     return drawn
 
@@ -787,10 +823,8 @@ def _stem(item: AxisReport | Sensor) -> str:
     return item.short if isinstance(item, Sensor) else item.name
 
 
-def _draw_one(
-    report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], small: bool
-) -> Drawings:
-    """Draw one picture once, and make all of its files."""
+def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...]) -> Drawings:
+    """Build one figure once, and make all of its files."""
 
     @cache
     def made() -> "Figure":
@@ -810,9 +844,4 @@ def _draw_one(
         if content is not None:
             result.files[name] = content
         result.failures += failed
-    if small and isinstance(item, AxisReport):
-        # The page draws what is missing itself, and says why it can't.
-        content, _ = try_side_work(lambda: render_small(made()), None, what="", code="not-drawn")
-        if content is not None:
-            result.small[item.name] = content
     return result

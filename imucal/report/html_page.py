@@ -1,16 +1,16 @@
 """`report.html`: one page that holds everything and opens without a network.
 
-Text and tables are there without any script. The plots are drawn by plotly's own script, which the
-page carries deflated: two megabytes instead of five. What they draw is compact JSON: few digits, no
-repetition.
+Text, tables and pictures are there without any script. The plots that answer to the mouse are drawn by
+plotly's basic script, which the package and the page carry deflated. What they draw is compact JSON: few
+digits, no repetition.
 """
 
 import base64
 import json
 import math
-import zlib
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Callable
+from functools import partial
+from importlib.resources import files
 
 import numpy as np
 
@@ -25,11 +25,11 @@ from imucal.report.figure import (
     LEFT_OUT,
     MODEL,
     UNUSED,
-    axis_figure,
+    Drawings,
     axis_title,
+    draw,
     drawn_terms,
     estimate_text,
-    render_small,
     shown_points,
     smooth_spectrum,
 )
@@ -68,7 +68,10 @@ def page_data(report: Report) -> str:
             "unused": [UNUSED, "#5d6873"],
             "line": [LEFT_OUT, "#ff7b86"],
         },
-        "axes": {axis.name: _axis(axis, sheet_units(report, axis.sensor)) for axis in report.axes},
+        "axes": {
+            axis.name: _axis(axis, sheet_units([each.fit for each in report.by_sensor[axis.sensor]]))
+            for axis in report.axes
+        },
     }
     text = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c")
@@ -115,8 +118,8 @@ def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
         "curve": _curve(axis),
         "minimum": {
             "at": [float(f"{tau:.6g}"), float(f"{adev:.5g}")],
-            "si": f"minimum {numbers.with_interval(numbers.minimum(axis)[0])}",
-            "sheet": f"minimum {numbers.with_interval(units.minimum(axis))}",
+            "si": f"minimum {numbers.with_interval(numbers.minimum(axis.fit))}",
+            "sheet": f"minimum {numbers.with_interval(units.minimum(axis.fit))}",
         },
         "fine": _fine(axis, units),
         "psd": _psd(axis),
@@ -229,29 +232,26 @@ def _fixed(values: FloatArray, std: float) -> list[float | None]:
     return [round(value, places) if math.isfinite(value) else None for value in values.tolist()]
 
 
-def render_page(report: Report, *, pictures: Mapping[str, bytes] | None = None) -> str:
+def render_page(report: Report, *, drawings: Drawings | None = None) -> str:
     """Return the page; the same report always gives the same text.
 
-    `pictures` has those of the axes (`render_small`), by name, that are drawn already: pages show them where
-    scripts are off.
+    It shows what was drawn for the folder, where `drawings` are given; otherwise its pictures are drawn here.
     """
-    drawn, drifts = pictures or {}, drift_section(report)
-    sections = [
-        ("summary", "Summary", summary_section(report)),
-        ("findings", "Findings", findings_section(report)),
-        *([("drift", "What this does to a filter", drifts)] if drifts else ()),
-        ("downstream", "Which number goes where", downstream_section(report)),
+    pictures = (drawings or draw(report, ("png",))).addresses
+    drifts = "What this does to a filter"
+    makers: list[tuple[str, str, Callable[[], Markup | None]]] = [
+        ("summary", "Summary", lambda: summary_section(report, pictures)),
+        ("findings", "Findings", lambda: findings_section(report)),
+        ("drift", drifts, lambda: drift_section(report)),
+        ("downstream", "Which number goes where", lambda: downstream_section(report)),
         *(
-            (
-                axis.name,
-                axis_title(axis),
-                _static(report, axis, drawn.get(axis.name)) + axis_section(report, axis),
-            )
+            (axis.name, axis_title(axis), partial(axis_section, report, axis, pictures))
             for axis in report.axes
         ),
-        ("terms", "What the terms mean", glossary_section()),
-        ("method", "How the numbers were made", method_section(report)),
+        ("terms", "What the terms mean", glossary_section),
+        ("method", "How the numbers were made", lambda: method_section(report)),
     ]
+    made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
     return render(
         "report.html",
         title=f"{report.source.name} – IMU noise report",
@@ -259,35 +259,27 @@ def render_page(report: Report, *, pictures: Mapping[str, bytes] | None = None) 
         grade=report.verdict.grade,
         sentence=report.verdict.sentence,
         lead=_lead(report),
-        sections=sections,
+        sections=[section for section in made if section[2]],
+        folded=(*(axis.name for axis in report.axes), "terms", "method"),
         version=report.version,
         data=Markup(page_data(report)),
         plotly=Markup(_plotly()),
     )
 
 
-@cache
-def _plotly() -> str:
-    """Return plotly's script, deflated and in base64; kept, since it is the same for every page."""
-    from plotly.offline import get_plotlyjs
+def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:
+    """Return a section, or a notice in its place that says why it is missing: one section costs no page."""
+    body, failed = try_side_work(make, None, what=f"This section is missing: {title}", code="not-drawn")
+    return Markup('<p class="notice">{}</p>').format(failed[0].text) if failed else body
 
-    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 7)).decode("ascii")
+
+def _plotly() -> str:
+    """Return the script that draws the plots, deflated as the package has it, in base64."""
+    packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib").read_bytes()
+    return base64.b64encode(packed).decode("ascii")
 
 
 def _lead(report: Report) -> str:
     """Return one line on what was recorded."""
     texts = (f"{a.sensor}: {duration(a.duration_s)} at {a.rate_hz:.6g} Hz" for a in report.axes)
     return " · ".join(dict.fromkeys(texts)) or "No axis could be analysed."
-
-
-def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
-    """Return the picture of an axis that stands in for its plots where scripts are off."""
-    where = axis_title(axis).lower()
-    picture, failed = try_side_work(
-        lambda: drawn or render_small(axis_figure(report, axis)),
-        None,
-        what=f"The picture of {where} is missing",
-        code="not-drawn",
-    )
-    encoded = picture and base64.b64encode(picture).decode("ascii")
-    return render("static.html", where=where, picture=encoded, failed=failed)

@@ -414,7 +414,7 @@ def pair_document(pair: FilterNumbers) -> dict[str, object]:
 
 def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
     fit, curve = axis.fit, axis.fit.curve
-    floor, sheet = numbers.minimum(axis)
+    floor, level = numbers.minimum(fit), TERMS["B"].datasheet_unit(axis.sensor)
     low, high = curve.confidence_interval(fit.level)
     return {
         "name": axis.name,
@@ -447,7 +447,7 @@ def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
             "tau_s": curve.minimum[1],
             "low": floor.low,
             "high": floor.high,
-            "datasheet": _quantity(sheet),
+            "datasheet": _quantity(floor.scaled(level.factor, level.name)),
         },
         "spectrum": {
             "sides": 2,

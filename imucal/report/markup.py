@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from imucal.printable import printable
+from imucal.units import pretty
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -38,7 +39,7 @@ def _environment(package: str) -> "Environment":
         lstrip_blocks=True,
     )
     environment.globals["text_of"] = lambda name: Markup(loader.get_source(environment, name)[0])  # noqa: S704
-    environment.globals["both_units"] = both_units
+    environment.globals |= {"both_units": both_units, "pretty": pretty}
     return environment
 
 

@@ -5,7 +5,7 @@ keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022),
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,6 @@ from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction import DriftPoint
 from imucal.recording import Sensor
-from imucal.report.result import AxisReport
 from imucal.units import pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -58,15 +57,17 @@ def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
     return term if isinstance(term, GaussMarkov) else None
 
 
-def si(estimate: Estimate, sensor: Sensor) -> Quantity:
-    """Return an estimate's coefficient in SI."""
-    unit = TERMS[estimate.symbol].unit(sensor)
+def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
+    """Return an estimate's coefficient in SI; without a unit where nobody knows the sensor."""
+    unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""
     drawn = estimate.drawn if estimate.value is None else None
     return Quantity(value=estimate.value, low=estimate.low, high=estimate.high, unit=unit, drawn=drawn)
 
 
-def datasheet(estimate: Estimate, sensor: Sensor) -> Quantity:
+def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
     """Return an estimate's coefficient in the unit that data sheets print."""
+    if sensor is None:
+        return si(estimate, sensor)
     unit = TERMS[estimate.symbol].datasheet_unit(sensor)
     return si(estimate, sensor).scaled(unit.factor, unit.name)
 
@@ -87,27 +88,17 @@ def drifted(point: DriftPoint, unit: str) -> Quantity:
     return known if known.size >= _SMALL else known.scaled(1e3, f"m{known.unit}")
 
 
-def by_term(axes: Sequence[AxisReport]) -> Iterator[tuple[str, list[Estimate | None]]]:
-    """Yield the key of each term, by rising slope, and its estimate on each axis; None where it has none."""
-    symbols = {estimate.key: estimate.symbol for axis in axes for estimate in axis.fit.estimates}
-    for key in sorted(symbols, key=lambda key: list(TERMS).index(symbols[key])):
-        yield key, [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
-
-
-def minimum(axis: AxisReport) -> tuple[Quantity, Quantity]:
-    """Return the curve's minimum, with the curve's interval there, in SI and in data-sheet units.
+def minimum(fit: NoiseFit) -> Quantity:
+    """Return the curve's minimum, with the curve's interval there, in SI.
 
     The interval is that of a point chosen in advance; being the lowest of many, it reads low.
     """
-    curve = axis.fit.curve
-    adev, tau = curve.minimum
-    low, high = curve.confidence_interval(axis.fit.level)
-    at = int(np.flatnonzero(curve.tau == tau)[0])
+    adev, tau = fit.curve.minimum
+    low, high = fit.curve.confidence_interval(fit.level)
+    at = int(np.flatnonzero(fit.curve.tau == tau)[0])
     known = math.isfinite(low[at]) and math.isfinite(high[at])
     limits = (float(low[at]), float(high[at])) if known else (adev, adev)
-    quantity = Quantity(value=adev, low=limits[0], high=limits[1], unit=axis.unit)
-    unit = TERMS["B"].datasheet_unit(axis.sensor)
-    return quantity, quantity.scaled(unit.factor, unit.name)
+    return Quantity(value=adev, low=limits[0], high=limits[1], unit=fit.sensor.unit if fit.sensor else "")
 
 
 def alternatives(estimate: Estimate) -> str:

@@ -6,7 +6,7 @@ noise over time has heights relative to the record's value: one scale for every 
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import count
 from typing import TypeAlias
 
@@ -16,8 +16,8 @@ from markupsafe import Markup
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, Goodness, Segments, Trace
-from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, Segments, Trace
+from imucal.noise.terms import TERMS
 from imucal.prediction import drift
 from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Sensor
@@ -37,32 +37,31 @@ from imucal.report.exports.target import (
 )
 from imucal.report.figure import axis_title, shown_points
 from imucal.report.markup import both_units, render
-from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
 #: Head and cells of a row.
 _Row: TypeAlias = tuple[str, list[str]]
-#: A quantity in SI and in data-sheet units, and a note on it; None for an axis without it.
-_Cell: TypeAlias = tuple[tuple[Quantity, Quantity], str] | None
 #: Level, code, advice and the part worth keeping: what findings have in common.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 _NOTHING = "–"
 
 
-def summary_section(report: Report) -> Markup:
-    """Return the tables of both sensors."""
+def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
+    """Return the pictures and the tables of both sensors; `pictures` has addresses by the names of files."""
     tables = [
         {
             "caption": _summary_caption(axes),
-            "axes": [axis.axis for axis in axes],
-            "rows": list(_summary_rows(axes, sheet_units(report, sensor))),
+            "view": seen,
+            "states": {row.key: _states(seen, row.key) for row in seen.rows if row.key.endswith(" T")},
+            "scores": [_score(fit.goodness.statistic) for fit in seen.fits],
         }
-        for sensor, axes in report.by_sensor.items()
+        for seen, axes in zip(views(report), report.by_sensor.values(), strict=True)
     ]
-    return render("summary.html", tables=tables)
+    return render("summary.html", tables=tables, pictures=pictures)
 
 
 def _summary_caption(axes: list[AxisReport]) -> str:
@@ -75,48 +74,16 @@ def _summary_caption(axes: list[AxisReport]) -> str:
     )
 
 
-def _summary_rows(axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
-    for key, found in numbers.by_term(axes):
-        yield from _term_rows(key, found, axes, units)
-    lowest = [(numbers.minimum(axis)[0], units.minimum(axis)) for axis in axes]
-    times = [f"at {numbers.seconds(axis.fit.curve.minimum[1])}" for axis in axes]
-    yield _quantities("minimum", "of the curve", list(zip(lowest, times, strict=True)))
-    yield {"key": "model", "texts": [str(axis.fit.model) or "none shown" for axis in axes]}
-    yield {"key": "misfit score", "texts": [_score(axis.fit.goodness.statistic) for axis in axes]}
-
-
-def _term_rows(
-    key: str, found: list[Estimate | None], axes: list[AxisReport], units: SheetUnits
-) -> Iterator[dict[str, object]]:
-    sensor = axes[0].sensor
-    symbol = next(e.symbol for e in found if e)
-    cells = [
-        ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
-        for e in found
-    ]
-    name, markov = TERMS[symbol].name(sensor), symbol == GaussMarkov.symbol
-    yield _quantities(*((f"{key} σ", f"{name}, standard deviation") if markov else (key, name)), cells)
-    if any(times := [_time(e) for e in found]):
-        yield _quantities(f"{key} T", "its correlation time", times)
-    if markov:
-        states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
-        yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
-
-
-def _time(estimate: Estimate | None) -> _Cell:
-    if estimate is None or estimate.correlation_time is None:
-        return None
-    quantity = numbers.correlation_time(estimate.correlation_time)
-    return (quantity, quantity), ""
-
-
-def _state(axis: AxisReport, estimate: Estimate | None) -> str:
-    """Return phi and q of a Gauss-Markov term for a filter at the sampling rate."""
-    term = estimate and numbers.gauss_markov_term(axis.fit, estimate)
-    if not term:
-        return _NOTHING
-    tau0 = 1 / axis.fit.rate_hz
-    return f"{term.phi(tau0):.9g}, {term.q(tau0):.4g} {pretty(axis.unit)}"
+def _states(seen: View, key: str) -> list[str]:
+    """Return phi and q of a Gauss-Markov term on each axis, for a filter at the sampling rate."""
+    texts = []
+    for fit in seen.fits:
+        estimate = next((e for e in fit.estimates if key == f"{e.key} T"), None)
+        term = estimate and numbers.gauss_markov_term(fit, estimate)
+        tau0 = 1 / fit.rate_hz
+        unit = pretty(seen.sensor.unit) if seen.sensor else ""
+        texts.append(f"{term.phi(tau0):.9g}, {term.q(tau0):.4g} {unit}" if term else _NOTHING)
+    return texts
 
 
 def _score(score: float) -> str:
@@ -124,23 +91,6 @@ def _score(score: float) -> str:
         return "unknown"
     text = f"{score + 0.0:.1f}".replace("-0.0", "0.0").replace("-", "−")
     return f"{text} ({'the model does not fit' if score > 3 else 'the model fits'})"
-
-
-def _quantities(key: str, name: str, cells: Sequence[_Cell]) -> dict[str, object]:
-    """Return a row of quantities, each unit with one power of ten for all axes."""
-    units, columns = [], []
-    for index in (1, 0):
-        quantities = [cell[0][index] for cell in cells if cell]
-        exponent = numbers.engineering_exponent(quantities)
-        units.append((exponent, pretty(quantities[0].unit)))
-        columns.append([cell and _shown(cell[0][index], cell[1], exponent) for cell in cells])
-    return {"key": key, "name": name, "units": units, "cells": list(zip(*columns, strict=True))}
-
-
-def _shown(quantity: Quantity, note: str, exponent: int) -> dict[str, object]:
-    value, interval = numbers.compact(quantity, exponent=exponent)
-    small = " ".join(part for part in (interval, note) if part)
-    return {"value": value, "small": small, "bounded": quantity.value is None}
 
 
 def findings_section(report: Report) -> Markup:
@@ -250,13 +200,14 @@ def _misfit(goodness: Goodness) -> str:
     return f"{goodness.statistic:.1f} (p = {goodness.p_value:.2g}, χ²/bin {goodness.chi2_per_bin:.3f})"
 
 
-def axis_section(report: Report, axis: AxisReport) -> Markup:
+def axis_section(report: Report, axis: AxisReport, pictures: Mapping[str, str]) -> Markup:
     """Return the plots of one axis, each with a caption, and the curve as a table."""
-    units = sheet_units(report, axis.sensor)
-    lowest = (units.minimum(axis), numbers.minimum(axis)[0])
+    units = sheet_units([each.fit for each in report.by_sensor[axis.sensor]])
+    lowest = (units.minimum(axis.fit), numbers.minimum(axis.fit))
     return render(
         "axis.html",
         axis=axis,
+        pictures=pictures,
         where=axis_title(axis),
         minimum=[numbers.with_interval(quantity) for quantity in lowest],
         minimum_s=numbers.seconds(axis.fit.curve.minimum[1]),
@@ -452,7 +403,12 @@ def downstream_section(report: Report) -> Markup:
             (name.format(target.title, target.name), ["; ".join(target.formulas), target.kind])
             for target in TARGETS.values()
         ],
-        floors=[(axis.name, _floors(axis, sheet_units(report, axis.sensor))) for axis in report.axes],
+        floors=[
+            (f"{seen.sensor.short}_{name}", _floors(fit, seen.units))
+            for seen in views(report)
+            if seen.sensor
+            for name, fit in zip(seen.names, seen.fits, strict=True)
+        ],
     )
 
 
@@ -492,11 +448,10 @@ def _slowest(chosen: Numbers, sensor: Sensor) -> str:
     return text.format(sigma, pretty(sensor.unit), time, axis)
 
 
-def _floors(axis: AxisReport, units: SheetUnits) -> list[Markup]:
+def _floors(fit: NoiseFit, units: SheetUnits) -> list[Markup]:
     """Return B and the curve's minimum of an axis, each also by the factor between them."""
-    estimate = axis.fit["B"]
-    flicker = (units.estimate(estimate, axis.sensor), numbers.si(estimate, axis.sensor))
-    lowest = (units.minimum(axis), numbers.minimum(axis)[0])
+    flicker = (units.estimate(fit["B"], fit.sensor), numbers.si(fit["B"], fit.sensor))
+    lowest = (units.minimum(fit), numbers.minimum(fit))
     columns = [
         [quantity.scaled(factor, quantity.unit) for quantity in pair]
         for pair, factor in ((flicker, 1.0), (flicker, 0.664), (lowest, 1.0), (lowest, 1 / 0.664))

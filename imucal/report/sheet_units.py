@@ -1,14 +1,13 @@
 """The data-sheet units of a sensor's numbers, chosen once a report: no row and no plot mixes two."""
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity
-from imucal.report.result import AxisReport, Report
 from imucal.units import DatasheetUnit
 
 #: Where the floor of every axis is below this, in mg, levels are told in µg.
@@ -30,13 +29,13 @@ class SheetUnits:
     level: DatasheetUnit
     density: DatasheetUnit
 
-    def estimate(self, estimate: Estimate, sensor: Sensor) -> Quantity:
+    def estimate(self, estimate: Estimate, sensor: Sensor | None) -> Quantity:
         """Return an estimate's coefficient."""
         return self._shown(numbers.datasheet(estimate, sensor))
 
-    def minimum(self, axis: AxisReport) -> Quantity:
+    def minimum(self, fit: NoiseFit) -> Quantity:
         """Return the lowest point of an axis's curve."""
-        return self._shown(numbers.minimum(axis)[1])
+        return numbers.minimum(fit).scaled(self.level.factor, self.level.name)
 
     def _shown(self, quantity: Quantity) -> Quantity:
         """Return micro-g for milli-g where the sensor's levels are told in it."""
@@ -45,11 +44,17 @@ class SheetUnits:
         return quantity
 
 
-def sheet_units(report: Report, sensor: Sensor) -> SheetUnits:
-    """Return the units of a sensor: deg/h and deg/√h, or mg (µg where all floors are small) and m/s/√h."""
-    floors = [axis.fit.curve.minimum[0] for axis in report.by_sensor.get(sensor, ())]
-    density = TERMS["N"].datasheet_unit(sensor)
-    return SheetUnits(level=level_unit(sensor, max(floors, default=math.inf)), density=density)
+def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
+    """Return the units of one sensor's fits: deg/h and deg/√h, or mg and m/s/√h.
+
+    Where all floors of an accelerometer are small, it is µg. Where nobody knows the sensor, the unit is that
+    of the samples, whatever it is.
+    """
+    sensor = fits[0].sensor
+    if sensor is None:
+        return SheetUnits(level=DatasheetUnit("", 1.0), density=DatasheetUnit("", 1.0))
+    floors = [fit.curve.minimum[0] for fit in fits]
+    return SheetUnits(level=level_unit(sensor, max(floors)), density=TERMS["N"].datasheet_unit(sensor))
 
 
 def level_unit(sensor: Sensor, size: float) -> DatasheetUnit:

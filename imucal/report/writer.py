@@ -81,7 +81,7 @@ def write_report(
     with _translated(out):
         _refuse_foreign(out, names)
         with _scratch(out) as scratch:
-            drawings = draw(report, formats, small=html, workers=workers)
+            drawings = draw(report, formats, page=html, workers=workers)
             written = _write_all(report, drawings, names, scratch, tell or (lambda _: None))
             sync_folder(scratch)
             names = tuple(name for name in names if name in written)
@@ -125,16 +125,16 @@ def _write_all(
     tell: Callable[[Finding], None],
 ) -> set[str]:
     """Write each file, pictures first, so that page and JSON say which are missing; return those written."""
-    for name, content in drawings.files.items():
-        _write(scratch / name, content)
-    written = set(drawings.files)
+    written = set(drawings.files) & set(names)
+    for name in written:
+        _write(scratch / name, drawings.files[name])
     failures = tuple(drawings.failures)
     report = replace(report, findings=report.findings + failures)
     if "report.html" in names:
         from imucal.report import html_page
 
         page, failed = try_side_work(
-            lambda: html_page.render_page(report, pictures=drawings.small).encode(),
+            lambda: html_page.render_page(report, drawings=drawings).encode(),
             None,
             what="report.html was left out",
             code="not-drawn",

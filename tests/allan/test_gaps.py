@@ -76,6 +76,25 @@ def test_windows_are_their_definition() -> None:
     )
 
 
+def test_windows_far_from_a_gap_are_their_definition_too() -> None:
+    """Few gaps in many places, where windows that hold equally many are summed without being counted."""
+    rng = np.random.default_rng(31)
+    samples, keep = MODEL.simulate(90_000, rate_hz=1.0, rng=rng) - 9.8, np.ones(90_000, dtype=bool)
+    for start, length in ((20_000, 1), (41_000, 700), (41_900, 5000)):
+        keep[start : start + length] = False
+    integral = np.concatenate([[0.0], np.cumsum(np.where(keep, samples - samples[keep].mean(), 0.0))])
+    filled = np.concatenate([[0], np.cumsum(keep)])
+    m = np.array([1, 64, 500, 9000, 22_000])
+    found = window_variances(_series(samples, keep), m)
+    for i, k in enumerate(m.tolist()):
+        sums, sizes = integral[k:] - integral[:-k], filled[k:] - filled[:-k]
+        both = (sizes[k:] >= k * keep.mean() / 2) & (sizes[:-k] >= k * keep.mean() / 2)
+        means = sums / np.maximum(sizes, 1)
+        assert found.terms[i] == both.sum()
+        expected = np.mean((means[k:] - means[:-k])[both] ** 2) / 2
+        npt.assert_allclose(found.avar[i] * found.inflation[i], expected, rtol=1e-8)
+
+
 def test_agrees_with_the_estimator_from_all_pairs() -> None:
     """An independent unbiased estimator, on the same samples, at averages where both are sharp."""
     rng = np.random.default_rng(10)

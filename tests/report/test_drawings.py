@@ -1,5 +1,6 @@
 """Pictures drawn side by side: the same files, and the same sentences where one fails."""
 
+import base64
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -41,11 +42,11 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr(drawings, "_draw_one", marked)
     monkeypatch.setattr("imucal.processes.may_fork", lambda: True)
     report = _two_axes()
-    found = draw(report, ("png",), small=True, workers=2)
+    found = draw(report, ("png",), page=True, workers=2)
     assert 1 <= len(list(marks.iterdir())) <= 2
     assert str(os.getpid()) not in {mark.name for mark in marks.iterdir()}
     assert tuple(found.files) == picture_names(report, ("png",))
-    assert tuple(found.small) == tuple(axis.name for axis in report.axes)
+    assert set(found.addresses) == {name.removesuffix(".png") for name in found.files}
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -61,17 +62,33 @@ def test_a_picture_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, workers:
 
     monkeypatch.setattr(figure, "axis_figure", fails)
     report = _two_axes()
-    found = draw(report, ("png", "svg"), small=True, workers=workers)
+    found = draw(report, ("png", "svg"), page=True, workers=workers)
     missing = {f"{axis.name}.{form}" for axis in report.axes[:1] for form in ("png", "svg")}
     assert set(picture_names(report, ("png", "svg"))) - set(found.files) == missing
     assert [finding.text.split()[0] for finding in found.failures] == sorted(missing)
-    assert set(found.small) == {report.axes[1].name}
+    assert set(found.addresses) == {report.axes[1].name, "gyro", "accel"}
 
 
 def test_no_formats_and_no_page_draw_nothing() -> None:
     """Nor is anything drawn that nobody asked for."""
-    assert draw(small_report(), (), small=False).files == {}
+    assert draw(small_report(), ()).files == {}
     assert picture_names(small_report(), ()) == ()
-    only_small = draw(small_report(), (), small=True)
-    assert only_small.files == {}
-    assert set(only_small.small) == {axis.name for axis in small_report().axes}
+
+
+@pytest.mark.parametrize(
+    ("formats", "drawn", "kind"),
+    [
+        (("png",), {"png"}, "png"),
+        (("svg", "pdf"), {"svg", "pdf"}, "svg+xml"),
+        (("pdf",), {"pdf", "png"}, "png"),
+    ],
+)
+def test_a_page_shows_what_was_drawn_for_the_folder(
+    formats: tuple[str, ...], drawn: set[str], kind: str
+) -> None:
+    """A figure is rendered once a format; only where no browser shows that is there a png besides."""
+    found = draw(small_report(), formats, page=True, workers=1)
+    assert {name.partition(".")[2] for name in found.files} == drawn
+    assert found.addresses["gyro_x"].startswith(f"data:image/{kind};base64,")
+    held = base64.b64decode(found.addresses["gyro_x"].partition(",")[2])
+    assert held == found.files[f"gyro_x.{kind.partition('+')[0]}"]

@@ -109,6 +109,9 @@ def _sections(page: str) -> str:
     root = html.document_fromstring(page)
     for node in root.xpath("//script|//style"):
         node.drop_tree()
+    for image in root.xpath("//img"):
+        # The bytes of a picture are those of the library that drew it.
+        image.set("src", image.get("src").partition(",")[0])
     parts = [root.xpath("//title")[0], root.xpath("//h1")[0], *root.xpath("//nav|//main")]
     text = "\n".join(etree.tostring(part, encoding="unicode") for part in parts)
     return _BLOCK.sub(r"\n\1", text)

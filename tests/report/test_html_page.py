@@ -4,8 +4,10 @@ import base64
 import itertools
 import json
 import re
+import zlib
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,7 @@ from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Line
 from imucal.prediction import filter_numbers
+from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
 from imucal.report.figure import estimate_text
 from imucal.report.html_page import page_data, render_page, standing_out
@@ -44,11 +47,19 @@ def test_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
     assert policy.startswith("default-src 'none'")
 
 
-def test_page_size_is_that_of_the_script() -> None:
-    """Two megabytes are plotly, deflated; data and pictures of six axes take less than a third of that."""
+def test_a_page_is_small_enough_to_mail() -> None:
+    """Half a megabyte is the plots' script; eight pictures and the data of six axes take one more."""
     report = consumer_report()
     assert len(page_data(report)) < 200_000
-    assert len(render_page(report)) < 2_800_000
+    assert len(render_page(report)) < 1_600_000
+
+
+def test_the_script_of_the_plots_is_plotlys() -> None:
+    """As its makers publish it, with their licence beside it."""
+    folder = files("imucal.report").joinpath("plotly")
+    script = zlib.decompress(folder.joinpath("plotly-basic.min.js.zlib").read_bytes()).decode()
+    assert script.startswith("/**\n* plotly.js (basic - minified) v4")
+    assert "Plotly Technologies Inc." in folder.joinpath("LICENSE").read_text(encoding="utf-8")
 
 
 def test_structure_is_sane_for_screen_readers(page: html.HtmlElement) -> None:
@@ -137,7 +148,7 @@ def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
 
 def test_page_says_it_for_every_program(page: html.HtmlElement) -> None:
     """One row an export, with the formulas that stand in its file."""
-    rows = page.get_element_by_id("downstream").xpath(".//details//tbody/tr")
+    rows = page.get_element_by_id("downstream").xpath("(.//details)[2]//tbody/tr")
     said = {row.xpath(".//code")[0].text_content(): row.text_content() for row in rows}
     assert list(said) == list(TARGETS)
     for name, target in TARGETS.items():
@@ -158,7 +169,7 @@ def test_names_of_the_log_can_do_no_harm() -> None:
     evil = "</script><img src=x onerror=alert(1)>&$title.csv"
     report = replace(report, source=replace(report.source, path=evil))
     page = html.document_fromstring(render_page(report))
-    assert {image.get("src")[:16] for image in page.xpath("//img")} == {"data:image/webp;"}
+    assert {image.get("src")[:16] for image in page.xpath("//img")} == {"data:image/png;b"}
     assert page.xpath("//h1")[0].text_content() == evil.rsplit("/", 1)[-1]
 
 
@@ -275,13 +286,13 @@ def test_the_caption_of_the_raw_signal_counts_the_gaps(count: int, text: str) ->
     """As one says it."""
     axis = consumer_report().axes[0]
     page = _page(replace(axis, gaps=axis.gaps * count))
-    assert page.xpath("//figcaption")[2].text_content().endswith(text)
+    assert page.xpath("//figcaption")[3].text_content().endswith(text)
 
 
 def _page(axis: AxisReport) -> html.HtmlElement:
     """Return the sections of one axis, without the megabytes of the script."""
     report = replace(consumer_report(), axes=(axis,))
-    sections = (summary_section(report), axis_section(report, axis), method_section(report))
+    sections = (summary_section(report, {}), axis_section(report, axis, {}), method_section(report))
     return html.document_fromstring("".join(sections))
 
 
@@ -377,6 +388,7 @@ def _load(browser: Browser, address: str) -> None:
 
 def _show(browser: Browser, plot: str) -> None:
     # At every look: plots that are drawn above it meanwhile may push it out of sight again.
+    browser.run(f"document.getElementById('{plot}').closest('details').open = true")
     browser.wait(
         f"document.getElementById('{plot}').scrollIntoView({{block: 'center'}});"
         f"return document.querySelector('#{plot} .main-svg') !== null"
@@ -444,9 +456,9 @@ def test_plots_have_the_labels_and_marks_of_the_pictures(browser: Browser, addre
     """Each term's value with its uncertainty, the minimum with a ring; none covers another."""
     _load(browser, address)
     axis = consumer_report().axes[0]
-    units = sheet_units(consumer_report(), axis.sensor)
+    units = sheet_units([each.fit for each in consumer_report().axes[:3]])
     expected = {estimate_text(estimate, axis.sensor, units) for estimate in axis.fit.estimates}
-    expected.add(f"minimum {with_interval(units.minimum(axis))}")
+    expected.add(f"minimum {with_interval(units.minimum(axis.fit))}")
     _show(browser, "gyro_x-allan")
     script = """
         return [...document.querySelectorAll('#gyro_x-allan .annotation')].map((a) => {
@@ -527,7 +539,7 @@ def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) ->
 
 
 def test_pictures_stand_in_where_scripts_are_off(browser: Browser, address: str) -> None:
-    """One an axis, with a text for who can't see it; no empty plot, no switch that does nothing."""
+    """Both overviews, and one in each axis's fold; no empty plot, no switch that does nothing."""
     browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
     try:
         browser.open(address)
@@ -535,33 +547,58 @@ def test_pictures_stand_in_where_scripts_are_off(browser: Browser, address: str)
     finally:
         browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
     images = [node["name"]["value"] for node in tree if node["role"]["value"] == "image"]
-    assert images == [
-        f"Allan deviation and power spectral density of {sensor} {axis}"
-        for sensor in ("gyroscope", "accelerometer")
-        for axis in "xyz"
-    ]
+    assert images == [f"Allan deviations and spectra of the {sensor}'s axes" for sensor in Sensor]
     assert "radio" not in {n["role"]["value"] for n in tree if not n.get("ignored")}
+    page = html.document_fromstring(Path(address.removeprefix("file://")).read_text(encoding="utf-8"))
+    for axis in consumer_report().axes:
+        (image,) = page.xpath(f"//section[@id='{axis.name}']//figure[@class='static']//img")
+        where = f"{axis.sensor} {axis.axis}"
+        assert image.get("alt") == f"Allan deviation and power spectral density of {where}"
 
 
-def test_print_shows_every_plot_on_paper(browser: Browser, address: str) -> None:
-    """All are drawn, light, as wide as the paper, though the screen is dark and they were out of sight."""
+def test_paper_has_every_picture_on_eight_sheets(browser: Browser, address: str) -> None:
+    """Light, though the screen is dark; what is folded is opened for it and folded again."""
     _load(browser, address)
     browser.run("document.querySelector('input[value=dark]').click()")
     answer = browser.devtools("Page.printToPDF", preferCSSPageSize=True)
     pdf = base64.b64decode(answer["data"])
-    pages = len(re.findall(rb"/Type\s*/Page\b", pdf))
-    # Six axes have a page each; summary, uses, terms and method take two to six more.
-    assert 8 <= pages <= 14
+    assert len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 8
+    folds = "return [...document.querySelectorAll('.folded')].map((fold) => fold.open)"
+    assert set(browser.run(folds)) == {False}
+    browser.devtools("Emulation.setEmulatedMedia", media="print")
     browser.run("dispatchEvent(new Event('beforeprint'))")
-    widths = browser.run("return [...document.querySelectorAll('.plot .main-svg')].map((s) => s.clientWidth)")
-    # 186 mm at 96 px an inch.
-    assert max(widths) <= 186 / 25.4 * 96 + 1
-    assert browser.run(
-        "return [...document.querySelectorAll('.plot')].every((p) => p.querySelector('.main-svg'))"
+    assert set(browser.run(folds)) == {True}
+    shown = (
+        "return [...document.querySelectorAll('main img')].filter((image) => image.clientHeight > 100).length"
     )
+    assert browser.run(shown) == 8
     assert browser.run("return getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     browser.run("dispatchEvent(new Event('afterprint'))")
+    browser.devtools("Emulation.setEmulatedMedia", media="")
+    assert set(browser.run(folds)) == {False}
     assert browser.run("return getComputedStyle(document.body).backgroundColor") == "rgb(18, 23, 29)"
+
+
+@pytest.mark.parametrize(("width", "first", "height"), [(1400, 900, 6000), (390, 900, 9000)])
+def test_the_first_picture_is_in_sight_and_the_page_is_short(
+    browser: Browser, address: str, width: int, first: int, height: int
+) -> None:
+    """Verdict, pictures, table; axes are folded. On a desk and on a telephone."""
+    browser.devtools(
+        "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
+    )
+    _load(browser, address)
+    assert browser.run("return document.querySelector('main img').getBoundingClientRect().top") < first
+    assert browser.run("return document.documentElement.scrollHeight") < height
+    browser.devtools("Emulation.clearDeviceMetricsOverride")
+
+
+def test_a_link_opens_its_fold(browser: Browser, address: str) -> None:
+    """From the navigation, and from another page."""
+    _load(browser, address)
+    browser.run("document.querySelector('nav a[href=\"#accel_y\"]').click()")
+    assert browser.wait("return document.querySelector('#accel_y > .folded').open")
+    assert browser.wait("return document.querySelector('#accel_y-allan .main-svg') !== null")
 
 
 def test_nothing_that_takes_the_focus_is_without_a_name(browser: Browser, address: str) -> None:

@@ -154,21 +154,21 @@ def test_a_sensor_has_one_unit_for_its_levels(times: float, unit: str) -> None:
     loud = accel[0].fit.curve
     loud = replace(loud, avar=loud.avar * times**2)
     first = replace(accel[0], fit=replace(accel[0].fit, curve=loud))
-    units = sheet_units(replace(report, axes=(first, *accel[1:])), Sensor.ACCELEROMETER)
+    units = sheet_units([first.fit, *(axis.fit for axis in accel[1:])])
     assert units.level.name == unit
     factor = (1e6 if unit == "ug" else 1e3) / 9.80665
     assert units.level.factor == pytest.approx(factor)
     for axis in accel:
-        assert {units.minimum(axis).unit, units.estimate(axis.fit["B"], axis.sensor).unit} == {unit}
-        assert units.minimum(axis).value == pytest.approx(axis.fit.curve.minimum[0] * factor)
+        assert {units.minimum(axis.fit).unit, units.estimate(axis.fit["B"], axis.sensor).unit} == {unit}
+        assert units.minimum(axis.fit).value == pytest.approx(axis.fit.curve.minimum[0] * factor)
         assert units.estimate(axis.fit["N"], axis.sensor).unit == "m/s/sqrt(h)"
-    assert sheet_units(report, Sensor.GYROSCOPE).level.name == "deg/h"
+    assert sheet_units([axis.fit for axis in report.axes[:3]]).level.name == "deg/h"
 
 
 def test_minimum_carries_the_interval_of_its_point() -> None:
     """It lies inside, and both units say the same."""
     for axis in consumer_report().axes:
-        plain, sheet = numbers.minimum(axis)
+        plain, sheet = numbers.minimum(axis.fit), sheet_units([axis.fit]).minimum(axis.fit)
         assert plain.value is not None
         assert plain.low < plain.value < plain.high
         assert sheet.low / plain.low == pytest.approx(sheet.high / plain.high)
@@ -297,5 +297,5 @@ def test_a_minimum_of_which_nothing_is_known_has_no_interval() -> None:
     for edf in (1e-3, math.nan):
         curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.tau.size, edf))
         with np.errstate(divide="ignore"):
-            plain, _ = numbers.minimum(replace(axis, fit=replace(axis.fit, curve=curve)))
+            plain = numbers.minimum(replace(axis.fit, curve=curve))
         assert plain.low == plain.value == plain.high

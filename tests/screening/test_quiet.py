@@ -104,7 +104,7 @@ WILD: list[Callable[[int, np.random.Generator], FloatArray]] = [
 ]
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(20))
 def test_damaged_data_neither_crash_nor_say_nan(seed: int) -> None:
     """Any mixture of wild axes gives findings whose figures are numbers; warnings are errors here."""
     rng = np.random.default_rng(seed)

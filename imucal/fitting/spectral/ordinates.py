@@ -22,13 +22,15 @@ from typing import Any
 import numpy as np
 
 from imucal.allan.dct import DctBins, dct_ordinates, ramp_ordinates
-from imucal.arrays import BoolArray, FloatArray, read_only
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = tuple(PowerLaw)
 #: Where in a row of parameters, which begins with their variances, the terms of other shapes begin.
 SHAPED = len(LAWS)
+#: Starting values look at no more bins than so many blocks have.
+_FEW_BLOCKS = 2
 #: What `Ordinates` hold of each bin, along the last axis.
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
@@ -140,7 +142,8 @@ def _basis(bins: DctBins) -> FloatArray:
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
     """Return fewer bins: the first `singles` of a block as they are, then `merge` into one.
 
-    Blocks are told apart by where the frequency falls back.
+    Blocks are told apart by where the frequency falls back. Of many blocks, bins next to each other in
+    frequency are merged once more, so that they are no more than those of a few: enough to start from.
     """
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
@@ -148,13 +151,24 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
     for start, stop in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         edges += range(start, min(start + singles, stop))
         edges += range(start + singles, stop, merge)
-    first = np.array(edges, dtype=np.int64)
+    merged = _merged(ordinates, np.array(edges, dtype=np.int64))
+    blocks = starts.size - 1
+    if blocks <= _FEW_BLOCKS:
+        return merged
+    order = np.argsort(merged.lam, kind="stable")
+    sorted_bins = replace(merged, **{name: getattr(merged, name)[..., order] for name in _BINNED})
+    return _merged(sorted_bins, np.arange(0, order.size, -(-blocks // _FEW_BLOCKS)))
+
+
+def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
+    """Return one bin in place of the bins from each of `first`, rising, to before the next."""
+    size = ordinates.size
     total = np.add.reduceat(size, first)
     single = np.diff(first, append=size.size) == 1
 
     def mean(values: FloatArray) -> FloatArray:
-        merged: FloatArray = np.add.reduceat(values * size, first, axis=-1) / total
-        return merged
+        weighed: FloatArray = np.add.reduceat(values * size, first, axis=-1) / total
+        return weighed
 
     return replace(
         ordinates,

@@ -5,10 +5,7 @@
   const plots = [...document.querySelectorAll(".plot")];
   const darkness = matchMedia("(prefers-color-scheme: dark)");
 
-  const isDark = () => {
-    if (root.classList.contains("printing")) return false;
-    return root.dataset.theme === "auto" ? darkness.matches : root.dataset.theme === "dark";
-  };
+  const isDark = () => (root.dataset.theme === "auto" ? darkness.matches : root.dataset.theme === "dark");
   const colour = (name) => data.colours[name][isDark() ? 1 : 0];
   const css = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   const dashes = { Q: "2px,4px", N: "9px,3px", B: "9px,3px,2px,3px", GM: "5px,3px", K: "14px,5px", R: "11px,3px,2px,3px,2px,3px" };
@@ -242,6 +239,7 @@
   const makers = { allan, psd, raw };
   const drawn = new Set();
   let ready = false;
+  let watcher;
 
   // Two stops for the Tab key: the plot, and its buttons, among which the arrow keys move.
   function tame(plot) {
@@ -264,16 +262,15 @@
     if (!ready) return;
     const [traces, shape, marks] = makers[plot.dataset.plot](data.axes[plot.dataset.axis]);
     const config = { responsive: true, displaylogo: false, modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]], toImageButtonOptions: { filename: plot.id } };
-    // On paper the size is fixed; on a screen plotly follows its box.
-    if (root.classList.contains("printing")) Object.assign(shape, { width: plot.clientWidth, height: plot.clientHeight });
-    else shape.autosize = true;
+    shape.autosize = true;
     window.Plotly.react(plot, traces, shape, config).then(() => {
       if (marks) window.Plotly.relayout(plot, { annotations: place(plot, marks) });
       tame(plot);
     });
     drawn.add(plot);
   }
-  const redraw = () => drawn.forEach(draw);
+  // What lies in a section that was folded again has no size; it is drawn when it is seen.
+  const redraw = () => drawn.forEach((plot) => { if (plot.clientWidth) draw(plot); else { drawn.delete(plot); watcher.observe(plot); } });
 
   for (const input of document.querySelectorAll(".controls input")) {
     input.addEventListener("change", redraw);
@@ -284,14 +281,6 @@
   addEventListener("resize", () => {
     clearTimeout(resized);
     resized = setTimeout(redraw, 200);
-  });
-  addEventListener("beforeprint", () => {
-    root.classList.add("printing");
-    plots.forEach(draw);
-  });
-  addEventListener("afterprint", () => {
-    root.classList.remove("printing");
-    redraw();
   });
 
   for (const plot of plots) {
@@ -322,7 +311,8 @@
     script.textContent = await new Response(stream).text();
     document.head.append(script);
     ready = true;
-    const watcher = new IntersectionObserver((entries) => {
+    root.dataset.ready = "yes";
+    watcher = new IntersectionObserver((entries) => {
       for (const { isIntersecting, target } of entries) {
         if (!isIntersecting) continue;
         watcher.unobserve(target);
@@ -330,7 +320,6 @@
       }
     }, { rootMargin: "600px" });
     plots.forEach((plot) => watcher.observe(plot));
-    root.dataset.ready = "yes";
   }
   unpack().catch((error) => {
     document.getElementById("no-plots").hidden = false;

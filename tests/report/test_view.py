@@ -1,0 +1,78 @@
+"""The one view: every term of every axis is in the rows, and whatever draws them draws every report."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from lxml import html
+
+from imucal.cli._result_table import summary_table
+from imucal.noise.terms import ALWAYS, TERMS
+from imucal.recording import Axis, Sensor
+from imucal.report.figure import Drawings
+from imucal.report.html_page import render_page
+from imucal.report.result import Report
+from imucal.report.view import view, views
+from tests.report.random_reports import STATES, axis_of, random_report, report_of
+from tests.report.synthetic import consumer_report
+
+_LETTERS: tuple[Axis, ...] = ("x", "y", "z")
+
+
+def _page(report: Report) -> html.HtmlElement:
+    """Return the parsed page without pictures, which take the time."""
+    return html.document_fromstring(render_page(report, drawings=Drawings()))
+
+
+@pytest.mark.parametrize(("symbol", "state"), list(product(TERMS, STATES)))
+def test_a_page_has_every_term_in_every_state(symbol: str, state: str) -> None:
+    """On one to six axes of both sensors; terminal and page have the same rows."""
+    rng = np.random.default_rng([ord(symbol[0]), STATES.index(state)])
+    every = list(product(Sensor, _LETTERS))
+    for count in range(1, 7):
+        for chosen in (every[:count], every[6 - count :]):
+            report = report_of([axis_of(*axis, {symbol: state}, rng) for axis in chosen])
+            tables = _page(report).xpath("//table[@class='summary']")
+            assert len(tables) == len(views(report))
+            for table, seen in zip(tables, views(report), strict=True):
+                heads = [head.text_content().split("\n")[0] for head in table.xpath("tbody/tr/th")]
+                present = symbol in ALWAYS or state != "absent"
+                assert any(head.startswith(symbol) for head in heads) is present
+                assert len(table.xpath("thead//th")) == len(seen.names)
+                bounds = table.xpath(
+                    f".//tr[th/b[starts-with(., '{symbol}')]]/td//text()[contains(., 'bound')]"
+                )
+                assert bool(bounds) is (present and state != "estimated")
+            printed = summary_table(report, datasheet=True, forced=True, encoding="utf-8")
+            assert (f"{symbol}  " in printed) is present
+
+
+def test_random_reports_lose_no_page() -> None:
+    """Forty here; the script beside this draws as many as wanted, with pictures."""
+    rng = np.random.default_rng(2711)
+    for _ in range(40):
+        report = random_report(rng)
+        assert len(_page(report).xpath("//table[@class='summary']")) == len(report.by_sensor)
+
+
+def test_rows_hold_both_conventions() -> None:
+    """N of gyro x is 1.2e-4 rad/s/√Hz; a term that only z has is None elsewhere; bounds have no interval."""
+    seen = views(consumer_report())[0]
+    rows = {row.key: row for row in seen.rows}
+    assert list(rows) == ["N", "B", "GM1", "GM1 T", "GM2", "GM2 T", "K", "minimum"]
+    sheet, plain = rows["N"].columns
+    assert [str(text) for text in sheet.texts][:1] == ["0.4125  [0.4109, 0.4141]"]
+    assert (plain.unit, plain.exponent) == ("rad/s/sqrt(Hz)", -6)
+    assert rows["GM1"].cells[:2] == (None, None)
+    bound = rows["K"].column(datasheet=True).texts[1]
+    assert bound is not None
+    assert (bound.value, bound.interval, bound.bounded) == ("< 5.1", "", True)
+
+
+def test_a_fit_of_an_unknown_sensor_has_a_view() -> None:
+    """A curve of another tool: its unit is that of its numbers, whatever it is."""
+    fit = replace(consumer_report().axes[0].fit, sensor=None)
+    seen = view({"curve": fit})
+    assert {cell.si.unit for row in seen.rows for cell in row.cells if cell} == {""}
+    assert seen.rows[0].columns[0].texts == seen.rows[0].columns[1].texts
