@@ -7,6 +7,7 @@ A term is tested with white noise free to vary beside it, so that a change of th
 blamed on the term; white noise itself with all slower terms free in one.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -335,7 +336,7 @@ class _Tests:
         slope = np.array([shares[key] for key in keys]) - np.array([shares["N"], slow]) @ response
         inverse = covariance(self.fitted.maximum.information[0], self.fitted.candidate.free[0])
         variance = float(slope @ inverse[np.ix_(columns, columns)] @ slope)
-        return np.sqrt(max(variance, 0.0)) / (slow + shares["N"] + shares.get("Q", 0.0))
+        return math.sqrt(max(variance, 0.0)) / (slow + shares["N"] + shares.get("Q", 0.0))
 
 
 def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:

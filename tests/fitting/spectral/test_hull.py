@@ -90,6 +90,7 @@ def test_n_is_always_a_value() -> None:
         n = fit["N"]
         # The psd at half the rate, 5 Hz.
         floor = np.sqrt(fit.model.psd(np.array([RATE / 2]), rate_hz=RATE)[0])
+        assert n.value is not None
         assert n.value == pytest.approx(floor, rel=0.05)
         assert 0 < n.low < n.value < n.high
         assert "GM" in n.alternatives

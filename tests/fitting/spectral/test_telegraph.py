@@ -34,6 +34,7 @@ def test_two_levels_are_found(amplitude: float, dwell: float, text: str) -> None
     assert found is not None
     assert found.amplitude == pytest.approx(1e-4 * amplitude, rel=0.15)
     assert found.dwell_s == pytest.approx(dwell / 10, rel=0.5)
+    assert not found.sawtooth
 
 
 def test_the_finding_is_a_warning_and_no_step_is_taken_out() -> None:
@@ -46,6 +47,22 @@ def test_the_finding_is_a_warning_and_no_step_is_taken_out() -> None:
     assert float(finding.text.partition("±")[2].split()[0]) == pytest.approx(2, rel=0.1)
     assert not any(finding.code == "step" for finding in fit.findings)
     assert fit.taken_out == {}
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_sawtooth_is_no_telegraph(way: float) -> None:
+    """Ramps of unequal length and jumps back, up or down; a telegraph's jumps are as many up as down."""
+    rng = np.random.default_rng(76)
+    for seed in range(3):
+        resets = np.cumsum([0.0, *rng.uniform(2000, 6000, 30)])
+        ramp = np.arange(N) - resets[np.searchsorted(resets, np.arange(N), side="right") - 1]
+        samples = simulated("N=1", N, 77 + seed) + way * 2e-4 * ramp
+        found = find_telegraph(AxisSeries.from_samples(samples, rate_hz=10.0))
+        assert found is not None
+        assert found.sawtooth
+    said = [finding for finding in fitted(samples, rate_hz=10.0).findings if finding.level == "warning"]
+    assert [finding.code for finding in said] == ["sawtooth"]
+    assert said[0].text.startswith("The level ramps and jumps back, by some ")
 
 
 @pytest.mark.parametrize(
