@@ -46,8 +46,8 @@ GRAVE = ("info", "warning", "error")
 _CODES = """
 absurd-rate axis-missing bad-rows bursts clock-jump clocks-differ coarse-lsb coarse-stamps compression
 counter-unused crc cut-line cycle cycle-doubtful damaged definition delay dropouts duplicate-axes
-duplicate-stamps encapsulation extra-samples few-units fast-rate file-missing gaps gaps-in-curve gaps-in-fit held-samples
-index joined line log-out-of-order log-time-used model-choice model-misfit motion no-data no-gravity
+duplicate-stamps encapsulation extra-samples few-units fast-rate file-missing gaps gaps-in-curve
+gaps-in-fit held-samples index joined line log-out-of-order log-time-used model-choice model-misfit motion no-data no-gravity
 no-result nonstationary not-checked not-drawn not-finite other-vectors output-filter poor-fit predicts-badly
 rate-differs rate-given record-length record-length-unknown records-differ rests roll-off rounding
 sampling-period saturated sawtooth second-opinion sensor-missing short-times spectral-ambiguity spikes

@@ -56,7 +56,7 @@ def test_a_sawtooth_is_no_telegraph(way: float) -> None:
     for seed in range(3):
         resets = np.cumsum([0.0, *rng.uniform(2000, 6000, 30)])
         ramp = np.arange(N) - resets[np.searchsorted(resets, np.arange(N), side="right") - 1]
-        samples = simulated("N=1", N, 77 + seed) + way * 2e-4 * ramp
+        samples = simulated("N=1", N, 77 + seed) + way * 3.5e-4 * ramp
         found = find_telegraph(AxisSeries.from_samples(samples, rate_hz=10.0))
         assert found is not None
         assert found.sawtooth
