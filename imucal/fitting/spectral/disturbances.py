@@ -264,7 +264,7 @@ def find_disturbances(
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
     found: list[Disturbance] = []
-    doubtful: list[Disturbance] = []
+    doubtful: tuple[Disturbance, ...] = ()
     base = _fits(low, [()])
     while len(found) < _MOST:
         names = tuple(name for one in found for name in one.names)
@@ -282,18 +282,17 @@ def find_disturbances(
         caused = ~cycle & (net > _MARGIN) & (gains > _CAUSED * gains.max())
         best = int(np.argmax(np.where(caused, net, -np.inf) if caused.any() else net))
         if net[best] <= _MARGIN:
-            doubtful = [candidates[i] for i in np.flatnonzero(cycle & (gains > _DOUBT)).tolist()]
+            may_be = [candidates[i] for i in np.flatnonzero(cycle & (gains > _DOUBT)).tolist()]
+            doubtful = _sized(may_be, fits, int(np.argmax(cycle)))
             break
         found.append(candidates[best])
         base = _fits(low, [(*names, *candidates[best].names)])
-    return _sized(found, base), _sized(
-        doubtful, _fits(low, [(*names, *doubtful[0].names)])
-    ) if doubtful else ()
+    return _sized(found, base), doubtful
 
 
-def _sized(found: Sequence[Disturbance], fits: "_Fits") -> tuple[Disturbance, ...]:
-    """Return shapes with their coefficients in the fit."""
-    beta = dict(zip(fits.ordinates.names, fits.maximum.beta[0].tolist(), strict=True))
+def _sized(found: Sequence[Disturbance], fits: "_Fits", row: int = 0) -> tuple[Disturbance, ...]:
+    """Return shapes with their coefficients in one of the fits."""
+    beta = dict(zip(fits.ordinates.names, fits.maximum.beta[row].tolist(), strict=True))
     return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
 

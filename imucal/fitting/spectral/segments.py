@@ -314,7 +314,7 @@ class _Tests:
         # What tells the slow part is a few ordinates: Student's quantile of the freedom that it has.
         (tested, both), (_, beside) = np.moveaxis(sure.matrix[row], 0, -1)
         reach = student_quantile(self.problem.level, np.sqrt(tested / (tested * beside - both**2)))
-        sums = self.parts.of(row).sum_limits(np.array([shares["N"], slow]), reach)
+        sums = self.parts.of(row).sum_limits(self.free.logs[row], np.array([shares["N"], slow]), reach)
         value, low, high = np.log(np.array(sums) + shares.get("Q", 0.0)) / 2
         shape = z * self._shape_error(row, shares, slow) / 2
         low, high = value - np.hypot(value - low, shape), value + np.hypot(high - value, shape)
