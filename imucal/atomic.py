@@ -77,6 +77,23 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
         raise WriteError(msg)
 
 
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Hold the lock of a folder, or of a file that is made for it, where the file system has locks.
+
+    Whoever else asks for it waits.
+    """
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
 def sweep(scratch: Iterable[Path]) -> None:
     """Remove those of some scratch folders that killed runs have left."""
     for folder in scratch:

@@ -103,8 +103,8 @@ def write_files(store: "FleetStore", *, quiet: bool, ask: "Ask | None" = None) -
     """
     from imucal.fleet_report import load_fleet, write_fleet
 
-    page = store.folder / "fleet.html"
-    if page.is_file() and page.stat().st_mtime_ns > store.changed_ns():
+    page, last = (store.folder / name for name in ("fleet.html", "fleet.json"))
+    if page.is_file() and last.is_file() and last.stat().st_mtime_ns > store.changed_ns():
         echo(str(page))
         return
     fleet = load_fleet(store.folder, ask=ask)

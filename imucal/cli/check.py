@@ -103,8 +103,9 @@ def command(
     limit lies inside the interval it is undecided: the record is too short to tell. Undecided
     limits don't fail the check unless --undecided fail, or the limits file, says so.
 
-    With --fleet each term must lie where the next unit of that sensor model would: with p adjusted for
-    the number of terms (Holm), a unit of the fleet fails with a probability of 5 %.
+    With --fleet each term must lie where the next unit of that sensor model would: it passes with its
+    whole interval there, and fails with p, adjusted for the number of terms (Holm), below 5 %, as a unit
+    of the fleet does with that probability. Any other is undecided.
 
     With --config the noise parameters of a filter's file are held to the numbers that 'imucal export'
     writes: too small fails, and so does too large where it is a slip, such as a factor of the rate,
@@ -122,7 +123,7 @@ def command(
     report = load_report(request)
     result = check(report, limits, baseline=older)
     if units is not None:
-        from imucal.fleet_report.fleet_check import check_fleet
+        from imucal.fleet_report import check_fleet
 
         rows = check_fleet(report, units)
         result = replace(result, rows=result.rows + rows)

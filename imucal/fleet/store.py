@@ -23,7 +23,7 @@ from typing import Any
 
 import polars as pl
 
-from imucal.atomic import replacing, sweep, sync_folder
+from imucal.atomic import alone, replacing, sweep, sync_folder
 from imucal.errors import ReadError, StoreError, WriteError
 
 #: How a log ended. The first three are of the log itself; the others may go otherwise another time.
@@ -202,7 +202,7 @@ class FleetStore:
         WriteError
             If it can't be written.
         """
-        with self._locked():
+        with _translated(self.folder), alone(self.folder / ".lock"):
             if self.exists:
                 old = self.manifest()
                 others = old.join(rows.select("path"), on="path", how="anti")
@@ -402,16 +402,6 @@ class FleetStore:
         with replacing(path) as scratch:
             scratch.write_bytes(data[:footer] + _digest(data, columns) + data[footer:])
         sync_folder(path.parent)
-
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """Let one process at a time change the manifest, where the file system has locks."""
-        with _translated(self.folder), (self.folder / ".lock").open("w") as lock:
-            with suppress(ImportError, OSError):
-                import fcntl
-
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            yield
 
 
 def _digest(data: bytes, columns: Iterable[str] = ()) -> bytes:

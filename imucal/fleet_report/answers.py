@@ -52,6 +52,7 @@ class TermAnswer:
     trend: Trend | None
     no_trend: str
     price: tuple[tuple[int, float], ...]
+    without_odd: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,17 +67,28 @@ class TermQuestion:
     def key(self) -> str:
         """Of the same question the same."""
         rows = [[getattr(log, field.name) for field in fields(LogValue)] for log in self.logs]
-        return _key("term", rows, self.content, self.confidence)
+        return _key(TermAnswer, rows, self.content, self.confidence)
 
     def answer(self) -> TermAnswer:
         """Find it out."""
-        found = population(self.logs, content=self.content, confidence=self.confidence)
+        found = self._of(self.logs)
         moves, why = None, ""
         try:
             moves = trend(self.logs)
         except DataError as error:
             why = str(error)
-        return TermAnswer(population=found, trend=moves, no_trend=why, price=_prices(found))
+        odd = {unit.unit for unit in found.units if unit.odd}
+        others = [log for log in self.logs if log.unit not in odd] if odd else []
+        return TermAnswer(
+            population=found,
+            trend=moves,
+            no_trend=why,
+            price=_prices(found),
+            without_odd=self._of(others).tolerance if others else None,
+        )
+
+    def _of(self, logs: Sequence[LogValue]) -> Population:
+        return population(logs, content=self.content, confidence=self.confidence)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +137,7 @@ class UnitQuestion:
     @property
     def key(self) -> str:
         """Of the same question the same."""
-        return _key("unit", self.unit, self.sensor, self.axis, self.symbols, self.logs)
+        return _key(UnitAnswer, self.unit, self.sensor, self.axis, self.symbols, self.logs)
 
     def answer(self) -> UnitAnswer:
         """Find it out, from the bins."""
@@ -180,8 +192,9 @@ def answer_texts(questions: Sequence[Question]) -> list[str]:
     return [answer_text(question) for question in questions]
 
 
-def _key(*said: object) -> str:
-    text = json.dumps([*said, __version__])
+def _key(kind: type, *said: object) -> str:
+    """Return a key of what an answer is made of, and of what it has."""
+    text = json.dumps([kind.__name__, [field.name for field in fields(kind)], *said, __version__])
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 

@@ -91,6 +91,8 @@ class FleetTerm:
         The units with several logs.
     price
         Pairs of a number of units, and the bound that so many give over the quantile that it bounds.
+    without_odd
+        The tolerance bound of the other units; None where none is odd, or too few are left.
     """
 
     sensor: Sensor
@@ -102,6 +104,7 @@ class FleetTerm:
     no_trend: str
     unit_logs: tuple[UnitLogs, ...]
     price: tuple[tuple[int, float], ...]
+    without_odd: float | None
 
     @property
     def symbol(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
 from imucal.fleet.trend import Trend
-from imucal.fleet_report.summary import Fleet, FleetTerm
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.markup import Markup, both_units
@@ -104,6 +104,14 @@ def slope_text(slope: Interval, unit: str, part: float) -> str:
     texts = [f"{x:+.{places}f}" if round(x, places) else f"{0:.{places}f}" for x in (value, low, high)]
     unit = f"% a {unit}".replace(" ", "\N{NO-BREAK SPACE}")
     return f"{texts[0]} [{texts[1]}, {texts[2]}] {unit}".replace("-", "\N{MINUS SIGN}")
+
+
+def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:
+    """Return the axes of each term, by sensor and term."""
+    groups: dict[tuple[str, str], list[FleetTerm]] = {}
+    for term in model.terms:
+        groups.setdefault((str(term.sensor), term.term), []).append(term)
+    return groups
 
 
 def bound_name(term: FleetTerm) -> str:

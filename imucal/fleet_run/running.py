@@ -19,7 +19,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar, cast
 
 from imucal._version import __version__
-from imucal.errors import DataError, ImucalError
+from imucal.errors import DataError, ImucalError, WriteError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
 from imucal.fleet_report.answers import Ask, Question, answer_texts
 from imucal.fleet_run.logs import at_hand, content_at, edge_at
@@ -318,6 +318,8 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
             return cast("LogRows", answer.value)
         if answer.outcome == "late" or _took_memory(answer):
             break
+    if answer.outcome == "failed" and answer.words.startswith(f"{WriteError.__name__}: "):
+        raise WriteError(answer.words.partition(": ")[2])
     status, reason = _why(answer, settings, seconds)
     return failure(task, settings, status, f"{task.path}: {reason}")
 
@@ -357,6 +359,9 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
         ended = "memory", _memory_reason(settings)
     except DataError as error:
         ended = "no-data", str(error)
+    except WriteError:
+        # Of its report: no fault of the log.
+        raise
     except (ImucalError, ValueError) as error:
         ended = "unreadable", str(error)
     except OSError as error:

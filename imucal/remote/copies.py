@@ -334,17 +334,22 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
 
 
 def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> None:
-    """Write an object into an open file; goes on where a connection broke off."""
+    """Write an object into an open file; goes on where a connection broke off.
+
+    What came before is no progress: a server that gives no parts and ends early is given up, too.
+    """
     store = store_of(file.url)
     attempts = Attempts(file.url)
-    done = 0
+    done = farthest = 0
     while True:
         try:
             for block in store.blocks(file, done):
                 out.write(block)
                 done += len(block)
                 tell(len(block))
-                attempts.went_on()
+                if done > farthest:
+                    farthest = done
+                    attempts.went_on()
         except PassingError as error:
             attempts.wait(error)
         else:

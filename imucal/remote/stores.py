@@ -23,7 +23,7 @@ from html import unescape
 from typing import IO, Any, TypeAlias, TypeVar
 from urllib.error import HTTPError
 from urllib.parse import quote, unquote, urljoin, urlsplit, urlunsplit
-from urllib.request import Request, urlopen
+from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 from imucal._version import __version__
 from imucal.errors import ImucalError, ReadError
@@ -130,6 +130,23 @@ class HttpStore:
         return [link for link, name in names.items() if fnmatchcase(name, unquote(pattern))]
 
 
+class _WebRedirects(HTTPRedirectHandler):
+    """Goes where an address leads, as long as that is on the web; `urllib` follows to ftp, too."""
+
+    def http_error_302(self, req: Request, fp: Any, code: int, msg: str, headers: Any) -> Any:  # noqa: ANN401
+        target = scheme_of(urljoin(req.full_url, headers.get("Location", "")))
+        if target not in WEB:
+            fp.close()
+            raise _led_astray(req.full_url, f"to {target}://" if target else "to no place on the web")
+        return super().http_error_302(req, fp, code, msg, headers)
+
+    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
+
+
+def _led_astray(url: str, where: str) -> ReadError:
+    return ReadError(f"{shown(url)}: the server leads on {where}, expected a file behind https:// or http://")
+
+
 @contextlib.contextmanager
 def _open(
     url: str, part: str | None = None, *, empty: bool = False
@@ -139,7 +156,7 @@ def _open(
     What the library raises, also while the body is read, becomes an error of ours.
     """
     try:
-        with urlopen(_request(url, part), timeout=timeout()) as response:  # noqa: S310 - `store_of` saw the scheme
+        with build_opener(_WebRedirects).open(_request(url, part), timeout=timeout()) as response:
             yield response.status, response.headers, response
     except HTTPError as error:
         with error:
@@ -160,6 +177,8 @@ def _refusal(url: str, code: int) -> Exception:
         return forbidden(url, code)
     if code == 416:
         return ChangedError()
+    if code in {301, 302, 303, 307, 308}:
+        return _led_astray(url, "without end")
     what = http.client.responses.get(code, "no such code is known")
     return ReadError(f"{shown(url)}: the server answers {code} ({what}); expected the file")
 

@@ -1,9 +1,9 @@
 """The report folder: every file whole, the old report in place until the new one is complete.
 
 All files are first written, and forced to disk, in a scratch folder on the same file system. A new
-report folder then appears in one step; in an existing one each file takes its place in one step,
-report.json first, so that the folder is known as imucal's own from then on. Whatever fails
-before, Ctrl-C included, leaves what was there.
+report folder then appears in one step; in an existing one each file takes its place in one step, and
+report.json comes last: until then one stands there that says that the report is incomplete. Whatever
+fails before, Ctrl-C included, leaves what was there. Two that write one folder take turns.
 """
 
 import errno
@@ -18,18 +18,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucal.atomic import sweep, sync_folder
+from imucal.atomic import alone, sweep, sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report.json_file import axis_document, dumps, to_document
+from imucal.report.json_file import SCHEMA, axis_document, dumps, to_document
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
     from imucal.report.figure import Drawings
 
-_REPORT = "report.json"
+_REPORT, _BEGUN = "report.json", "begun.json"
+#: What stands in the place of a report that is on its way.
+_INCOMPLETE = "its files were being replaced; write the report again"
 #: Files this module writes, in any version and with any settings.
 _OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
@@ -222,20 +224,29 @@ def _write(path: Path, content: bytes) -> None:
 def _publish(scratch: Path, out: Path, names: tuple[str, ...]) -> None:
     """Move the complete files to their places, then remove what an older report left over."""
     if not out.exists():
-        scratch.rename(out)
-        sync_folder(out.parent)
-        return
+        try:
+            scratch.rename(out)
+        except OSError:
+            # Another run may have made it meanwhile.
+            if not out.is_dir():
+                raise
+        else:
+            sync_folder(out.parent)
+            return
     moved = 0
     try:
-        for moved, name in enumerate(names):  # noqa: B007 - the message counts them
-            (scratch / name).replace(out / name)
-        for path in out.iterdir():
-            if _OURS.fullmatch(path.name) and path.name not in names and path.is_file():
-                path.unlink()
+        with alone(out):
+            _write(scratch / _BEGUN, dumps({"schema": SCHEMA, "incomplete": _INCOMPLETE}).encode())
+            (scratch / _BEGUN).replace(out / _REPORT)
+            for moved, name in enumerate((*names[1:], _REPORT)):  # noqa: B007 - the message counts them
+                (scratch / name).replace(out / name)
+            for path in out.iterdir():
+                if _OURS.fullmatch(path.name) and path.name not in names and path.is_file():
+                    path.unlink()
     except OSError as error:
         msg = (
             f"{out}: only {moved} of {len(names)} files were replaced: {error.strerror or error}; "
-            "each file is whole, but old and new ones stand together; write the report again"
+            "report.json says that the report is incomplete; write it again"
         )
         raise WriteError(msg) from error
     sync_folder(out)

@@ -1,12 +1,16 @@
 """From the store of a fleet to its report: numbers, files, page, and what is said of too little."""
 
+import base64
 import csv
 import io
 import json
 import math
+import os
 import shutil
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jsonschema
@@ -23,18 +27,19 @@ from imucal.errors import ChoiceError
 from imucal.fleet.store import MANIFEST, FleetStore
 from imucal.fleet_report import answers
 from imucal.fleet_report.answers import NEAR, tolerance_excess
-from imucal.fleet_report.files import (
+from imucal.fleet_report.files import fleet_csv, fleet_document, fleet_schema
+from imucal.fleet_report.pages import render_fleet_page
+from imucal.fleet_report.pictures import (
+    drawn_as,
     drift_figure,
-    fleet_csv,
-    fleet_document,
-    fleet_schema,
+    fleet_pictures,
     heat_figure,
     models_figure,
+    sorted_units,
     units_figure,
 )
-from imucal.fleet_report.pages import render_fleet_page
 from imucal.fleet_report.summary import FleetTerm, labels_to_type
-from imucal.fleet_report.verdict import verdict
+from imucal.fleet_report.verdict import alone, verdict
 from imucal.recording import Sensor
 from tests.fleet_report.simulated_store import TERMS, write_store
 from tests.report.browser import Browser
@@ -168,12 +173,24 @@ def test_the_table_has_a_row_a_unit_and_term(fleet: Fleet) -> None:
     assert [row["logs_differ"] for row in rows[:4]] == ["0", "0", "1", ""]
 
 
-def test_labels_do_no_harm_in_a_table(fleet: Fleet) -> None:
+@pytest.mark.parametrize(
+    ("label", "cell"),
+    [
+        ("=cmd()|'x'\x1b[2J", "'=cmd()|'x'\\x1b[2J"),
+        ("@SUM(A1)", "'@SUM(A1)"),
+        ("  +1", "'  +1"),
+        ("\t=1", "'\t=1"),
+        ("\r=1", "'\\r=1"),
+        ("\N{FULLWIDTH EQUALS SIGN}1", "'\N{FULLWIDTH EQUALS SIGN}1"),
+        ("ACME-6 = best", "ACME-6 = best"),
+    ],
+)
+def test_labels_do_no_harm_in_a_table(fleet: Fleet, label: str, cell: str) -> None:
     """A spreadsheet runs no formula of theirs, a terminal no command; other cells stay as they are."""
     (model,) = fleet.models
-    bad = replace(fleet, models=(replace(model, name="=cmd()|'x'\x1b[2J"),))
+    bad = replace(fleet, models=(replace(model, name=label),))
     rows = list(csv.DictReader(io.StringIO(fleet_csv(bad))))
-    assert {row["model"] for row in rows} == {"'=cmd()|'x'\\x1b[2J"}
+    assert {row["model"] for row in rows} == {cell}
     assert {row["unit"] for row in rows} == {f"u{number:02}" for number in range(24)}
 
 
@@ -190,7 +207,6 @@ def test_few_units_have_neither_spread_nor_bound_and_it_is_said(tmp_path: Path) 
     text = page.text_content()
     assert "fewer than 3 units tell no spread between units, and so no bound" in text
     assert "no bound" in page.cssselect("table.config")[0].text_content()
-    assert not page.cssselect("figure svg .band")
     with pytest.raises(DataError, match="found 2 units, expected 3 at least for a tolerance bound"):
         imucal.fleet_as_report(fleet)
     assert imucal.fleet_as_report(fleet, value="median").axes[0].fit["N"].value == found.median.value
@@ -400,15 +416,19 @@ def fleet_of_one(rng: np.random.Generator) -> imucal.LogValue:
 
 
 @pytest.fixture(scope="module")
-def page(fleet: Fleet) -> html.HtmlElement:
+def page(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> html.HtmlElement:
     """Return the page of the fleet."""
-    return html.fromstring(render_fleet_page(fleet))
+    folder = tmp_path_factory.mktemp("page")
+    imucal.write_fleet(fleet, folder, pictures=False)
+    return html.fromstring((folder / "fleet.html").read_text(encoding="utf-8"))
 
 
 def test_the_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
     """Nor does it need a script for any number or picture."""
     assert not page.cssselect("link[href^=http], script[src], img[src^=http], iframe")
-    assert len(page.cssselect("figure svg[role=img][aria-label]")) == 18
+    pictures = page.cssselect("figure img[alt]")
+    assert len(pictures) == 4
+    assert all((picture.get("src") or "").startswith("data:image/svg+xml;base64,") for picture in pictures)
 
 
 def test_the_page_has_one_heading_and_named_sections(page: html.HtmlElement) -> None:
@@ -425,23 +445,44 @@ def test_the_page_has_one_heading_and_named_sections(page: html.HtmlElement) -> 
         assert page.get_element_by_id(section.get("aria-labelledby") or "") is not None
 
 
-def test_pictures_say_which_units_are_odd(page: html.HtmlElement) -> None:
-    """By a shape and a name, not by colour alone; the bound and the band are drawn in each."""
-    figures = page.cssselect("#units-0 figure")
-    assert len(figures) == 18
-    odd = [figure for figure in figures if figure.cssselect("polygon.mark.odd")]
-    assert "u07" in odd[0].text_content()
-    for figure in figures:
-        assert len(figure.cssselect("rect.band")) == 1
-        assert len(figure.cssselect("line.bound")) == 1
-    assert all(cell.text_content().endswith("!") for cell in page.cssselect("table.heat td.is-odd"))
-    assert len(page.cssselect("table.heat tbody tr")) == 24
+def svg_of(element: html.HtmlElement) -> str:
+    """Return the text of a picture of the page."""
+    return base64.b64decode((element.get("src") or "").partition(",")[2]).decode()
+
+
+def test_pictures_say_which_units_are_odd(fleet: Fleet, page: html.HtmlElement) -> None:
+    """By a shape and a name, not by colour alone; the words beside them, too."""
+    gyro, _ = page.cssselect("#units-0 figure img")
+    assert gyro.get("alt") == "ACME-6, gyroscope: units sorted, each with its 95 % interval"
+    assert all(word in svg_of(gyro) for word in (">u07<", ">odd unit<", ">95/95<", ">gyro_z N<"))
+    said = [item.text_content() for item in page.cssselect("#units-0 .said li")]
+    odd = [f"{term.name} {term.term}: odd: {term.odd[0].unit} (p" for term in fleet.model().terms if term.odd]
+    assert [text.partition(" <")[0].partition(" =")[0] for text in said if "odd: " in text] == odd
+    assert "gyro_z N: odd: u07 (p" in odd
+    (heat,) = page.cssselect("#heat figure img")
+    assert ">!<" in svg_of(heat)
+
+
+def test_an_odd_unit_has_its_price_beside_the_bound(fleet: Fleet, page: html.HtmlElement) -> None:
+    """What it widens its own yardstick by: the bound without it, as a fleet without it has."""
+    term = fleet.model()["gyro_z", "N"]
+    others = imucal.population([log for log in term.logs if log.unit != "u07"])
+    assert term.without_odd == others.tolerance
+    assert term.population.tolerance is not None
+    assert term.without_odd is not None
+    assert term.without_odd < 0.8 * term.population.tolerance
+    (cell,) = [c for c in page.cssselect("table.config td small") if "without u07" in c.text_content()]
+    assert cell.text_content() == f"without u07: {alone(term, term.without_odd).striptags()}"
+    told = {
+        (t["sensor"], t["axis"], t["term"]): t["tolerance_without_odd"]
+        for t in fleet_document(fleet)["models"][0]["terms"]  # type: ignore[index]
+    }
+    assert told["gyroscope", "z", "N"] == term.without_odd
+    assert told["gyroscope", "x", "K"] is None
 
 
 def test_units_are_sorted(fleet: Fleet) -> None:
     """From the largest at the top to the smallest."""
-    from imucal.fleet_report.pages import sorted_units
-
     values = [unit.value or unit.high for unit in sorted_units(fleet.model()["gyro_x", "B"])]
     assert values == sorted(values, reverse=True)
 
@@ -461,22 +502,28 @@ def test_names_of_logs_and_units_can_do_no_harm(fleet: Fleet) -> None:
 
 
 def test_a_thousand_units_stay_readable(fleet: Fleet) -> None:
-    """Pictures have one height, the odd ones keep their names; the table names the strangest."""
+    """Pictures have one height, and the odd ones keep their names."""
     model = fleet.model()
     term = model["gyro_z", "N"]
     few = term.population.units
     many = tuple(replace(few[i % 24], unit=f"u{i:04}", odd=i == 7) for i in range(1000))
     crowd = replace(term, population=replace(term.population, units=many))
     large = replace(model, units=tuple(unit.unit for unit in many), terms=(crowd,))
-    page = html.fromstring(render_fleet_page(replace(fleet, models=(large,))))
-    (picture,) = page.cssselect("figure svg")
-    assert float((picture.get("viewbox") or "").split()[3]) < 1600
-    assert [text.text for text in picture.cssselect("text.odd")] == ["u0007"]
-    assert not picture.cssselect("text.name")
-    (table,) = page.cssselect("table.heat")
-    assert len(table.cssselect("tbody tr")) == 200
-    assert "the 200 strangest of 1000 units" in table.text_content()
-    assert "u0007" in table.text_content()
+    for figure in (units_figure(large, Sensor.GYROSCOPE), heat_figure(large)):
+        assert figure.get_figheight() < 17
+        (label,) = figure.axes[0].get_yticklabels()
+        assert label.get_text() == "u0007"
+
+
+@pytest.mark.filterwarnings("error")
+def test_names_of_all_languages_are_drawn(fleet: Fleet) -> None:
+    """In what fonts there are, without a warning; the page's browser takes them from its own."""
+    model = replace(fleet.model(), name="\N{CJK UNIFIED IDEOGRAPH-4F20}\N{CJK UNIFIED IDEOGRAPH-611F} ΩЖ")
+    pictures = list(fleet_pictures(replace(fleet, models=(model,))))
+    drawn = drawn_as(pictures[0].draw, ("png", "svg"))
+    assert drawn["png"][:4] == b"\x89PNG"
+    assert f">{model.name}, gyroscope: 24 units<" in drawn["svg"].decode()
+    assert drawn_as(pictures[0].draw, ("png", "svg")) == drawn
 
 
 def test_pictures_are_drawn(fleet: Fleet) -> None:
@@ -498,7 +545,8 @@ def test_models_side_by_side_are_in_one_unit(fleet: Fleet) -> None:
     axes = next(a for a in models_figure((model, other)).axes if a.get_title(loc="left") == "accel_x B")
     assert axes.get_xlabel() == "B in µg"
     low, high = axes.get_xlim()
-    marks = [float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() != "None"]  # type: ignore[index, arg-type]
+    marked = [np.array(line.get_xdata(), float) for line in axes.lines if line.get_marker() != "None"]
+    marks = np.concatenate(marked).tolist()
     assert len(marks) == 2 * len(model.units)
     assert all(low <= mark <= high for mark in marks)
     assert np.array(marks[len(model.units) :]) == pytest.approx(1000 * np.array(marks[: len(model.units)]))
@@ -524,13 +572,26 @@ def _larger(term: FleetTerm, factor: float) -> FleetTerm:
     )
 
 
-def test_two_models_stand_side_by_side(fleet: Fleet) -> None:
-    """A row each in every strip."""
+def test_two_models_stand_side_by_side(fleet: Fleet, tmp_path: Path) -> None:
+    """A row each in every strip, and the picture on the page."""
     both = replace(fleet, models=(fleet.model(), replace(fleet.model(), name="BOLT-9")))
-    page = html.fromstring(render_fleet_page(both))
-    strips = page.get_element_by_id("models").cssselect("figure")
+    names = [picture.name for picture in fleet_pictures(both)]
+    assert names == [
+        *(f"{name}-{model}" for model in ("ACME-6", "BOLT-9") for name in PICTURES),
+        "models",
+    ]
+    strips = models_figure(both.models).axes
     assert len(strips) == 18
-    assert [text.text for text in strips[0].cssselect("text.name")] == ["ACME-6", "BOLT-9"]
+    assert [label.get_text() for label in strips[0].get_yticklabels()] == ["ACME-6", "BOLT-9"]
+    small = replace(both, models=tuple(replace(m, terms=m.terms[:1]) for m in both.models))
+    imucal.write_fleet(small, tmp_path, pictures=False)
+    page = html.fromstring((tmp_path / "fleet.html").read_text(encoding="utf-8"))
+    (picture,) = page.get_element_by_id("models").cssselect("figure img")
+    assert ">BOLT-9<" in svg_of(picture)
+
+
+#: The pictures of one model.
+PICTURES = ("units-gyro", "units-accel", "heat", "drift")
 
 
 def test_files_are_written_whole(fleet: Fleet, tmp_path: Path) -> None:
@@ -548,8 +609,8 @@ def test_a_picture_that_fails_costs_nothing_else(
     def broken(*_: object) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr("imucal.fleet_report.files.heat_figure", broken)
-    monkeypatch.setattr("imucal.fleet_report.files.units_figure", broken)
+    monkeypatch.setattr("imucal.fleet_report.pictures.heat_figure", broken)
+    monkeypatch.setattr("imucal.fleet_report.pictures.units_figure", broken)
     (tmp_path / "heat.png").write_bytes(b"of yesterday")
     told: list[str] = []
     files = imucal.write_fleet(fleet, tmp_path, tell=lambda finding: told.append(finding.text))
@@ -559,6 +620,39 @@ def test_a_picture_that_fails_costs_nothing_else(
     assert [text.split(":")[0] for text in told] == [f"{name}.png is missing" for name in missing]
     findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
     assert {finding["code"] for finding in findings} == {"not-drawn"}
+    assert "The pictures are missing." in (tmp_path / "fleet.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("moved", range(3))
+def test_a_kill_between_files_leaves_a_report_that_is_known_as_incomplete(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moved: int
+) -> None:
+    """``fleet.json`` goes first and comes last; the next report is whole."""
+    imucal.write_fleet(fleet, tmp_path, pictures=False)
+    count = iter(range(100))
+
+    def dying(self: Path, target: Path) -> None:
+        if next(count) == moved:
+            raise KeyboardInterrupt
+        os.replace(self, target)  # noqa: PTH105 - what `Path.replace` does
+
+    with monkeypatch.context() as context:
+        context.setattr(Path, "replace", dying)
+        with pytest.raises(KeyboardInterrupt):
+            imucal.write_fleet(fleet, tmp_path, pictures=False)
+    assert not (tmp_path / "fleet.json").exists()
+    imucal.write_fleet(fleet, tmp_path, pictures=False)
+    assert json.loads((tmp_path / "fleet.json").read_bytes())["logs"]
+
+
+def test_two_reports_into_one_folder_are_one(fleet: Fleet, tmp_path: Path) -> None:
+    """All files are of the same call, whichever was the last."""
+    few = replace(fleet, models=(replace(fleet.model(), terms=fleet.model().terms[:2]),))
+    each = [replace(few, version=f"0.0.{i}") for i in range(4)]
+    with ThreadPoolExecutor(len(each)) as pool:
+        list(pool.map(partial(imucal.write_fleet, out=tmp_path, pictures=False), each))
+    version = json.loads((tmp_path / "fleet.json").read_bytes())["version"]
+    assert f"imucal {version}<" in (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -570,11 +664,13 @@ def browser() -> Iterator[Browser]:
 
 def test_the_page_in_a_browser(browser: Browser, fleet: Fleet, tmp_path: Path) -> None:
     """No error, no request; narrow screens scroll only downwards; paper is white and wide enough."""
-    (tmp_path / "fleet.html").write_text(render_fleet_page(fleet), encoding="utf-8")
+    imucal.write_fleet(fleet, tmp_path, pictures=False)
     browser.open((tmp_path / "fleet.html").as_uri())
-    assert browser.run("return getComputedStyle(document.querySelector('svg .si')).display") == "none"
+    drawn = "return [...document.images].map((image) => image.complete && image.naturalWidth > 300)"
+    assert browser.run(drawn) == [True] * 4
+    assert browser.run("return getComputedStyle(document.querySelector('td .si')).display") == "none"
     browser.run("document.querySelector('input[value=si]').click()")
-    assert browser.run("return getComputedStyle(document.querySelector('svg .sheet')).display") == "none"
+    assert browser.run("return getComputedStyle(document.querySelector('td .sheet')).display") == "none"
     browser.run("document.querySelector('input[value=dark]').click()")
     paper = "return getComputedStyle(document.body).backgroundColor"
     assert browser.run(paper) == "rgb(18, 23, 29)"
@@ -586,8 +682,7 @@ def test_the_page_in_a_browser(browser: Browser, fleet: Fleet, tmp_path: Path) -
     size = "Emulation.setDeviceMetricsOverride"
     browser.devtools(size, width=390, height=800, deviceScaleFactor=1, mobile=False)
     assert browser.run(inside)
-    # A matrix of 18 columns; its first column stays in sight.
-    assert browser.run(wide) == ["heat"]
+    assert browser.run(wide) == []
     # 186 mm at 96 px an inch.
     browser.devtools(size, width=703, height=1000, deviceScaleFactor=1, mobile=False)
     browser.devtools("Emulation.setEmulatedMedia", media="print")
@@ -618,9 +713,7 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
     assert {(row["bounded"], row["median"]) for row in cells} == {("1", "")}
     page = render_fleet_page(fleet)
     assert "All logs together do not show this term" in page
-    from imucal.fleet_report.files import fleet_figures
-
-    assert all(draw() for draw in fleet_figures(fleet).values())
+    assert all(drawn_as(picture.draw, ["svg"])["svg"] for picture in fleet_pictures(fleet))
     report = imucal.fleet_as_report(fleet, value="median")
     (axis,) = [axis for axis in report.axes if axis.name == "gyro_y"]
     assert axis.fit["K"].status == "bounded"

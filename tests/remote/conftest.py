@@ -1,9 +1,11 @@
 """Servers, and a cache of each test's own."""
 
 import logging
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import fsspec
 import pytest
@@ -41,22 +43,26 @@ def no_waits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def endpoint() -> Iterator[str]:
-    """Run an S3 server."""
+    """Run an S3 server, or take the one that ``IMUCAL_TEST_S3`` names: ``http://key:secret@host:port``."""
+    if "IMUCAL_TEST_S3" in os.environ:
+        yield os.environ["IMUCAL_TEST_S3"]
+        return
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
-    yield f"http://{host}:{port}"
+    yield f"http://testing:testing@{host}:{port}"
     server.stop()
 
 
 @pytest.fixture
 def bucket(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN401 - fsspec has no types
     """Give the test an empty bucket and credentials, as the environment says them."""
+    parts = urlsplit(endpoint)
     for name, value in {
-        "AWS_ENDPOINT_URL": endpoint,
-        "AWS_ACCESS_KEY_ID": "testing",
-        "AWS_SECRET_ACCESS_KEY": "testing",
+        "AWS_ENDPOINT_URL": f"{parts.scheme}://{parts.hostname}:{parts.port}",
+        "AWS_ACCESS_KEY_ID": str(parts.username),
+        "AWS_SECRET_ACCESS_KEY": str(parts.password),
         "AWS_DEFAULT_REGION": "us-east-1",
         "AWS_EC2_METADATA_DISABLED": "true",
     }.items():

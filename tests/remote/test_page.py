@@ -1,10 +1,16 @@
 """The page about remote logs: its commands run, and it says what the program says."""
 
+import importlib.util
 import re
 import shlex
+import shutil
+import socket
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import fsspec
 import pytest
 
 import imucal
@@ -52,12 +58,106 @@ def test_the_commands_of_the_page_run(
     assert (tmp_path / "monday" / "report.json").exists()
 
 
+def messages() -> list[str]:
+    """Return the messages of the page's table of what goes wrong."""
+    text = PAGE.read_text(encoding="utf-8").partition("## What goes wrong")[2]
+    return re.findall(r"^\| `([^`]+)` \| [^|]* \| [^|]* \|$", text, re.MULTILINE)
+
+
 def test_the_page_quotes_what_is_said() -> None:
     """Each message, in the words of the source."""
-    messages = re.findall(
-        r"^\| `([^`]+)` \| [^|]* \| [^|]* \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
-    )
-    messages = [message for message in messages if not message.startswith("IMUCAL")]
-    assert len(messages) >= 10
+    assert len(messages()) >= 12
     said = [text for text in texts() if len(text) > 12]
-    assert [message for message in messages if not any(says(message, text) for text in said)] == []
+    assert [message for message in messages() if not any(says(message, text) for text in said)] == []
+
+
+class Changing(list[int]):
+    """Lengths of answers, after each of which the object is another."""
+
+    def __init__(self, web: WebServer, path: str) -> None:
+        super().__init__()
+        self._web, self._path, self._count = web, path, 0
+
+    def __bool__(self) -> bool:
+        return True
+
+    def pop(self, _: object = 0) -> int:
+        self._count += 1
+        self._web.add(self._path, BODY, etag=f'"{self._count}"', cuts=self)
+        return 1000
+
+
+BODY = b"t,gx,gy,gz,ax,ay,az\n" + b"0,0,0,0,0,0,9.8\n" * 2000
+Patch = pytest.MonkeyPatch
+
+
+def _no_credentials(web: WebServer, patch: Patch) -> str:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_PROFILE"):
+        patch.delenv(name, raising=False)
+    patch.setenv("AWS_EC2_METADATA_DISABLED", "true")
+    patch.setenv("AWS_ENDPOINT_URL", web.url)
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+    return "s3://logs/nobody.csv"
+
+
+def _no_host(web: WebServer, patch: Patch) -> str:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(-2, "Name or service not known")
+
+    del web
+    patch.setattr(socket, "getaddrinfo", unknown)
+    return "http://host.invalid/log.csv"
+
+
+def _late(web: WebServer, patch: Patch) -> str:
+    patch.setenv("IMUCAL_REMOTE_TIMEOUT", "0.05")
+    return web.add("/log.csv", BODY, delay_s=0.5)
+
+
+def _without_package(web: WebServer, patch: Patch) -> str:
+    find = importlib.util.find_spec
+    del web
+    patch.setattr(importlib.util, "find_spec", lambda name: None if name == "gcsfs" else find(name))
+    return "gs://bucket/log.mcap"
+
+
+def _no_room(web: WebServer, patch: Patch) -> str:
+    patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    return web.add("/log.csv", BODY)
+
+
+def _changing(web: WebServer, patch: Patch) -> str:
+    del patch
+    return web.add("/log.csv", BODY, cuts=Changing(web, "/log.csv"))
+
+
+#: The beginning of each message of the page -> what a server of the test does; returns the address.
+CASES: dict[str, Callable[[WebServer, Patch], str]] = {
+    "…: there is no such": lambda web, _: f"{web.url}/missing.csv",
+    "…: access is denied": lambda web, _: web.add("/log.csv", BODY, statuses=[403]),
+    "…: no credentials were found": _no_credentials,
+    "the host is not found": _no_host,
+    "no answer within": _late,
+    "…: the answer is a web page": lambda web, _: web.add("/log.csv", b"<!doctype html>" + BODY),
+    "…:// needs the package": _without_package,
+    "the connection ended after": lambda web, _: web.add("/log.csv", BODY, cuts=[900, *[0] * 9]),
+    "…: the server leads on": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
+    "…: … is not read": lambda *_: "sftp://host/log.csv",
+    "…: no room for a remote log": _no_room,
+    "…: it changes while it is read": _changing,
+}
+
+
+@pytest.mark.parametrize("message", messages())
+def test_each_message_comes_from_a_server_that_does_so(
+    message: str, web: WebServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With exit code 3, and without the secret of the address."""
+    (case,) = [case for start, case in CASES.items() if message.startswith(start)]
+    url = case(web, monkeypatch)
+    secret = "?sig=SECRET" if url.startswith("http") else ""
+    with pytest.raises(imucal.ReadError) as error:
+        imucal.read(url + secret)
+    assert says(message, str(error.value)), str(error.value)
+    assert error.value.exit_code == 3
+    assert "sig=" not in str(error.value)

@@ -111,6 +111,27 @@ def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -
     assert [path.suffix for path in cache.iterdir()] == []
 
 
+def test_a_download_that_ends_early_again_and_again_ends(web: WebServer, cache: Path) -> None:
+    """Of a server without parts the start comes anew each time, which is no progress."""
+    url = web.add("/log.csv", TABLE, ranges=False, cuts=[len(TABLE), *[20_000] * 90])
+    said = f"{url}: the connection ended after 20000 of {len(TABLE)} bytes (4 attempts); try again later"
+    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+        imucal.read(url)
+    # A look, and four of which only the first came farther.
+    assert len(web.asked) == 1 + 4
+    assert kept(cache) == []
+
+
+def test_a_little_farther_each_time_comes_to_the_end(web: WebServer) -> None:
+    """Also where each time begins anew."""
+    cuts = [len(TABLE), *range(10_000, len(TABLE), 10_000)]
+    url = web.add("/log.csv", TABLE, ranges=False, cuts=[*cuts])
+    assert len(cuts) > 8
+    with fetched(url) as copy:
+        assert copy.path.read_bytes() == TABLE
+    assert len(web.asked) == len(cuts) + 1
+
+
 def test_what_changes_on_its_way_is_taken_anew(web: WebServer) -> None:
     """A part of the old object is never joined to one of the new."""
     new = TABLE.replace(b"0.0001,", b"0.0002,")
@@ -224,6 +245,24 @@ def test_redirects_are_followed(web: WebServer) -> None:
     web.add("/store/0815", TABLE)
     url = web.add("/log.csv", b"", redirect="/store/0815?sig=SECRET")
     assert imucal.read(url, **OPTIONS).source.path == url
+
+
+@pytest.mark.parametrize(
+    ("target", "where"),
+    [
+        ("ftp://127.0.0.1:1/log.csv", "to ftp://"),
+        ("file:///etc/passwd", "to file://"),
+        ("data:text/csv,1", "to no place on the web"),
+        ("/log.csv", "without end"),
+    ],
+)
+def test_redirects_stay_on_the_web(web: WebServer, target: str, where: str) -> None:
+    """And come to an end; the secret of the address is not shown."""
+    url = web.add("/log.csv", b"", redirect=target)
+    said = f"{url}: the server leads on {where}, expected a file behind https:// or http://"
+    with pytest.raises(imucal.ReadError, match=f"^{re.escape(said)}$") as error:
+        imucal.read(f"{url}?sig=SECRET")
+    assert error.value.exit_code == 3
 
 
 def test_name_and_password(web: WebServer, tmp_path: Path) -> None:

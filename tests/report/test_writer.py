@@ -12,12 +12,13 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from imucal.errors import WriteError
+from imucal.errors import ReadError, WriteError
 from imucal.report import json_file, writer
 from imucal.report.writer import write_report
 from tests.report.synthetic import consumer_report, small_report
@@ -227,19 +228,42 @@ def test_ctrl_c_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, *, e
     assert _contents(old.parent) == before
 
 
-@pytest.mark.parametrize("moved", [0, 1, 2])
+@pytest.mark.parametrize("moved", [0, 1, 2, 3])
 def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> None:
-    """No handler runs on SIGKILL: every file is the old or the new one, and the next run succeeds."""
+    """No handler runs on SIGKILL: report.json is old, new, or says so, and the next run succeeds."""
     before = _contents(old)
     _run_and_die(old, moved)
-    for name in _FILES:
-        content = (old / name).read_bytes()
-        version = json.loads(content)["version"]
-        assert version == "0.1.0" or content == before[old.name + "/" + name]
+    content = (old / "gyro_x.json").read_bytes()
+    assert json.loads(content)["version"] == "0.1.0" or content == before[f"{old.name}/gyro_x.json"]
+    report = json.loads((old / "report.json").read_bytes())
+    if moved in {1, 2}:
+        assert report["incomplete"] == "its files were being replaced; write the report again"
+        with pytest.raises(ReadError, match="found schema, incomplete, expected the key 'source'"):
+            json_file.load(old)
+    else:
+        assert report["version"] == ("0.1.0" if moved else "0.0.1")
+        assert json_file.load(old).axes
     assert [p.name for p in old.iterdir() if p.name.startswith(".imucal-")]
     _age_scratch(old)
     write_report(small_report(), old, formats=(), html=False)
     assert _names(old) == ["gyro_x.json", "notes.txt", "report.json"]
+
+
+@pytest.mark.parametrize("existing", [False, True])
+def test_two_runs_into_one_folder_leave_one_report(tmp_path: Path, *, existing: bool) -> None:
+    """All files are of the same run, whichever was the last."""
+    out = tmp_path / "out"
+    if existing:
+        write_report(small_report(), out, formats=(), html=False)
+    versions = [f"0.0.{i}" for i in range(6)]
+    reports = [replace(consumer_report(), version=version) for version in versions]
+    with ThreadPoolExecutor(len(reports)) as pool:
+        done = [pool.submit(write_report, one, out, formats=(), html=False) for one in reports]
+    assert {len(one.result()) for one in done} == {7}
+    found = {json.loads(path.read_bytes())["version"] for path in out.iterdir()}
+    assert len(found) == 1
+    assert found <= set(versions)
+    assert _names(tmp_path) == ["out"]
 
 
 def test_killed_before_the_first_report_leaves_no_folder(tmp_path: Path) -> None:
@@ -273,8 +297,8 @@ def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.Mon
     with pytest.raises(WriteError) as caught:
         write_report(small_report(), old, formats=(), html=False)
     assert str(caught.value) == (
-        f"{old}: only 1 of 2 files were replaced: Input/output error; each file is whole, but old and new "
-        "ones stand together; write the report again"
+        f"{old}: only 0 of 2 files were replaced: Input/output error; report.json says that the report is "
+        "incomplete; write it again"
     )
 
 

@@ -1,0 +1,411 @@
+"""The pictures of a fleet, each drawn once: as a file beside its page, and on the page.
+
+Units sorted by each term, models side by side, units against terms, and what time and temperature do.
+"""
+
+import io
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucal.fleet.population import UnitValue
+from imucal.fleet.trend import NEAREST, Trend
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.fleet_report.verdict import bound_name, by_term, deviation, per, sheet_unit
+from imucal.recording import Sensor
+from imucal.report.figure import (
+    DATA,
+    FADED,
+    FRAME,
+    GRID,
+    INK,
+    LABEL_SIZE,
+    LEFT_OUT,
+    MODEL,
+    SMALL_SIZE,
+    TITLE_SIZE,
+    new_figure,
+    tick_label,
+    tick_places,
+)
+from imucal.units import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DPI = 110
+#: Colour of the tolerance bound.
+_BOUND = "#8a5200"
+#: Units whose names are written beside their rows; inches of a row, and most of a panel.
+_NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
+_SMALL: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": INK}
+_LABEL: dict[str, Any] = {"fontsize": LABEL_SIZE, "color": INK}
+#: A whisker or bound reaches no farther below the lowest value than this factor.
+_BELOW = 3.0
+#: Fonts with the signs of many languages, as systems have them; the last one has a box for any other.
+_FONTS = (
+    *("Noto Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei"),
+    *("PingFang SC", "Hiragino Sans", "Apple SD Gothic Neo", "Microsoft YaHei", "Yu Gothic", "Malgun Gothic"),
+    *("Arial Unicode MS", "Last Resort High-Efficiency"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """A picture of a fleet: its name, what draws it, its section of the page, and what it shows there."""
+
+    name: str
+    draw: Callable[[], "Figure"]
+    section: str
+    shows: str
+
+
+def fleet_pictures(fleet: Fleet) -> Iterator[Picture]:
+    """Yield the pictures, in the order of their files."""
+    several = len(fleet.models) > 1
+    for number, model in enumerate(fleet.models):
+        name = re.sub(r"[^\w.-]|_", "-", model.name).strip(".") or "model"
+        end = f"-{name}" if several else ""
+        for sensor in Sensor:
+            if any(term.sensor is sensor for term in model.terms):
+                yield Picture(
+                    name=f"units-{sensor.short}{end}",
+                    draw=partial(units_figure, model, sensor),
+                    section=f"units-{number}",
+                    shows=f"{model.title}, {sensor}: units sorted, each with its 95 % interval",
+                )
+        shows = f"{model.title}: how far each unit lies off the median in each term"
+        yield Picture(name=f"heat{end}", draw=partial(heat_figure, model), section="heat", shows=shows)
+        if any(term.trend for term in model.terms):
+            shows = f"{model.title}: change of each term with temperature and time"
+            yield Picture(name=f"drift{end}", draw=partial(drift_figure, model), section="trend", shows=shows)
+    if several:
+        shows = "Each term of each axis: a row a model, a dot a unit"
+        draw = partial(models_figure, fleet.models)
+        yield Picture(name="models", draw=draw, section="models", shows=shows)
+
+
+def drawn_as(draw: Callable[[], "Figure"], forms: Sequence[str]) -> dict[str, bytes]:
+    """Return a picture in some formats; the same picture always gives the same bytes."""
+    files = {}
+    with _every_font():
+        figure = draw()
+        for form in forms:
+            stream = io.BytesIO()
+            said = {"Software": None} if form == "png" else {"Date": None, "Creator": None}
+            figure.savefig(stream, format=form, metadata=said)
+            files[form] = stream.getvalue()
+    return files
+
+
+@contextmanager
+def _every_font() -> Iterator[None]:
+    """Take signs that the usual font lacks from others of this machine; a page's browser has its own."""
+    from matplotlib import rc_context, rcParams
+    from matplotlib.font_manager import fontManager
+
+    installed = {font.name for font in fontManager.ttflist}
+    families = [*rcParams["font.family"], *(name for name in _FONTS if name in installed)]
+    settings: Any = {"font.family": families, "svg.fonttype": "none", "svg.hashsalt": "imucal"}
+    with rc_context(settings), warnings.catch_warnings():
+        # A box says it as well.
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        yield
+
+
+def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
+    """Return a sensor's terms by axes: units sorted, with intervals, band, median and bound."""
+    groups = [terms for terms in by_term(model).values() if terms[0].sensor is sensor]
+    columns = max(len(terms) for terms in groups)
+    tall = min(_TALLEST, max(1.4, _ROW * len(model.units)))
+    figure = new_figure(4.0 * columns, (tall + 0.95) * len(groups) + 0.9, _DPI)
+    axes = figure.subplots(len(groups), columns, squeeze=False)
+    for row, terms in zip(axes, groups, strict=True):
+        for place, term in zip(row, terms, strict=False):
+            _draw_units(place, term)
+        for place in row[len(terms) :]:
+            place.set_visible(False)
+    title = f"{model.title}, {sensor}: {len(model.units)} units"
+    figure.suptitle(title, fontsize=TITLE_SIZE, color=INK)
+    _key(figure, columns)
+    figure.tight_layout(rect=(0, 0.3 * (1 + (columns == 1)) / figure.get_figheight(), 1, 0.99))
+    return figure
+
+
+def _key(figure: "Figure", columns: int, *, bound: bool = True) -> None:
+    """Say at the bottom what the marks mean."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    marks = {
+        "unit": Line2D([], [], color=DATA.light, linewidth=1, marker="o", markersize=4.5),
+        "upper bound": Line2D([], [], color=DATA.light, linestyle="", marker="<", markerfacecolor="white"),
+        "odd unit": Line2D([], [], color=LEFT_OUT, linestyle="", marker="D", markersize=4.5),
+        "median unit": Line2D([], [], color=MODEL.light, linewidth=1.4),
+        "next unit, 95 %": Patch(facecolor=MODEL.light, alpha=0.13),
+    }
+    if bound:
+        marks["tolerance bound"] = Line2D([], [], color=_BOUND, linewidth=1.5, linestyle="--")
+    figure.legend(
+        list(marks.values()),
+        list(marks),
+        loc="lower center",
+        ncols=3 if columns == 1 else len(marks),
+        frameon=False,
+        fontsize=SMALL_SIZE,
+        labelcolor=INK,
+        columnspacing=1.2,
+        handletextpad=0.5,
+    )
+
+
+def _draw_units(axes: "Axes", term: FleetTerm) -> None:
+    unit, found = sheet_unit(term), term.population
+    units = sorted_units(term)[::-1]
+    factor = unit.factor
+    low, high = (limit * factor for limit in span(term))
+    _draw_marks(axes, units, factor, range(len(units)), size=4.5, least=low)
+    if found.prediction:
+        band = [max(limit * factor, low) for limit in found.prediction]
+        axes.axvspan(*band, color=MODEL.light, alpha=0.13, linewidth=0)
+    if not found.bounded:
+        axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
+    if found.tolerance:
+        axes.axvline(found.tolerance * factor, color=_BOUND, linewidth=1.5, linestyle="--")
+        axes.annotate(
+            bound_name(term),
+            (found.tolerance * factor, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            color=_BOUND,
+            fontsize=SMALL_SIZE,
+        )
+    named = [(i, one.unit) for i, one in enumerate(units) if len(units) <= _NAMED or one.odd]
+    axes.set_yticks([i for i, _ in named], [name for _, name in named], fontsize=SMALL_SIZE - 1, color=INK)
+    _style(axes, f"{term.term} in {pretty(unit.name)}", f"{term.name} {term.term}")
+    _log_ticks(axes, low, high)
+    axes.set_ylim(-0.8, len(units) - 0.2)
+
+
+def same_terms(models: Sequence[SensorModel]) -> dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]]:
+    """Return the models that have a term, with theirs, by axis and term."""
+    groups: dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]] = {}
+    for model in models:
+        for term in model.terms:
+            groups.setdefault((term.name, term.term), []).append((model, term))
+    return groups
+
+
+def models_figure(models: Sequence[SensorModel]) -> "Figure":
+    """Return each term of each axis: a row a model, a dot a unit, the median and the next unit's band."""
+    groups = same_terms(models)
+    rows = math.ceil(len(groups) / 3)
+    figure = new_figure(12, (0.42 * len(models) + 0.95) * rows + 0.7, _DPI)
+    axes = figure.subplots(rows, 3, squeeze=False).ravel()
+    for place, ((name, key), own) in zip(axes, groups.items(), strict=False):
+        unit = sheet_unit(own[0][1])
+        spans = [span(term) for _, term in own]
+        lowest = min(s[0] for s in spans)
+        for i, (_, term) in enumerate(own):
+            # In one unit, whatever is usual for so small a value.
+            _draw_strip(place, term, i, factor=unit.factor, lowest=lowest)
+        place.set_yticks(range(len(own)), [model.title for model, _ in own], **_SMALL)
+        _style(place, f"{key} in {pretty(unit.name)}", f"{name} {key}")
+        _log_ticks(place, lowest * unit.factor, max(s[1] for s in spans) * unit.factor)
+        place.set_ylim(len(own) - 0.4, -0.6)
+    for place in axes[len(groups) :]:
+        place.set_visible(False)
+    _key(figure, 3, bound=False)
+    figure.tight_layout(rect=(0, 0.3 / figure.get_figheight(), 1, 1))
+    return figure
+
+
+def _draw_strip(axes: "Axes", term: FleetTerm, row: int, *, factor: float, lowest: float) -> None:
+    """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
+    found = term.population
+    if found.prediction:
+        low, high = (max(limit, lowest) * factor for limit in found.prediction)
+        axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
+    if not found.bounded:
+        middle = found.median.value * factor
+        axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
+    # Three lanes keep units of one value apart.
+    lanes = [row + 0.18 * (j % 3 - 1) for j in range(len(found.units))]
+    _draw_marks(axes, found.units, factor, lanes, size=3.5)
+
+
+def _draw_marks(
+    axes: "Axes",
+    units: Sequence[UnitValue],
+    factor: float,
+    heights: Sequence[float],
+    *,
+    size: float,
+    least: float | None = None,
+) -> None:
+    """Draw a dot for each unit; a diamond for an odd one, an open triangle for a bound.
+
+    With intervals, those of bounds from `least` on.
+    """
+    kinds: dict[tuple[bool, bool], list[tuple[UnitValue, float]]] = {}
+    for unit, y in zip(units, heights, strict=True):
+        kinds.setdefault((unit.value is None, unit.odd), []).append((unit, y))
+    for (bounded, odd), own in kinds.items():
+        colour, rows = LEFT_OUT if odd else DATA.light, [y for _, y in own]
+        if least is not None:
+            starts = [least if bounded else unit.low * factor for unit, _ in own]
+            ends = [unit.high * factor for unit, _ in own]
+            axes.hlines(rows, starts, ends, colors=colour, linewidth=1, linestyles=":" if bounded else "-")
+        axes.plot(
+            [(unit.value or unit.high) * factor for unit, _ in own],
+            rows,
+            marker="<" if bounded else "D" if odd else "o",
+            markersize=size,
+            color=colour,
+            markerfacecolor="white" if bounded else colour,
+            linestyle="",
+        )
+
+
+def heat_figure(model: SensorModel) -> "Figure":
+    """Return units × terms: how far off the median each unit lies, in standard deviations of the next."""
+    from matplotlib.patches import Rectangle
+
+    names, terms = list(model.units), model.terms
+    tall = min(14.0, max(2.0, 0.2 * len(names)))
+    figure = new_figure(3.2 + 0.36 * len(terms), tall + 1.6, _DPI)
+    axes = figure.subplots()
+    values = np.full((len(names), len(terms)), np.nan)
+    for j, term in enumerate(terms):
+        for unit in term.population.units:
+            i = names.index(unit.unit)
+            off = deviation(term, unit)
+            values[i, j] = math.nan if off is None else off
+            if unit.odd:
+                mark = _LABEL | {"color": "white" if abs(values[i, j]) > 2 else INK}
+                axes.text(j, i, "!", ha="center", va="center", **mark)
+                frame = Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=LEFT_OUT, linewidth=1.6)
+                axes.add_patch(frame)
+    image = axes.imshow(np.ma.masked_invalid(values), cmap="PuOr_r", vmin=-4, vmax=4, aspect="auto")
+    axes.patch.set(facecolor="white", edgecolor=FADED, hatch="////", linewidth=0)
+    axes.set_xticks(range(len(terms)), [f"{term.name} {term.term}" for term in terms], rotation=90, **_SMALL)
+    odd = {unit.unit for term in terms for unit in term.odd}
+    named = [(i, name) for i, name in enumerate(names) if len(names) <= _NAMED or name in odd]
+    axes.set_yticks([i for i, _ in named], [name for _, name in named], **_SMALL)
+    bar = figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02)
+    bar.set_label("standard deviations of the next unit", **_SMALL)
+    bar.ax.tick_params(labelsize=SMALL_SIZE, colors=INK)
+    title = f"{model.title}: units against the median\nhatched: only bounded; !: odd"
+    axes.set_title(title, loc="left", **_LABEL)
+    figure.tight_layout()
+    return figure
+
+
+def drift_figure(model: SensorModel) -> "Figure":
+    """Return the change of each term a °C and a year, with its interval; units that move otherwise in red."""
+    moving = {f"{term.name} {term.term}": term.trend for term in model.terms if term.trend}
+    trends = list(moving.values())
+    labels = [label for label in NEAREST if any(m.label == label for trend in trends for m in trend.means)]
+    figure = new_figure(max(5.0 * len(labels), 6.0), 0.27 * len(trends) + 1.4, _DPI)
+    places = figure.subplots(1, len(labels), sharey=True, squeeze=False)[0]
+    for axes, label in zip(places, labels, strict=True):
+        name, part = per(label, trends)
+        for i, trend in enumerate(trends):
+            _draw_slopes(axes, trend, label, row=i, size=100 * part)
+        axes.axvline(0, color=FADED, linewidth=1)
+        _style(axes, f"% a {name}", "")
+        axes.set_yticks(range(len(trends)), list(moving), fontsize=SMALL_SIZE)
+        axes.set_ylim(len(trends) - 0.4, -0.6)
+    figure.suptitle(f"{model.title}: temperature and time", fontsize=TITLE_SIZE, color=INK)
+    figure.tight_layout()
+    return figure
+
+
+def _draw_slopes(axes: "Axes", trend: Trend, label: str, *, row: int, size: float) -> None:
+    """Draw a term's change by one label with its interval, and the units that move otherwise.
+
+    `size` is that of a slope of 1 in the picture.
+    """
+    for mean in (mean.slope for mean in trend.means if mean.label == label):
+        axes.plot([size * mean.low, size * mean.high], [row, row], color=DATA.light, linewidth=1.2)
+        axes.plot(size * mean.value, row, marker="o", markersize=5, color=MODEL.light)
+    for slope in trend.slopes:
+        if slope.odd and slope.label == label:
+            at = size * slope.slope.value, row
+            axes.plot(*at, marker="D", markersize=5, color=LEFT_OUT)
+            near: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}
+            axes.annotate(slope.unit, at, fontsize=SMALL_SIZE, color=LEFT_OUT, **near)
+
+
+def _style(axes: "Axes", x: str, title: str) -> None:
+    axes.set_xlabel(x, **_LABEL)
+    axes.set_title(title, fontsize=LABEL_SIZE + 1, color=INK, loc="left", pad=12)
+    axes.grid(visible=True, axis="x", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    axes.spines["bottom"].set_color(FRAME)
+
+
+def _log_ticks(axes: "Axes", low: float, high: float) -> None:
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    places, labels, power = labelled_ticks(low, high)
+    axes.set_xticks(places, labels)
+    axes.set_xticks([], minor=True)
+    if power:
+        axes.set_xlabel(axes.get_xlabel().replace(" in ", f" in {power}", 1))
+
+
+def sorted_units(term: FleetTerm) -> list[UnitValue]:
+    """Return the units from the largest to the smallest; those that are only bounded by their bounds."""
+    return sorted(term.population.units, key=lambda unit: -(unit.value or unit.high))
+
+
+def span(term: FleetTerm) -> tuple[float, float]:
+    """Return the limits of a term's scale: all values, the band and the bound, and most of the whiskers."""
+    found = term.population
+    values = [unit.value or unit.high for unit in found.units]
+    values += [found.median.value, *(found.prediction or ()), *([found.tolerance] if found.tolerance else ())]
+    low, high = min(value for value in values if value > 0), max(values)
+    told = [unit for unit in found.units if unit.value]
+    low = max(min([low, *(unit.low for unit in told)]), low / _BELOW)
+    high = min(max([high, *(unit.high for unit in told)]), high * _BELOW)
+    return low / 1.06, high * 1.06
+
+
+def labelled_ticks(low: float, high: float) -> tuple[list[float], list[str], str]:
+    """Return places, their labels, and the power of ten that goes before the unit, such as ``10⁻³ ``."""
+    places = _round_ticks(low, high)
+    power = math.floor(math.log10(min(places)) + 1e-9)
+    if -2 <= power <= 3:
+        # Plain numbers: 8000, 10000, and not 8000, 10⁴.
+        plain = max(places) < 1e6
+        return places, [f"{place:.6g}" if plain else tick_label(place) for place in places], ""
+    labels = [f"{place / 10.0**power:.4g}" for place in places]
+    return places, labels, f"{tick_label(10.0**power)} "
+
+
+def _round_ticks(low: float, high: float) -> list[float]:
+    """Return three to six round values between two limits; fewer where the limits are close."""
+    places = tick_places(low, high)[0]
+    if len(places) >= 3 and high / low >= 3:
+        return places[:: math.ceil(len(places) / 6)]
+    step = 10.0 ** math.floor(math.log10(high - low))
+    for part in (0.1, 0.2, 0.5, 1.0, 2.0):
+        size = part * step
+        first, last = math.ceil(low / size), math.floor(high / size)
+        if last - first + 1 <= 5:
+            return [float(f"{i * size:.6g}") for i in range(first, last + 1)]
+    return places
