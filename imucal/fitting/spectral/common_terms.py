@@ -120,7 +120,7 @@ class Parts:
         best = self.at(logs[np.newaxis])
         tested, beside = np.moveaxis(best.logs[0], -1, 0)
         steps = _FIRST_REACH * 1.5 ** np.arange(_WIDER)[:, np.newaxis]
-        tried = np.exp(np.maximum(beside, -2.0) / 2) * np.concatenate([steps, 1 / steps])
+        tried = np.concatenate([np.exp(np.maximum(beside, -2.0) / 2) * steps, np.exp(beside / 2) / steps])
         inside = 2 * (self._at_second(tried, tested).objective - best.objective) < reach**2
         inside[-1] = False
         tried[-1] = 0.0
