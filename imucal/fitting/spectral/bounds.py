@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import (
     Candidates,
@@ -227,24 +227,33 @@ def hull_estimates(
     if drawn - set(fitted.structure):
         fitted, own = _richer(problem, fitted, drawn, own)
     values = {key: models[0].terms[key] for key in ALWAYS} | {e.key: e for e in own}
-    if walks:
-        values["K"] = models[0].terms["K"]
-    for key in shown:
-        # The nearest model that has a value, where the best has none.
-        every = (values[key], *(model.terms[key] for model in models))
-        values[key] = next((e for e in every if e.value is not None), values[key])
+    values |= {key: _first_shown(values[key], models) for key in shown}
     found = {key: _hull(value, _span(key, values, models)) for key, value in values.items()}
-    others = _alternatives(choice)
     if found["N"].value is None:
         found["N"] = _floor(problem, found["N"], [model.fitted for model in models])
-        others["N"] = tuple(dict.fromkeys((*others["N"], GaussMarkov.symbol)))
+    return fitted, own, ordered(_with_rivals(problem, choice, found, models))
+
+
+def _with_rivals(
+    problem: Problem, choice: RankedModels, found: dict[str, Estimate], models: list[Opinion]
+) -> Iterator[Estimate]:
+    """Yield estimates with the terms that may stand in their place, and for how long K holds beside them."""
+    others, markov = _alternatives(choice), GaussMarkov.symbol
     horizon = min(model.terms["K"].horizon_s for model in models)
-    if GaussMarkov.symbol in others["K"]:
+    if markov in others["K"]:
         horizon = min(horizon, _shortest_rival(problem, choice))
     elif horizon < np.inf:
-        others["K"] = (*others["K"], GaussMarkov.symbol)
-    found["K"] = replace(found["K"], horizon_s=horizon)
-    return fitted, own, ordered(replace(e, alternatives=others[e.symbol]) for e in found.values())
+        others["K"] = (*others["K"], markov)
+    if any(model.vetoes("N") for model in models) and markov not in others["N"]:
+        others["N"] = (*others["N"], markov)
+    for e in found.values():
+        yield replace(e, alternatives=others[e.symbol], horizon_s=horizon if e.key == "K" else np.inf)
+
+
+def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
+    """Return what the nearest model with a value says of a term, where the chosen one has none."""
+    every = (own, *(model.terms[own.key] for model in models))
+    return next((e for e in every if e.value is not None), own)
 
 
 def _opinion(problem: Problem, distance: float, model: Fitted) -> Opinion:
@@ -385,14 +394,19 @@ def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
     zeros = [say for say, e in span if _may_be_zero(e)]
     if own.value is None or (zeros and (max(zeros) >= 1 or own.key not in _FADES)):
         return Estimate.bounded(own.key, own.symbol, high)
-    time = own.correlation_time
-    if time is not None:
-        times = [time, *(e.correlation_time for _, e in span if e.correlation_time)]
-        time = replace(time, low=min(t.low for t in times), high=max(t.high for t in times))
     low = min([own.value, *(e.low for _, e in span if not _may_be_zero(e))])
     low *= float(np.prod([1 - say for say in zeros]))
+    time = _time_hull(own.correlation_time, [e for _, e in span])
     found = replace(own, low=low, high=max(own.value, high), correlation_time=time)
     return Estimate.bounded(own.key, own.symbol, high) if _may_be_zero(found) else found
+
+
+def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
+    """Return a correlation time with the limits of all models."""
+    if own is None:
+        return None
+    times = [own, *(e.correlation_time for e in span if e.correlation_time)]
+    return replace(own, low=min(t.low for t in times), high=max(t.high for t in times))
 
 
 def _may_be_zero(found: Estimate) -> bool:

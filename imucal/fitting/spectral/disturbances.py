@@ -342,14 +342,14 @@ def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -
         families.append([Disturbance(kind="temperature", names=("temperature",), price=price)])
         names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
         families.append([Disturbance(kind="temperature", names=(name,), price=2 * price) for name in names])
-    kinds = [best_cycle(whitened, length)]
+    gain, cycle = best_cycle(whitened, length)
+    if gain > _CYCLE_WORTH_A_FIT:
+        yield cycle
     for shapes in families:
         gains = [whitened.gain(shape.names) for shape in shapes]
         best = int(np.argmax(gains))
-        kinds.append((gains[best], shapes[best]))
-    for gain, one in kinds:
-        if gain > (_CYCLE_WORTH_A_FIT if one.kind == "cycle" else _WORTH_A_FIT):
-            yield one
+        if gains[best] > _WORTH_A_FIT:
+            yield shapes[best]
 
 
 def _step(
