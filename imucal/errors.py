@@ -17,7 +17,11 @@ A message reads *where: what was found, what was expected, what to do*.
 A caller's mistake (an argument out of range) is a plain `ValueError`.
 """
 
+from collections.abc import Sequence
 from typing import ClassVar
+
+#: What joins the things that a message asks for.
+ALSO = "; also, "
 
 
 class ImucalError(Exception):
@@ -34,6 +38,12 @@ class ReadError(ImucalError):
 
 class ChoiceError(ReadError):
     """Which topic, sensor or columns to read is not clear; the message lists the candidates."""
+
+
+def as_one(where: str, lacking: Sequence[ChoiceError]) -> ChoiceError:
+    """Return errors that begin with `where` as one, which asks for everything at once."""
+    texts = dict.fromkeys(str(error).removeprefix(f"{where}: ") for error in lacking)
+    return lacking[0] if len(texts) == 1 else ChoiceError(f"{where}: {ALSO.join(texts)}")
 
 
 class DataError(ImucalError):

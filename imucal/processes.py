@@ -274,7 +274,9 @@ def _limit_memory(counted: Counted, size: int) -> None:
     except ImportError:
         return
     kind = resource.RLIMIT_AS if counted == "addresses" else resource.RLIMIT_DATA
-    resource.setrlimit(kind, (size, resource.RLIM_INFINITY))
+    # A batch scheduler's own limit (`ulimit -v`) can't be raised.
+    hard = resource.getrlimit(kind)[1]
+    resource.setrlimit(kind, (size if hard == resource.RLIM_INFINITY else min(size, hard), hard))
 
 
 def _send(stream: BinaryIO, data: bytes) -> None:

@@ -267,3 +267,10 @@ def test_flicker_must_be_told_better_than_a_walk_to_be_shown() -> None:
         assert need.reached is not None
         shown[name] = need.reached
     assert shown["B"] < shown["K"]
+
+
+@pytest.mark.parametrize("text", ["R=2e-10", "N=6.7e-30 + B=8.87e6 + K=7.7e-22", "K=1e-200 + R=1"])
+def test_noise_that_is_lost_beside_other_noise_tells_nothing(text: str) -> None:
+    """No division by zero, whatever the sizes: what is not seen is not told."""
+    found = relative_deviations(NoiseModel.parse(text), rate_hz=100.0, duration_s=1e4, beside=["B", "K"])
+    assert all(deviation >= 0 for deviation in found.values())

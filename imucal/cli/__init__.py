@@ -18,7 +18,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
-from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
+from imucal.errors import ALSO, ChoiceError, DataError, ImucalError, WriteError
 from imucal.printable import printable
 from imucal.resources import single_matrix_thread
 
@@ -189,6 +189,11 @@ def _run(arguments: Sequence[str] | None) -> int:
         _drop_output()
         return 141
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG and not os.environ.get("IMUCAL_DEBUG"):
+            name = str(error.filename or "")
+            return _explain(
+                click.UsageError(f"a name of {len(name)} characters is too long for a file: {name}")
+            )
         # Files of the library's own end in a WriteError; what is left is the stream of results.
         if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
             return _explain(error)
@@ -236,7 +241,11 @@ def _explain(error: BaseException) -> int:
 
 def options_for(message: str) -> str:
     """Return the options that answer a message, such as ``--rate HZ``; empty where none does."""
-    return " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, message))
+    asked = (
+        " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, part))
+        for part in message.split(ALSO)
+    )
+    return " and ".join(filter(None, dict.fromkeys(asked)))
 
 
 #: This distribution, and another project's that installs a package of the same name: pip puts both into one

@@ -16,6 +16,7 @@ from imucal.readers.remote_logs import local_logs
 from imucal.readers.tables.text_source import STANDARD_INPUT
 from imucal.recording import Recording
 from imucal.remote import is_url
+from imucal.screening import screen_units, worst_first
 from imucal.units import data_size, duration
 
 #: What ``--json`` prints follows this.
@@ -67,8 +68,13 @@ def _topic_json(topic: TopicContents, found: Reading) -> dict[str, object]:
             for sensor, clock in clocks.items()
         }
         entry["decisions"] = found.source.decisions
-        entry["findings"] = [_finding_json(finding) for finding in found.findings]
+        entry["findings"] = [_finding_json(finding) for finding in _findings(found)]
     return entry
+
+
+def _findings(found: Recording) -> tuple[Finding, ...]:
+    """Return the findings of a log that was read, and what `fit` would say of its accelerometer's unit."""
+    return (*found.findings, *worst_first(found, screen_units(found)))
 
 
 def _finding_json(finding: Finding) -> dict[str, object]:
@@ -220,7 +226,7 @@ def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> It
         if question not in {"topic", "topics"}:
             yield from wrapped(f"{question}: {answer}", indent=2)
     about: dict[Words, list[str]] = {}
-    for finding in found.findings:
+    for finding in _findings(found):
         about.setdefault(words(finding), []).extend([finding.axis] if finding.axis else [])
     for own, axes in about.items():
         if own not in said:

@@ -11,6 +11,7 @@ from imucal.readers.containers import Container
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.readers.contents import LogContents
 from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.ways_out import way_out
 from imucal.recording import Recording
 
 #: The name that stands for standard input.
@@ -96,17 +97,28 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
         folders=True,
     ),
-    Format(name="PX4 ULog", module="imucal.readers.ulog", magic=(b"ULog\x01\x12\x35",), suffixes=(".ulg",)),
     Format(
-        name="Parquet, NPZ, NPY, MATLAB",
+        name="PX4 ULog",
+        module="imucal.readers.flight_logs",
+        magic=(b"ULog\x01\x12\x35",),
+        suffixes=(".ulg",),
+    ),
+    Format(
+        name="ArduPilot log",
+        module="imucal.readers.flight_logs",
+        magic=(b"\xa3\x95\x80\x80",),
+        suffixes=(".bin", ".tlog"),
+    ),
+    Format(
+        name="Parquet, HDF5, NPZ, NPY, MATLAB",
         module="imucal.readers.tables.typed_table",
-        magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"\x89HDF\r\n\x1a\n"),
-        suffixes=(".parquet", ".npz", ".npy", ".mat"),
+        magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"MATLAB 7.3", b"\x89HDF\r\n\x1a\n"),
+        suffixes=(".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat"),
     ),
     Format(
         name="text",
         module="imucal.readers.tables.text_table",
-        suffixes=(".csv", ".tsv", ".txt", ".log", ".dat"),
+        suffixes=(".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl"),
     ),
 )
 
@@ -122,7 +134,7 @@ def detect(path: Path) -> Format:
     text = FORMATS[-1]
     if str(path) == STDIN:
         return text
-    if path.is_dir():
+    if is_folder(path):
         return text if _holds_tables(path) else next(e for e in FORMATS if e.folders)
     return detect_head(path, _first_bytes(path))
 
@@ -135,6 +147,10 @@ def detect_head(path: Path, head: bytes) -> Format:
     ReadError
         If it is none of the formats.
     """
+    way = way_out(str(path), head)
+    if way:
+        msg = f"{path}: {way}"
+        raise ReadError(msg)
     # `startswith` is false of no magic at all.
     by_magic = next((entry for entry in FORMATS if head.startswith(entry.magic)), None)
     return by_magic or _by_ending(path, head)
@@ -158,7 +174,10 @@ def _by_ending(path: Path, head: bytes) -> Format:
             return text
         known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
         start = head[:8].hex(" ")
-        msg = f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}"
+        msg = (
+            f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}; "
+            "export a device's own format as CSV with its maker's program"
+        )
         raise ReadError(msg)
     return ending
 
@@ -183,11 +202,19 @@ def logs_of(path: Path) -> list[Path]:
     A bag has a ``metadata.yaml``, which says that its files are one recording; logs of messages that
     stand together without it may be anything. They are in the natural order of their names.
     """
-    if str(path) == STDIN or not path.is_dir() or (path / METADATA).exists():
+    if str(path) == STDIN or not is_folder(path) or (path / METADATA).exists():
         return [path]
     endings = tuple(suffix for entry in FORMATS if entry.messages for suffix in entry.suffixes)
     logs = sorted((entry for entry in path.iterdir() if entry.name.endswith(endings)), key=natural)
     return logs if len(logs) > 1 or any(log.suffix == ".bag" for log in logs) else [path]
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; one with a name longer than there can be is none."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def _holds_tables(folder: Path) -> bool:

@@ -25,7 +25,7 @@ from imucal.screening.values import (
 )
 from imucal.screening.windows import Profile, amount, profile
 
-__all__ = ["amount", "screen_values", "worst_first"]
+__all__ = ["amount", "screen_units", "screen_values", "worst_first"]
 
 AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
@@ -67,6 +67,11 @@ def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, .
     findings = [finding for _, failed in made_of for finding in failed] + empty
     findings += temperature_finding(recording.temperature)
     return worst_first(recording, [*findings, *_checked(alive)])
+
+
+def screen_units(recording: Recording) -> tuple[Finding, ...]:
+    """Return what speaks against the accelerometer's samples being all of its acceleration, in m/s²."""
+    return _judged(check_accelerometer_unit, [profile(series) for series in recording.series])
 
 
 def _checked(alive: Sequence[Profile]) -> Iterator[Finding]:

@@ -115,3 +115,33 @@ def test_a_definition_is_asked_for_with_its_option(tmp_path: Path) -> None:
     assert done.stderr.splitlines()[-1] == "Say it with --msg FILE."
     assert run("adev", "log.mcap", "--msg", "src", "-q", cwd=tmp_path).returncode == 0
     assert "/board" in run("info", "log.mcap", "--msg", "src", cwd=tmp_path).stdout
+
+
+def test_all_that_is_missing_is_asked_for_at_once(tmp_path: Path) -> None:
+    """A rate and both units; typed once, it reads."""
+    table(tmp_path / "log.csv", HEAD, scale=3.7)
+    done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
+    assert done.returncode == 3
+    accel, gyro = "--accel-unit UNIT or --accel-scale X", "--gyro-unit UNIT or --gyro-scale X"
+    assert done.stderr.splitlines()[-1] == f"Say it with --rate HZ and {accel} and {gyro}."
+    typed = ["--rate", "100", "--accel-unit", "m/s^2", "--gyro-unit", "deg/s"]
+    assert run("adev", "log.csv", *typed, "-q", cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize("command", [("info",), ("adev",), ("compare", "other"), ("simulate", "N=1", "-o")])
+def test_a_name_that_is_too_long_is_no_internal_error(command: tuple[str, ...], tmp_path: Path) -> None:
+    done = run(*command, "a" * 300, cwd=tmp_path)
+    assert done.returncode in {2, 3}
+    assert "too long" in done.stderr
+    assert "internal error" not in done.stderr
+
+
+def test_linear_acceleration_is_warned_of_by_info(tmp_path: Path) -> None:
+    """In the words of `fit`."""
+    rng = np.random.default_rng(1)
+    rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in rng.normal(size=(300, 3)) * 0.01)
+    text = f"lin_acc_x (m/s^2),lin_acc_y (m/s^2),lin_acc_z (m/s^2)\n{rows}\n"
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    listed = run("info", "log.csv", "--rate", "100", cwd=tmp_path)
+    assert "warning [no-gravity] accel: The accelerometer shows no gravity" in listed.stdout
+    assert '"code": "no-gravity"' in run("info", "--json", "log.csv", "--rate", "100", cwd=tmp_path).stdout

@@ -17,11 +17,13 @@ import scipy.io
 
 from imucal.errors import ImucalError
 from imucal.readers import describe, read
-from imucal.readers.ulog import ulog_content
+from imucal.readers.flight_messages import ulog_content
 from tests.readers.containers.test_mutations import CHANGES
+from tests.readers.tables.hdf5_logs import write_hdf5, write_matlab
+from tests.readers.ulog.ardupilot_logs import write_dataflash, write_telemetry
 from tests.readers.ulog.test_ulog import two_sensors
 
-#: Cases of each format by each change; 1760 in all.
+#: Cases of each format by each change; 2720 in all.
 CASES = 40
 #: No case may take longer, in s; the usual one takes 10 ms, the first of a child one second.
 PATIENCE = 20.0
@@ -68,7 +70,13 @@ FORMATS: dict[str, Callable[[Path], object]] = {
     "plain.parquet": write_parquet("uncompressed"),
     "snappy.parquet": write_parquet("snappy"),
     "zstd.parquet": write_parquet("zstd"),
+    "plain.h5": lambda path: write_hdf5(path, columns()),
+    "packed.h5": lambda path: write_hdf5(path, columns(), compression="gzip"),
+    "v73.mat": lambda path: write_matlab(path, columns()),
     "flight.ulg": two_sensors,
+    "flight.bin": write_dataflash,
+    "batch.bin": lambda path: write_dataflash(path, batch=True),
+    "flight.tlog": write_telemetry,
 }
 OPTIONS: dict[str, Any] = {"columns": "t=0,g=1:4,a=4:7", "gyro_unit": "rad/s", "accel_unit": "m/s^2"}
 

@@ -497,7 +497,7 @@ def test_a_walk_that_is_a_gauss_markov_term_is_written_once() -> None:
     states = yaml.safe_load(render(report, "gm"))["axes"]["gyro_x"]["states"]
     assert [state["term"] for state in states] == ["GM"]
     text = render_fitted(report, "yaml")
-    k = yaml.safe_load(text)["imu"]["gyroscope"]["axes"]["x"]["K"]
+    k = yaml.safe_load(text)["imu"]["gyroscope"]["x"]["K"]
     assert (k["part_of"], k["holds_to_s"], k["or"]) == ("GM", 3600, ["GM"])
     data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
     assert data["corrtime"] == 2

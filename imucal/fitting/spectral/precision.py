@@ -48,19 +48,21 @@ def relative_deviations(
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
-    if n <= len(names) + 1:
+    # The deviations of the others do not depend on the size of what may be there too.
+    terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in beside)]
+    if n <= len(names) + len(terms) - len(model.terms) + 1:
         return dict.fromkeys(names, math.inf)
     bins = dct_bins(n, singles=64, per_octave=12)
     count = bins.count.astype(np.float64)
-    # The deviations of the others do not depend on the size of what may be there too.
-    terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in beside)]
     parts = [term.dct_slopes(bins.n, bins.first, bins.count, 1 / rate_hz) for term in terms]
     spectrum = sum((own for own, _ in parts[: len(model.terms)]), np.zeros(bins.size))
     slopes = np.vstack([own for _, own in parts])
-    moving = np.flatnonzero(np.any(np.abs(slopes) > 0, axis=1)).tolist()
-    scaled = slopes[moving] / spectrum * np.sqrt(count / 2)
+    # A ramp alone has no noise beside which others are small.
+    scaled = slopes / np.where(spectrum > 0, spectrum, math.inf) * np.sqrt(count / 2)
+    length = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
+    moving = np.flatnonzero(length > 0)
     result = dict.fromkeys(names, math.inf)
-    for place, deviation in zip(moving, _deviations(scaled), strict=True):
+    for place, deviation in zip(moving.tolist(), _deviations(scaled[moving], length[moving]), strict=True):
         if place < len(names):
             result[names[place]] = deviation
     for term in model.terms:
@@ -69,11 +71,13 @@ def relative_deviations(
     return result
 
 
-def _deviations(scaled: FloatArray) -> list[float]:
-    """Return the square roots of the diagonal of (scaled scaled')^-1, safe where rows are alike."""
+def _deviations(scaled: FloatArray, length: FloatArray) -> list[float]:
+    """Return the square roots of the diagonal of (scaled scaled')^-1, safe where rows are alike.
+
+    `length` is that of each row.
+    """
     if not scaled.size:
         return []
-    length = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
     # The QR factor of the rows has the square root of the information's condition, not its square.
     factor = np.linalg.qr((scaled / length[:, np.newaxis]).T, mode="r")
     if np.abs(np.diag(factor)).min() < 1e-12:

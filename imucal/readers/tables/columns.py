@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 from imucal.errors import ChoiceError
 from imucal.readers.tables.dialects import Dialect
@@ -44,26 +44,28 @@ _SENSORS = frozenset((Role.GYROSCOPE, Role.ACCELEROMETER))
 class ColumnsError(ChoiceError):
     """Which columns of a table to read is not clear; the message shows them.
 
-    Parameters
+    Attributes
     ----------
     problem
         What is not clear.
-    found
-        The columns, as `list_columns` shows them.
     example
         A columns text that works on this very table; empty where none is known.
     """
 
-    def __init__(self, path: str, problem: str, found: str, example: str = "") -> None:
+    def __init__(self, message: str, *, problem: str = "", example: str = "") -> None:
+        super().__init__(message)
         self.problem, self.example = problem, example
+
+    @classmethod
+    def of(cls, path: str, problem: str, found: str, example: str = "") -> Self:
+        """Return the error that shows the columns `found` and perhaps an `example` for them."""
         how = (
             f"such as {example} (places from 0 with the end left out, or three names joined by +)"
             if example
             else "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
         )
-        super().__init__(
-            f"{path}: {problem}; found columns: {found}; say which are which by a columns text {how}"
-        )
+        message = f"{path}: {problem}; found columns: {found}; say which are which by a columns text {how}"
+        return cls(message, problem=problem, example=example)
 
 
 def list_columns(headers: Sequence[str], cells: Cells | None = None, *, most: int = 60) -> str:
@@ -111,6 +113,7 @@ class NamedTable:
     columns: tuple[NamedColumn, ...]
     cells: Cells
     dialect: Dialect | None = None
+    preamble: Sequence[str] = ()
 
     @property
     def headers(self) -> list[str]:
@@ -138,14 +141,21 @@ class NamedTable:
         problem = f"{len(matches)} columns are called {name!r}" if matches else f"there is no column {name!r}"
         raise ValueError(problem)
 
-    def columns_text(self, *triads: Triad | None, rows: str = "") -> str:
+    def names_of_rows(self, tag: str) -> list[str]:
+        """Return the names that a comment gives the cells of tagged rows, or ``column 3`` and the like."""
+        comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in self.preamble)
+        plain = [f"column {column.index}" for column in self.columns]
+        return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
+
+    def columns_text(self, *triads: Triad | None, rows: str = "", time: str = "") -> str:
         """Return the ready columns text of a choice; `rows` says which rows, such as ``@I:0``."""
-        parts = [f"t={self.time}"] if self.time else []
+        time = time or self.time
+        parts = [f"t={time}"] if time else []
         return ",".join([*parts, *(triad.text(rows) for triad in triads if triad)])
 
     def ask(self, problem: str, *, example: str = "") -> ColumnsError:
         """Return the error that shows the columns and perhaps a ready text for them."""
-        return ColumnsError(self.path, problem, list_columns(self.headers, self.cells), example)
+        return ColumnsError.of(self.path, problem, list_columns(self.headers, self.cells), example)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,7 +186,7 @@ def parse_columns_text(text: str, table: NamedTable) -> ColumnSpec:
         _check(found, rows)
     except ValueError as error:
         problem = f"columns text {text!r}: {error}"
-        raise ColumnsError(table.path, problem, list_columns(table.headers)) from None
+        raise ColumnsError.of(table.path, problem, list_columns(table.headers)) from None
     sensors = []
     for sensor in Sensor:
         letter = sensor.short[0]
@@ -264,7 +274,7 @@ def triad_of(
     sensor: Sensor, columns: Sequence[NamedColumn], rows: Rows = None, axes: tuple[Axis, ...] = AXES
 ) -> Triad:
     """Return the columns of some axes as those of a sensor; without a unit where theirs differ."""
-    units = {_unit_of(sensor, column) for column in columns}
+    units = {_unit_of(sensor, column) for column in columns} - {None}
     return Triad(
         sensor=sensor,
         indices=tuple(column.index for column in columns),
@@ -325,7 +335,7 @@ def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
     if len(sets) != 1:
         return None
     (members,) = sets
-    if any(column.numbered for column in members) or len({_unit_of(sensor, c) for c in members}) > 1:
+    if any(column.numbered for column in members) or len({_unit_of(sensor, c) for c in members} - {None}) > 1:
         return None
     return triad_of_axes(sensor, _in_order(table, members))
 
@@ -334,7 +344,8 @@ def _complete(table: NamedTable, roles: AbstractSet[Role]) -> Iterator[tuple[Nam
     """Yield the columns of some roles in sets of x, y, z that differ in nothing else."""
     for members in families(table.columns, roles):
         axes = _in_order(table, members)
-        if {0, 1, 2} <= axes.keys():
+        # Of more numbers than three, such as those of a matrix, none tells an axis.
+        if axes.keys() == {0, 1, 2}:
             yield axes[0], axes[1], axes[2]
 
 
@@ -354,7 +365,8 @@ def _in_order(table: NamedTable, members: Sequence[NamedColumn]) -> dict[int, Na
 
 def _require_one_unit(table: NamedTable, sensor: Sensor, axes: Sequence[NamedColumn]) -> None:
     units = [_unit_of(sensor, column) for column in axes]
-    if len(set(units)) == 1:
+    # A unit behind one name is that of the others too: wx(rad/s), wy, wz.
+    if len({*units} - {None}) <= 1:
         return
     named = zip(axes, units, strict=True)
     shown = ", ".join(f"{column.header} in {unit or 'no unit'}" for column, unit in named)

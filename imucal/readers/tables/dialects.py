@@ -5,9 +5,11 @@ A new dialect is one entry of `DIALECTS`, about 5 lines; its test is one example
 says which of these is missing. Only names that say no sensor to `names.py` need a word there as well.
 """
 
+import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,10 +73,55 @@ def find_dialect(headers: Sequence[str], preamble: Sequence[str] = ()) -> Dialec
     return next((dialect for dialect in DIALECTS if dialect.matches(plain, text)), None)
 
 
+#: What would end a cell, or a row.
+_NO_CELL = re.compile(r'[,"\n\r]')
+
+
 def find_messages(lines: Sequence[str]) -> TextLayout | None:
     """Return the layout of a log whose lines are messages of a known dialect, or None."""
-    layouts = (dialect.messages(lines) for dialect in DIALECTS if dialect.messages is not None)
-    return next((layout for layout in layouts if layout is not None), None)
+    finders = [_find_json, *(dialect.messages for dialect in DIALECTS if dialect.messages is not None)]
+    return next((layout for find in finders if (layout := find(lines)) is not None), None)
+
+
+def _cells_of(line: str) -> dict[str, str] | None:
+    """Return the numbers and texts of a JSON object by their paths, as cells; None of anything else."""
+    try:
+        tree = json.loads(line, parse_float=str, parse_int=str, parse_constant=str)
+    except (ValueError, RecursionError):
+        return None
+    return dict(_leaves(tree, "")) if isinstance(tree, dict) else None
+
+
+def _leaves(tree: object, path: str) -> Iterator[tuple[str, str]]:
+    if isinstance(tree, dict):
+        for name, value in tree.items():
+            yield from _leaves(value, f"{path}.{name}" if path else name)
+    elif isinstance(tree, list):
+        for at, value in enumerate(tree):
+            yield from _leaves(value, f"{path}[{at}]")
+    elif isinstance(tree, str):
+        yield path, _NO_CELL.sub(" ", tree).strip()
+
+
+def _find_json(lines: Sequence[str]) -> TextLayout | None:
+    """Return the layout of a log with a JSON object in each line; its members are columns by their paths."""
+    rows = [cells for line in lines if (cells := _cells_of(line))]
+    if len(rows) < 2 or len(rows) < 0.5 * len(lines):
+        return None
+    headers = tuple(dict.fromkeys(name for row in rows for name in row))
+    table = tuple(tuple(row.get(name, "") for name in headers) for row in rows)
+    return TextLayout(
+        width=len(headers), headers=headers, rows=table, prepare=partial(_json_rows, headers=headers)
+    )
+
+
+def _json_rows(block: bytes, headers: Sequence[str]) -> bytes:
+    """Return the objects of a block as rows of cells; what is none stays as a row that no parser takes."""
+    rows = []
+    for line in filter(str.strip, block.decode("utf-8", "replace").split("\n")):
+        cells = _cells_of(line)
+        rows.append("no JSON object" if cells is None else ",".join(cells.get(name, "") for name in headers))
+    return "\n".join([*rows, ""]).encode()
 
 
 def name_columns(layout: TextLayout) -> TextLayout:
@@ -221,7 +268,9 @@ def _find_gnss_logger(lines: Sequence[str]) -> TextLayout | None:
     width = min(map(len, rows), default=0)
     if not 6 <= width <= len(headers):
         return None
-    return TextLayout(width=width, headers=headers[:width], rows=tuple(row[:width] for row in rows))
+    comments = tuple(line for line in lines if line.startswith("#"))
+    kept = tuple(row[:width] for row in rows)
+    return TextLayout(width=width, headers=headers[:width], rows=kept, preamble=comments)
 
 
 _SI: Any = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}

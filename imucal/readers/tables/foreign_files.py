@@ -1,8 +1,8 @@
-"""What Parquet, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
+"""What Parquet, HDF5, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
 
-Parquet and MATLAB files are read by the packages that know them, in a child process: every result can be
-pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything is
-unpacked: arrays that are too large together go to temporary files, and where only their first values are
+Parquet, HDF5 and MATLAB files are read by the packages that know them, in a child process: every result can
+be pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything
+is unpacked: arrays that are too large together go to temporary files, and where only their first values are
 wanted nothing else is unpacked. What a MATLAB file unpacks to is counted without keeping any of it.
 
 Source: MathWorks, MAT-File Format (version 5): a header of 128 bytes, then elements of a tag of 8 bytes (type
@@ -13,6 +13,7 @@ import math
 import struct
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
@@ -21,12 +22,16 @@ from numpy.typing import NDArray
 
 from imucal.arrays import release
 from imucal.readers.store import allocated
+from imucal.readers.ways_out import OBJECTS_IN_NPZ
 
 #: Parts of a list or a matrix that are shown as columns.
 WIDEST = 64
 
 #: Rows that are looked at to choose columns.
 HEAD = 400
+
+#: What stands for an object of MATLAB in the package's arrays: its name, its system, its class, its numbers.
+_OBJECT = ("s0", "s1", "s2", "arr")
 
 #: Structures within structures of a MATLAB file that are looked into.
 _DEEP = 8
@@ -95,28 +100,83 @@ def _expression(dtype: Any, name: str, part: str | int | None) -> Any:  # noqa: 
     return getter.get(part, null_on_oob=True)
 
 
-def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of numbers in a MATLAB file; those in structures under names with points."""
+class Arrays(NamedTuple):
+    """The arrays of numbers in a file, those in structures under names with points; and objects of MATLAB.
+
+    Of those, such as a ``table``, a file holds numbers that only MATLAB understands: name -> class.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    objects: dict[str, str]
+
+
+def mat_arrays(path: Path) -> Arrays:
+    """Return the arrays of numbers in a MATLAB file up to version 7."""
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    arrays: dict[str, NDArray[Any]] = {}
+    found = Arrays({}, {})
     for name, value in content.items():
         if not name.startswith("__"):
-            _flatten(name, value, arrays)
-    return arrays
+            _flatten(name, value, found)
+    return found
 
 
-def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int = 0) -> None:  # noqa: ANN401
+def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
     """Collect the arrays of MATLAB structures under names with points."""
     array = np.asarray(value)
-    if array.dtype.names is not None and depth < _DEEP:
+    if array.dtype.names == _OBJECT and array.size == 1:
+        own, _, kind, _ = array.item()
+        found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode(
+            "latin-1"
+        )
+    elif array.dtype.names is not None and depth < _DEEP:
         for part in array.dtype.names:
             inner = array[part]
             inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
-            _flatten(f"{name}.{part}", inner, arrays, depth + 1)
+            _flatten(f"{name}.{part}", inner, found, depth + 1)
     elif array.dtype.kind in "biufM":
-        arrays[name] = array
+        found.arrays[name] = array
+
+
+def hdf5_arrays(path: Path, limit: int) -> Arrays:
+    """Return the arrays of numbers in an HDF5 file, perhaps MATLAB's of version 7.3, and single attributes.
+
+    Raises
+    ------
+    ValueError
+        If they take more than `limit` bytes.
+    """
+    import h5py
+
+    found = Arrays({}, {})
+    with h5py.File(path) as file:
+        nodes: dict[str, Any] = {"": file}
+        file.visititems(nodes.__setitem__)
+        matlab = any("MATLAB_class" in node.attrs for node in file.values())
+        sets = {}
+        for name, node in nodes.items():
+            kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
+            if name.startswith(("#refs#", "#subsystem#")) or kind in {"char", "cell"}:
+                continue
+            if "MATLAB_object_decode" in node.attrs:
+                found.objects[name.replace("/", ".")] = kind
+            elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
+                sets[name.replace("/", ".")] = node
+            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
+        took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
+        if took > most:
+            msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
+            raise ValueError(msg)
+        # MATLAB writes columns where others write rows.
+        found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
+    return found
+
+
+def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
+    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
+    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.
@@ -175,7 +235,7 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
         shape, fortran, dtype = read(member)
         header = _Header(info, tuple(shape), bool(fortran), np.dtype(dtype), member.tell())
     if header.dtype.hasobject:
-        msg = f"Object arrays cannot be loaded: {info.filename}"
+        msg = OBJECTS_IN_NPZ.said(str(archive.filename))
         raise ValueError(msg)
     if header.start + header.size > info.file_size:
         msg = f"{info.filename} claims {header.size} bytes, it holds {info.file_size - header.start}"

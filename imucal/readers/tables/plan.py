@@ -1,8 +1,7 @@
 """What to read from a table: its sensors' columns, their times, the temperature, and why these.
 
-Names tell; a column of text may say whose a row is. Numbers alone only give a columns text that is shown to
-the user, never taken: the magnitude of gravity finds the accelerometer of a narrow table at rest, and is
-wrong on wide or moving ones. Columns that were not read are named where a sensor was not found.
+Names tell; a column of text may say whose a row is. What else speaks for a sensor only gives a columns text
+that is shown to the user, never taken. Columns that were not read are named where a sensor was not found.
 """
 
 import re
@@ -10,20 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
-import numpy as np
-
-from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.scales import UnitGuess, median_size
+from imucal.readers.scales import UnitGuess
 from imucal.readers.tables.columns import (
     Cells,
     ColumnsError,
     ColumnSpec,
     NamedTable,
     Triad,
-    families,
     find_axes,
     find_bare_triads,
     find_temperature,
@@ -32,15 +27,14 @@ from imucal.readers.tables.columns import (
     parse_columns_text,
     pick,
     sensor_of_name,
-    triad_of_axes,
+    triad_of,
 )
-from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, parse_column, plain_name
+from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
+from imucal.readers.tables.proposals import likely, may_be_samples, proposal
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import AXES, Sensor
-from imucal.units import G0
 
 #: Names of the two clocks of a message; for a table they are not columns.
 _CLOCKS = ("header", "log")
@@ -61,8 +55,6 @@ _INSTANCE = frozenset(
 _LISTED, _SHOWN = 12, 4
 #: Texts that are more than this many are no names of sensors.
 _MOST_TAGS = 8
-#: Beyond this many columns of numbers, three that have the size of gravity may be anything.
-_NARROW = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +116,8 @@ def make_plan(
         parse_column(header, index, unit=row_units[index], context=context)
         for index, header in enumerate(headers)
     )
-    table = NamedTable(path=path, columns=columns, cells=cells, dialect=find_dialect(headers, preamble))
+    dialect = find_dialect(headers, preamble)
+    table = NamedTable(path=path, columns=columns, cells=cells, dialect=dialect, preamble=preamble)
     try:
         if options.columns is not None:
             return _as_asked(table, parse_columns_text(options.columns, table), options)
@@ -133,7 +126,7 @@ def make_plan(
         if error.example:
             raise
         found = list_columns(table.headers, table.cells)
-        raise ColumnsError(path, error.problem, found, propose(table, options)) from None
+        raise ColumnsError.of(path, error.problem, found, propose(table, options)) from None
 
 
 def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
@@ -164,7 +157,8 @@ def _plan(
 ) -> TablePlan:
     decisions = []
     for triad in (plan.triad for plan in sensors):
-        shown = ", ".join(table.columns[index].header or f"column {index}" for index in triad.indices)
+        named = zip(triad.headers, triad.indices, strict=True)
+        shown = ", ".join(header or f"column {index}" for header, index in named)
         decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
     dialect = table.dialect
     if dialect is not None:
@@ -258,8 +252,9 @@ def rows_of_sensors(
         names = tags[sensor]
         triad = own
         if own is None and other is not None and names:
-            # The header names these columns for the other sensor; the unit in this one's rows is open.
-            triad = replace(other, sensor=sensor, unit=None)
+            # The header names these columns for the other sensor, and not this one's unit.
+            own_names = table.names_of_rows(names[0])
+            triad = triad_of(sensor, [parse_column(own_names[at], at) for at in other.indices])
         if triad is not None and len(names) != 1:
             raise _unclear(table, column, triad, tags)
         both[sensor] = replace(triad, rows=(column.index, names[0])) if triad is not None else None
@@ -331,20 +326,20 @@ def missing_sensor(table: NamedTable, gyro: Triad | None, accel: Triad | None) -
     """
     found = {Sensor.GYROSCOPE: gyro, Sensor.ACCELEROMETER: accel}
     used = {index for triad in found.values() if triad is not None for index in triad.indices}
-    left = [column for column in table.columns if column.index not in used and _may_be_samples(table, column)]
+    left = [column for column in table.columns if column.index not in used and may_be_samples(table, column)]
     if not left:
         return ()
     shown = [f"{column.index} {column.header.strip() or '(no name)'}" for column in left[:_LISTED]]
     shown += [f"… {len(left) - _LISTED} more"] if len(left) > _LISTED else []
     listed = f"columns that were not read: {', '.join(shown)}."
+    guessed = likely(table, found)
     findings = []
     for sensor, triad in found.items():
         if triad is None:
             text = f"No {sensor} was found in the table; {listed}"
             missing = Finding(level="info", code="sensor-missing", axis=sensor.short, text=text)
-            candidate = _candidate(left, sensor)
-            if candidate is not None:
-                ready = table.columns_text(*(found | {sensor: candidate}).values())
+            if guessed[sensor] is not None:
+                ready = table.columns_text(*(found | {sensor: guessed[sensor]}).values())
                 advice = f"If it is among them, give a columns text such as {ready}."
                 missing = replace(missing, level="warning", advice=advice)
             findings.append(missing)
@@ -352,24 +347,6 @@ def missing_sensor(table: NamedTable, gyro: Triad | None, accel: Triad | None) -
             text = f"Only {' and '.join(triad.axes)} of the {sensor} was found in the table; {listed}"
             findings.append(Finding(level="info", code="axis-missing", axis=sensor.short, text=text))
     return tuple(findings)
-
-
-def _may_be_samples(table: NamedTable, column: NamedColumn) -> bool:
-    if column.role in {Role.TIME, Role.COUNTER, Role.TEMPERATURE} or is_of_something_else(column):
-        return False
-    return _is_numeric(table.filled(column.index))
-
-
-def _candidate(columns: Sequence[NamedColumn], sensor: Sensor) -> Triad | None:
-    """Return the columns x, y, z that a sensor may be in: those named as its own before others."""
-    own = Role(str(sensor))
-    sets = families([c for c in columns if c.axis in {0, 1, 2}], {own, Role.VECTOR, Role.OTHER})
-    named = [members for members in sets if members[0].role is own]
-    whole = [members for members in sets if len({column.axis for column in members}) == len(AXES)]
-    members = next(iter(named or whole), [])
-    # Of two columns of one name the first.
-    axes = {column.axis: column for column in reversed(members) if column.axis is not None}
-    return triad_of_axes(sensor, axes) if axes else None
 
 
 def works(table: NamedTable, options: ReadOptions, text: str) -> bool:
@@ -382,106 +359,7 @@ def works(table: NamedTable, options: ReadOptions, text: str) -> bool:
     return all(is_number(cell) for index in indices for cell in table.cells(index) if cell)
 
 
-def propose(table: NamedTable, options: ReadOptions, *, first: Sequence[str] = (), suffix: str = "") -> str:
-    """Return a columns text that works on a table; empty if none does.
-
-    Tried are some texts `first`, then the names, then the numbers, in the rows that `suffix` says.
-    """
-    try:
-        triads = {triad.sensor: triad for triad in reversed(find_triads(table, units_given=list(Sensor)))}
-    except ChoiceError:
-        triads = {}
-    by_name = table.columns_text(*map(triads.get, Sensor)) if triads else ""
-    known = [column.index for column in table.columns if _holds_no_samples(table, column)]
-    by_number = propose_columns(table.cells, len(table.columns), time=table.time, taken=known, suffix=suffix)
-    texts = (*first, by_name, by_number)
+def propose(table: NamedTable, options: ReadOptions, *, first: Sequence[str] = (), rows: str = "") -> str:
+    """Return a columns text that works on a table: one of those `first`, or the likeliest; or none."""
+    texts = (*first, proposal(table, name=PurePath(table.path).name, rows=rows))
     return next((text for text in texts if text and works(table, options, text)), "")
-
-
-def _holds_no_samples(table: NamedTable, column: NamedColumn) -> bool:
-    """Return whether a column is named as something else than samples; counters must count."""
-    if column.role is Role.COUNTER:
-        return all(cell.isdecimal() for cell in table.cells(column.index))
-    other = column.role is Role.OTHER and is_of_something_else(column)
-    return other or column.role in {Role.TIME, Role.TEMPERATURE}
-
-
-def propose_columns(
-    cells: Cells, width: int, *, time: str = "", taken: Sequence[int] = (), suffix: str = ""
-) -> str:
-    """Return a columns text such as ``t=0,g=1:4,a=4:7`` for a table; empty where it has none of numbers.
-
-    Parameters
-    ----------
-    cells
-        First cells of a column, by its index, of `width` columns.
-    time
-        The time's columns, where they are known; else the first that only goes on.
-    taken
-        Columns that are of no sensor.
-    suffix
-        Which rows are meant, such as ``@imu``.
-    """
-    numeric = [index for index in range(width) if index not in taken and _is_numeric(cells(index))]
-    if len(numeric) < 3:
-        return _one_axis(numeric, time, suffix)
-    table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
-    time = time or _text_time(cells, width)
-    steps = np.diff(table, axis=0)
-    onwards = np.flatnonzero((steps >= 0).all(axis=0) & (steps > 0).any(axis=0)).tolist()
-    # The first column that only goes on.
-    onward = onwards[0] if onwards and not time else None
-    time += "" if onward is None else str(numeric[onward])
-    places = _places(table, numeric, onward).items()
-    return _joined(
-        time, [f"{k}={numeric[at]}:{numeric[at] + 3}{suffix}" for k, at in places if at is not None]
-    )
-
-
-def _one_axis(numeric: Sequence[int], time: str, suffix: str) -> str:
-    """Propose one axis, perhaps behind a time; of two columns beside a known time none is told."""
-    if not numeric or (len(numeric) == 2 and time):
-        return ""
-    return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
-
-
-def _is_numeric(cells: Sequence[str]) -> bool:
-    return bool(cells) and all(map(is_number, cells))
-
-
-def _joined(time: str, axes: Sequence[str]) -> str:
-    return ",".join([f"t={time}" if time else "", *axes]).strip(",") if axes else ""
-
-
-def _places(table: FloatArray, numeric: Sequence[int], onward: int | None) -> dict[str, int | None]:
-    """Return where the columns of each sensor begin: by gravity, else in the usual order."""
-    free = [at for at in range(len(numeric)) if at != onward]
-    starts = [at for at in free if {at + 1, at + 2} <= {*free} and numeric[at + 2] == numeric[at] + 2]
-
-    def apart(taken: int | None) -> int | None:
-        return next((at for at in starts if taken is not None and abs(at - taken) >= 3), None)
-
-    accel = _gravity(table, free, starts) if len(numeric) <= _NARROW else None
-    if accel is not None:
-        return {"g": apart(accel), "a": accel}
-    gyro = next(iter(starts), None)
-    return {"g": gyro, "a": apart(gyro)}
-
-
-def _gravity(table: FloatArray, free: Sequence[int], starts: Sequence[int]) -> int | None:
-    """Return where the only three columns with the magnitude of gravity begin."""
-    sizes = {first: median_size(table[:, first : first + 3]) for first in free[::3] if first in starts}
-    found = [first for first, size in sizes.items() if min(abs(size / G0 - 1), abs(size - 1)) < 0.05]
-    return found[0] if len(found) == 1 else None
-
-
-def _text_time(cells: Cells, width: int) -> str:
-    """Return the columns of a time that is a text: a date with a time, or a date, a time and AM or PM."""
-    for index in range(width):
-        column = cells(index)
-        if column and all(map(is_text_stamp, column)):
-            return str(index)
-        if text_kind(column) == "date" and index + 1 < width and all(map(is_time_of_day, cells(index + 1))):
-            half = index + 2 < width and text_kind(cells(index + 2)) == "half"
-            return "+".join(map(str, range(index, index + 2 + half)))
-    return ""

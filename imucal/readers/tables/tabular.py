@@ -3,7 +3,7 @@
 A clock is made of the time's columns, or of a counter and a rate.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import blake2b
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.clock import Clock
-from imucal.errors import ChoiceError, DataError
+from imucal.errors import ChoiceError, DataError, ImucalError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
@@ -23,6 +23,7 @@ from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled
 from imucal.readers.store import Room, count, extremes
+from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.stamps import (
     Numbers,
@@ -47,6 +48,9 @@ _SECOND = 10**9
 
 #: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
 _FASTEST, _LONGEST_NS = 1e6, 1e18
+
+#: Where the rate is asked for, the unit is judged by the noise at the slowest that IMUs are logged at, in Hz.
+_SLOWEST = 10.0
 
 #: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
 _SENT_TWICE = 0.1
@@ -325,26 +329,46 @@ def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: S
     """
     clocks: _Clocks = {}
     kept = [_of_sensor(work, columns) for columns in sensors]
-    readings = [_clock(work, columns, clocks) for columns in kept]
-    both = list(zip(kept, readings, strict=True))
-    work.add(
-        [
-            Unscaled(
-                sensor=columns.plan.triad.sensor,
-                rows=columns.axes,
-                clock=reading.clock,
-                order=reading.order,
-                axes=columns.plan.triad.axes,
-                stated=columns.plan.stated,
-            )
-            for columns, reading in both
-        ]
-    )
+    lacking: list[ChoiceError] = []
+    both = [(columns, _clock(work, columns, clocks, lacking)) for columns in kept]
+    try:
+        work.add(
+            [
+                Unscaled(
+                    sensor=columns.plan.triad.sensor,
+                    rows=columns.axes,
+                    clock=reading.clock,
+                    order=reading.order,
+                    axes=columns.plan.triad.axes,
+                    stated=columns.plan.stated,
+                )
+                for columns, reading in both
+            ]
+        )
+    except ChoiceError as error:
+        lacking.append(error)
+    if lacking:
+        raise as_one(work.path, lacking)
     for columns, reading in both:
         if columns.temperature is not None:
             _add_temperature(work, columns.temperature, reading)
             break
     return work.build(topics=topics)
+
+
+def with_more(where: str, error: ColumnsError, reading: Callable[[str], object]) -> ChoiceError:
+    """Return an error for columns with what else is missing: `reading` tries the columns that it proposes."""
+    lacking: list[ChoiceError] = [error]
+    # Of several proposals the user's choice says what is missing.
+    if error.example and " or " not in error.example:
+        try:
+            reading(error.example)
+        except ChoiceError as more:
+            lacking.append(more)
+        except ImucalError:
+            # What is wrong with the samples is said when they are read.
+            pass
+    return as_one(where, lacking)
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
@@ -389,8 +413,13 @@ def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
     return replace(contents, topics=topics, duration_s=None)
 
 
-def _clock(work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks) -> ClockReading:
-    """Return the clock of a sensor, or that of another which has its time and its rows."""
+def _clock(
+    work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks, lacking: list[ChoiceError]
+) -> ClockReading:
+    """Return the clock of a sensor, or that of another which has its time and its rows.
+
+    What is asked for is added to what is `lacking`, so that the units can be asked for in the same breath.
+    """
     plan, n = columns.plan, columns.axes[0].size
     if not n:
         names = ", ".join(plan.triad.headers)
@@ -401,7 +430,11 @@ def _clock(work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks) -> C
         raise DataError(msg)
     key = (plan.time, plan.triad.rows, columns.rows_left, n)
     if key not in clocks:
-        clocks[key] = table_clock(work, columns)
+        try:
+            clocks[key] = table_clock(work, columns)
+        except ChoiceError as error:
+            lacking.append(error)
+            clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""), order=None, findings=())
         work.findings.extend(clocks[key].findings)
     return clocks[key]
 

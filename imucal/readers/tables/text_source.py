@@ -9,16 +9,19 @@ import codecs
 import gzip
 import hashlib
 import lzma
+import shlex
 import sys
 import zlib
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Self, cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.read_options import Progress
+from imucal.readers.ways_out import way_out
 from imucal.recording import LogFileInfo
 
 #: The path that means standard input.
@@ -48,6 +51,8 @@ _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
 _BLOCK = 2 << 20
+#: Fewer lines in the head don't make a table, and so many cells in it are columns of one.
+_FEWEST, _WIDE = 3, 1000
 #: A line longer than this is no row of a table.
 _LONGEST_LINE = 1 << 20
 #: Bytes of a zstd stream unpacked at once; each may hold blocks of 128 KiB in 4 bytes.
@@ -230,7 +235,13 @@ class TextSource:
         self._take: Callable[[int], bytes] = stream.read if plain else getattr(stream, "read1", stream.read)
         head = start + self._read(_HEAD - len(start)) if plain else self._read(_HEAD)
         self.whole = self._ended
-        self.encoding = find_encoding(head, name)
+        try:
+            self.encoding = find_encoding(head, name)
+        except ReadError as error:
+            if plain:
+                raise
+            msg = f"{name}: {self.compression} of binary data; unpack it, and name the log that was in it"
+            raise ReadError(msg) from error
         wide = self.encoding.startswith("utf-16")
         self._decode = codecs.getincrementaldecoder(self.encoding)() if wide else None
         text = head.removeprefix(codecs.BOM_UTF8)
@@ -256,6 +267,23 @@ class TextSource:
             return 0
         length = sum(map(len, self.head)) / len(self.head) + 1
         return int(1.05 * self.size / length)
+
+    def why_no_lines(self) -> str:
+        """Return what is wrong with a text of which the head has no lines, or hardly any, and what to do."""
+        mark, cells = max(
+            ((mark, self._start.count(mark)) for mark in (b",", b";", b"\t", b" ")), key=itemgetter(1)
+        )
+        if self.whole or cells < _WIDE:
+            found = "is empty" if self.whole else "has no line end in its first 256 KiB"
+            found = f"{found} ({self.findings[0].text})" if self.findings else found
+            way = way_out(self.name, self._start, text=True)
+            return f"the text {found}; {way or 'expected a table of numbers'}"
+        cut = f"cut -d '{mark.decode()}' -f 1-7" if mark != b"\t" else "cut -f 1-7"
+        return (
+            f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few columns "
+            f"of an IMU; write those to a file of their own, the first seven by {cut} "
+            f"{shlex.quote(self.name)} > imu.csv"
+        )
 
     def files(self) -> tuple[LogFileInfo, ...]:
         """Return size and checksum of standard input, which nobody can read again; nothing of a file."""
@@ -364,10 +392,9 @@ def open_text(path: Path, *, progress: Progress | None = None, most: int | None 
         except BaseException:
             raw.close()
             raise
-    if not any(line.strip() for line in source.head):
-        found = "is empty" if source.whole else "has no line end in its first 256 KiB"
-        found = f"{found} ({source.findings[0].text})" if source.findings else found
+    lines = [line for line in source.head if line.strip()]
+    if not lines or (len(lines) < _FEWEST and not source.whole):
         source.close()
-        msg = f"{source.name}: the text {found}; expected a table of numbers"
+        msg = f"{source.name}: {source.why_no_lines()}"
         raise ReadError(msg)
     return source

@@ -46,8 +46,16 @@ from imucal.readers.tables.layout import (
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
+from imucal.readers.tables.tabular import (
+    SensorColumns,
+    assemble,
+    contents_of,
+    of_a_part,
+    refuse_topics,
+    with_more,
+)
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
+from imucal.readers.ways_out import way_out
 from imucal.recording import Recording, Sensor
 from imucal.resources import column_limit
 from imucal.units import TIME_UNITS_NS, parse_time_unit
@@ -67,12 +75,11 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     if messages is not None:
         return messages
     layout = find_layout(lines)
-    if layout is None:
+    way = way_out(path, "\n".join(lines).encode(), text=True)
+    if layout is None or (way and not layout.headers):
         first = next((line.strip() for line in lines if line.strip()), "")
-        msg = (
-            f"{path}: no rows of numbers, the first line is {first[:80]!r}; "
-            "expected a table with a row per sample"
-        )
+        expected = way or "expected a table with a row per sample"
+        msg = f"{path}: no rows of numbers, the first line is {first[:80]!r}; {expected}"
         raise ReadError(msg)
     layout = name_columns(layout)
     if options.columns is not None or layout.headers:
@@ -84,7 +91,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
             "belongs to a column"
         )
     found = list_columns([""] * layout.width, layout.cells)
-    raise ColumnsError(path, problem, found, _propose(path, lines, layout, options))
+    raise ColumnsError.of(path, problem, found, _propose(path, lines, layout, options))
 
 
 def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
@@ -100,7 +107,7 @@ def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadO
         both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
     columns = tuple(parse_column("", index) for index in range(layout.width))
     table = NamedTable(path=path, columns=columns, cells=layout.cells)
-    return propose(table, options, first=both, suffix=f"@{tags[0]}" if tags else "")
+    return propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
 
 
 def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
@@ -366,7 +373,7 @@ def read_table(
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
-    layout, plan = plan_of_head(source, options, name)
+    layout, plan = _planned(source, options, name)
     groups = _by_rows(plan, stamps)
     expected = 0 if head else source.expected_rows
     readers = [
@@ -403,6 +410,18 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, plan.topics)
+
+
+def _planned(source: TextSource, options: ReadOptions, name: str) -> tuple[TextLayout, TablePlan]:
+    """Return the layout and the columns of a text; where they are open, ask for all that is."""
+    try:
+        return plan_of_head(source, options, name)
+    except ColumnsError as error:
+
+        def tried(columns: str) -> object:
+            return read_table(source, replace(options, columns=columns), name=name, head=True)
+
+        raise with_more(source.name, error, tried) from error
 
 
 def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:

@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.isolation import isolated
+from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import Room, join_rows
+from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.foreign_files import (
     HEAD,
     WIDEST,
+    Arrays,
+    hdf5_arrays,
     mat_arrays,
     npz_arrays,
     parquet_columns,
@@ -34,15 +37,29 @@ from imucal.readers.tables.foreign_files import (
 )
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import Numbers, TimeChoice
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
+from imucal.readers.tables.tabular import (
+    SensorColumns,
+    assemble,
+    contents_of,
+    of_a_part,
+    refuse_topics,
+    with_more,
+)
 from imucal.recording import Recording, Sensor
 from imucal.resources import MEMORY, column_limit, memory_limit
 
 #: Arrays whose shapes are kept for a message.
 _SHOWN = 12
 
-#: How often the arrays of a MAT file are in memory while it is read.
-_MAT_COPIES = 4
+#: How often the arrays of a MAT or an HDF5 file are in memory while it is read.
+_COPIES = 4
+
+#: Class of an object of MATLAB -> what writes it as text there.
+_IN_MATLAB = {
+    "table": "writetable({0}, '{0}.csv')",
+    "timetable": "writetimetable({0}, '{0}.csv')",
+    "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
+}
 
 #: Names of a single number that is the sampling rate, in Hz.
 _RATES = frozenset(
@@ -81,13 +98,14 @@ class TableFile:
     """The columns of a file, its format, and the sampling rate where it states one.
 
     `shapes` are its arrays as a message shows them, such as ``imu (600, 2, 3)``; those of which no columns
-    were made are among them.
+    were made are among them. `way` says what to do with what can't be read.
     """
 
     format: str
     columns: tuple[TypedColumn, ...]
     rate_hz: float | None = None
     shapes: tuple[str, ...] = ()
+    way: str = ""
 
 
 def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
@@ -115,8 +133,9 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     kind = _kind(path, head)
     if kind == "Parquet":
         return TableFile(format="parquet", columns=_parquet(path))
-    if kind == "MAT":
-        return _of_arrays("mat", _mat(path))
+    if kind in {"MAT", "HDF5"}:
+        found = _mat(path) if kind == "MAT" else _hdf5(path)
+        return _of_arrays(kind.lower(), found.arrays, found.objects)
     try:
         if kind == "NPZ":
             most = column_limit() if limit is None else limit
@@ -133,15 +152,9 @@ def _kind(path: Path, head: bytes) -> str:
     kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), None)
     if kind is not None:
         return kind
-    if head.startswith(b"\x89HDF\r\n\x1a\n") or head[:10] == b"MATLAB 7.3":
-        msg = (
-            f"{path}: a MATLAB 7.3 or HDF5 file; expected MAT up to version 7; "
-            "save it in MATLAB with save(..., '-v7'), or export a CSV"
-        )
-        raise ReadError(msg)
     if path.suffix.lower() == ".mat":
         return "MAT"
-    msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, NPZ, NPY or MAT"
+    msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
     raise ReadError(msg)
 
 
@@ -160,9 +173,14 @@ def _parquet(path: Path) -> tuple[TypedColumn, ...]:
     )
 
 
-def _mat(path: Path) -> dict[str, NDArray[Any]]:
+def _hdf5(path: Path) -> Arrays:
+    require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
+    return isolated(path, hdf5_arrays, "HDF5")(path, memory_limit() // _COPIES)
+
+
+def _mat(path: Path) -> Arrays:
     # The package reads it whole; the arrays are there, on their way to this process, and here.
-    limit = memory_limit() // _MAT_COPIES
+    limit = memory_limit() // _COPIES
     if unpacks_to_more(path, limit):
         msg = (
             f"{path}: its arrays unpack to more than {limit / 1e6:.4g} MB, and a MAT file is read whole; "
@@ -173,7 +191,9 @@ def _mat(path: Path) -> dict[str, NDArray[Any]]:
     return isolated(path, mat_arrays, "MAT")(path)
 
 
-def _of_arrays(form: str, arrays: Mapping[str, NDArray[Any]]) -> TableFile:
+def _of_arrays(
+    form: str, arrays: Mapping[str, NDArray[Any]], objects: Mapping[str, str] | None = None
+) -> TableFile:
     """Return the columns of the arrays of a file; a single number may be its sampling rate."""
     rate = None
     columns: list[TypedColumn] = []
@@ -187,7 +207,18 @@ def _of_arrays(form: str, arrays: Mapping[str, NDArray[Any]]) -> TableFile:
         label, unit = _NAVEGO.get(last, ("", None))
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
     shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
-    return TableFile(format=form, columns=tuple(columns), rate_hz=rate, shapes=tuple(shapes[:_SHOWN]))
+    ways = [
+        f"{name} is a {kind} of MATLAB, which no other program reads; type there {way.format(name)}"
+        for name, kind in (objects or {}).items()
+        if (way := _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those"))
+    ]
+    return TableFile(
+        format=form,
+        columns=tuple(columns),
+        rate_hz=rate,
+        shapes=tuple(shapes[:_SHOWN]),
+        way="; ".join(ways[:_SHOWN]),
+    )
 
 
 def _shape(name: str, array: NDArray[Any]) -> str:
@@ -238,7 +269,14 @@ def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColu
 
 
 #: First bytes -> format.
-_FORMATS = {b"PAR1": "Parquet", b"\x93NUMPY": "NPY", b"PK": "NPZ", b"MATLAB 5.0": "MAT"}
+_FORMATS = {
+    b"PAR1": "Parquet",
+    b"\x93NUMPY": "NPY",
+    b"PK": "NPZ",
+    b"MATLAB 5.0": "MAT",
+    b"MATLAB 7.3": "HDF5",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+}
 
 #: Tables up to this size are read to be described, in bytes: they take less than half a second.
 _SMALL = 64 << 20
@@ -310,15 +348,7 @@ def _heads(part: _Part) -> _Part:
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     """Choose the columns; of arrays of several lengths each length for itself."""
-    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
-    groups = [tuple(c for c in table.columns if c.size == length) for length in lengths]
-    if not groups:
-        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
-        msg = (
-            f"{path}: no columns of samples, found {found}; expected arrays of the gyroscope or the "
-            "accelerometer with a row per sample and up to 64 columns; save those columns alone"
-        )
-        raise ReadError(msg)
+    groups = _groups(path, table)
     parts = []
     for group in groups if len(groups) > 1 and options.columns is None else ():
         with suppress(ChoiceError):
@@ -326,9 +356,37 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     if not parts:
         # The indices in a columns text, and in the error that proposes one, are those of the widest table.
         widest = max(groups, key=lambda group: (len(group), group[0].size))
-        return [_part(path, widest, options, table.shapes)]
+        return [_only_part(path, table, widest, options)]
     _refuse_doubles(path, parts)
     return parts
+
+
+def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
+    """Return the columns by their lengths; a ReadError where there are none of samples."""
+    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
+    if not lengths:
+        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
+        why = table.way or (
+            f"no columns of samples, found {found}; expected arrays of the gyroscope or the accelerometer "
+            "with a row per sample and up to 64 columns; save those columns alone"
+        )
+        msg = f"{path}: {why}"
+        raise ReadError(msg)
+    return [tuple(column for column in table.columns if column.size == length) for length in lengths]
+
+
+def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
+    """Choose among the columns of one length; where that is open, ask for all that is."""
+    try:
+        return _part(path, columns, options, table.shapes)
+    except ColumnsError as error:
+
+        def tried(text: str) -> object:
+            asked = replace(options, columns=text)
+            return _read(path, table, [_heads(_part(path, columns, asked, table.shapes))], asked)
+
+        asking = with_more(str(path), error, tried)
+        raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:

@@ -405,8 +405,8 @@ def test_an_axis_is_missing(tmp_path: Path) -> None:
     content = lines("time (s),gyro_1,gyro_2,foo", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "x, y and z of one sensor are needed, found only gyro_1 (gyroscope), gyro_2 (gyroscope); "
-        "found columns: 0 time (s), 1 gyro_1, 2 gyro_2, 3 foo; say which are which by a columns text such as "
-        f"t=0,g=1:4 {HOW}"
+        "found columns: 0 time (s), 1 gyro_1, 2 gyro_2, 3 foo; say which are which by a columns text of the "
+        "form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
     )
 
 

@@ -23,6 +23,8 @@ LAYOUTS = (
     "Xsens MT Manager",
     "VectorNav $VNYMR",
     "tagged rows",
+    "JSON lines",
+    "JSON lines of sensors",
 )
 
 Damage = Callable[[bytes, np.random.Generator], bytes]

@@ -321,8 +321,8 @@ def test_progress(tmp_path: Path) -> None:
             b"gx,gy,gz\n" + b"1,2,3,4\n" * 20,
             (
                 "the header has 3 names and the rows 4 cells, so no name belongs to a column; found columns: "
-                "0 1, 1 2, 2 3, 3 4; say which are which by a columns text such as g=0:3 "
-                "(places from 0 with the end left out, or three names joined by +)"
+                "0 1, 1 2, 2 3, 3 4; say which are which by a columns text of the form "
+                "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
             ),
         ),
     ],

@@ -175,3 +175,31 @@ def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
         read(path)
     np.save(path, wide[:, :6])
     is_truth(read(path, columns=proposed(refused(path)), rate_hz=100.0, gyro_unit="rad/s"))
+
+
+@pytest.mark.parametrize("write", ["csv", "npy", "jsonl"])
+def test_one_refusal_asks_for_all_that_is_missing(write: str, tmp_path: Path) -> None:
+    """Columns, rate and unit; what it names, typed once, reads."""
+    path = tmp_path / f"log.{write}"
+    both = np.column_stack([truth().deg, truth().g])
+    if write == "csv":
+        path.write_text(lines("", *both.T.tolist()), encoding="utf-8")
+    elif write == "npy":
+        np.save(path, both)
+    else:
+        path.write_text("".join(f'{{"values": {row}}}\n' for row in both.tolist()), encoding="utf-8")
+    message = refused(path)
+    asked, rate, unit = message.split("; also, ")
+    assert rate.endswith("give the sampling rate")
+    assert unit.startswith("the unit of the gyroscope is open")
+    is_truth(read(path, columns=proposed(asked), rate_hz=100.0, gyro_unit="deg/s"))
+
+
+def test_a_wrong_unit_behind_one_axis_is_refused_and_a_missing_one_is_not(tmp_path: Path) -> None:
+    """wx(rad/s), wy, wz have one unit; xRate (rad/s), yRate (deg/s) have two."""
+    path = tmp_path / "log.csv"
+    t = [f"{0.01 * i:.2f}" for i in range(N)]
+    path.write_text(lines("t_s,wx(rad/s),wy,wz,ax(m/s^2),ay,az", t, *sensors()), encoding="utf-8")
+    is_truth(read(path))
+    path.write_text(lines("t_s,wx(rad/s),wy(deg/s),wz,ax,ay,az", t, *sensors()), encoding="utf-8")
+    assert "the axes of the gyroscope carry different units" in refused(path)

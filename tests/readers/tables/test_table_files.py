@@ -11,7 +11,7 @@ import scipy.io
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
-from imucal.readers.tables.foreign_files import _flatten
+from imucal.readers.tables.foreign_files import Arrays, _flatten
 from imucal.readers.tables.typed_table import _of_array, _of_arrays, _plain, open_table
 
 
@@ -107,17 +107,17 @@ def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
 def test_structures_of_matlab_are_flattened() -> None:
     """Eight deep at most; texts are left out."""
     for depth, names in ((0, ["x"]), (8, ["x" + ".a" * 8]), (9, [])):
-        arrays: dict[str, Any] = {}
-        _flatten("x", nested(depth), arrays)
-        assert list(arrays) == names
-    arrays = {}
+        found = Arrays({}, {})
+        _flatten("x", nested(depth), found)
+        assert list(found.arrays) == names
+    found = Arrays({}, {})
     for name, value in (
         ("text", "abc"),
         ("cube", np.zeros((2, 2, 2))),
         ("flags", np.ones((2, 2), dtype=bool)),
     ):
-        _flatten(name, value, arrays)
-    assert list(arrays) == ["cube", "flags"]
+        _flatten(name, value, found)
+    assert list(found.arrays) == ["cube", "flags"]
 
 
 def test_names_that_matlab_hides_are_no_columns(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Text logs in the layouts of the wild, written from one truth."""
 
+import json
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -562,6 +563,39 @@ def kitti(t: Truth) -> str:
     )
 
 
+def json_lines(t: Truth) -> str:
+    """Write a structure for each sensor, numbers with all their digits, and a text with what ends a cell."""
+    rows = (
+        {
+            "time_ns": EPOCH + ns,
+            "gyro": dict(zip("xyz", w, strict=True)),
+            "accel": dict(zip("xyz", f, strict=True)),
+            "note": 'at "rest", 20 °C\n',
+            "ok": True,
+        }
+        for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True)
+    )
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def json_vectors(t: Truth) -> str:
+    """Write a list for each sensor, in objects of their own with a time each."""
+    rows = []
+    for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True):
+        rows += [{"timestamp": EPOCH + ns, "gyro_rad_s": w}, {"timestamp": EPOCH + ns, "accel_m_s2": f}]
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def json_tagged(t: Truth) -> str:
+    """Write as a phone's logger: each sensor's objects have the same members, whose numbers are texts."""
+    rows = []
+    for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True):
+        for sensor, values in (("gyroscope", w), ("accelerometer", f)):
+            axes = dict(zip("xyz", map(repr, values), strict=True))
+            rows.append({"sensor": sensor, "time": str(EPOCH + ns), **axes})
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
 def own_micros(t: Truth) -> str:
     return lines("ustime gx gy gz ax ay az", stamps(t, 1000, 10**9), *xyz(t.gyro), *xyz(t.accel), mark=" ")
 
@@ -773,6 +807,9 @@ STYLES: tuple[Style, ...] = (
     Style(name="blanks behind commas", build=spaces, tolerance=0),
     Style(name="pipes", build=pipes, tolerance=0),
     Style(name="tagged rows", build=tagged, options={"columns": "t=0,g=5:8@imu,a=2:5@imu"}, tolerance=0),
+    Style(name="JSON lines", build=json_lines, file="log.jsonl", tolerance=0),
+    Style(name="JSON lines of vectors", build=json_vectors, file="log.json", tolerance=0),
+    Style(name="JSON lines of sensors", build=json_tagged, file="log.jsonl", tolerance=0),
     Style(name="no header", build=headless, options={"columns": "t=0,g=1:4,a=4:7"}, tolerance=0),
     Style(name="time of day", build=time_of_day),
 )

@@ -11,8 +11,8 @@ from pyulog import ULog
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers import read as read_any
+from imucal.readers.flight_logs import describe, read
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.ulog import describe, read
 from imucal.recording import Sensor
 from tests.real_data import real_data
 

@@ -11,17 +11,9 @@ from numpy.typing import ArrayLike
 
 from imucal.arrays import IntArray
 from imucal.errors import ChoiceError, DataError
+from imucal.readers.flight_logs import _choose, _listed, _log_findings, _refuse_options, _timed
+from imucal.readers.flight_messages import PX4, FlightLog, Instance, samples_of
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.ulog import (
-    Instance,
-    UlogContent,
-    _choose,
-    _listed,
-    _log_findings,
-    _refuse_options,
-    _timed,
-    samples_of,
-)
 from imucal.recording import Sensor
 
 LOG = Path("flight.ulg")
@@ -34,7 +26,7 @@ def instance(
     """Return an instance with stamps in microseconds and other fields."""
     fields = {name: np.asarray(values) for name, values in data.items()}
     fields["timestamp"] = np.asarray(stamps, dtype=np.uint64)
-    return Instance(message=message, multi=multi, several=several, data=fields)
+    return Instance(message=message, multi=multi, several=several, data=fields, kind=PX4[message])
 
 
 def every(step: int, n: int) -> IntArray:
@@ -192,16 +184,16 @@ def test_an_instance_without_a_rate_is_listed_without_one() -> None:
     ],
 )
 def test_dropouts_are_told(durations: tuple[int, ...], text: str) -> None:
-    log = UlogContent(instances=[], damaged=False, dropouts=list(durations))
+    log = FlightLog(format="ulog", instances=[], damaged=False, dropouts=list(durations))
     (finding,) = _log_findings(log)
     assert (finding.level, finding.code, finding.text) == ("info", "dropouts", text)
     assert finding.advice == "Use a faster card or log fewer topics."
 
 
 def test_damage_is_a_warning() -> None:
-    (finding,) = _log_findings(UlogContent(instances=[], damaged=True, dropouts=[]))
+    (finding,) = _log_findings(FlightLog(format="ulog", instances=[], damaged=True, dropouts=[]))
     assert (finding.level, finding.code) == ("warning", "damaged")
-    assert _log_findings(UlogContent(instances=[], damaged=False, dropouts=[])) == []
+    assert _log_findings(FlightLog(format="ulog", instances=[], damaged=False, dropouts=[])) == []
 
 
 def test_a_ulog_has_one_clock() -> None:
@@ -211,7 +203,7 @@ def test_a_ulog_has_one_clock() -> None:
     with pytest.raises(ChoiceError) as caught:
         _refuse_options(LOG, ReadOptions(time="log"), found)
     assert str(caught.value) == (
-        "flight.ulg: a ULog has messages with one clock in us, but time 'log' was asked for; expected "
+        "flight.ulg: a flight log has messages with one clock, but time 'log' was asked for; expected "
         "nothing, or the name of a message; found sensor_accel:1 (accelerometer, 1 samples)"
     )
     with pytest.raises(ChoiceError, match=r"time unit 'ms' was asked for; .* found none of an IMU"):

@@ -1,0 +1,233 @@
+"""Which columns a sensor is likely in, where names don't say: one score of names, numbers and neighbours.
+
+Nothing is read by it: a message shows the columns as a text, and the user types it. Below the threshold
+nothing is shown, as the x and y of a robot, or latitudes, are no gyroscope.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from imucal.readers.scales import shows_gravity
+from imucal.readers.tables.columns import NamedTable, Triad, sensor_of_name, triad_of_axes
+from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
+from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, plain_name
+from imucal.recording import AXES, Sensor
+
+#: Less speaks for nothing.
+_THRESHOLD = 2
+#: What speaks for a sensor: a name that is its own, one that has a part of it, and a vector x, y, z of which
+#: nothing is said beside the other sensor. A name that says something unknown speaks against it.
+_NAMED, _HINTED, _VECTOR, _UNKNOWN = 4, 3, 2, -1
+#: The mean vector is gravity, or the columns stand beside those where it is.
+_GRAVITY = _BESIDE = 3
+#: The rows are tagged as those of an inertial sensor.
+_TAGGED = 2
+#: Neighbours have at most one column, such as the time, between them.
+_APART = 2
+#: Beyond this many columns of numbers, three that have the size of gravity may be anything.
+_NARROW = 8
+#: Parts of names: ``accl0``, ``LN_ACCELX``, ``turnRate1``.
+_HINTS = {
+    Sensor.GYROSCOPE: re.compile(r"gyr|omega|ang.*(vel|rate)|turn|rot|rate"),
+    Sensor.ACCELEROMETER: re.compile(r"acc|force"),
+}
+#: The number of an axis behind the name of a vector.
+_NUMBERED = re.compile(r"(.*\D)(\d)(\W*)")
+
+
+def may_be_samples(table: NamedTable, column: NamedColumn) -> bool:
+    """Return whether a column holds numbers, and its name says nothing else than samples."""
+    cells = table.filled(column.index)
+    counts = column.role is Role.COUNTER and all(map(str.isdecimal, cells))
+    if counts or column.role in {Role.TIME, Role.TEMPERATURE} or is_of_something_else(column):
+        return False
+    return _is_numeric(cells)
+
+
+def likely(
+    table: NamedTable,
+    found: Mapping[Sensor, Triad | None] | None = None,
+    *,
+    taken: Sequence[int] = (),
+    tagged: bool = False,
+) -> dict[Sensor, Triad | None]:
+    """Return the columns of each sensor: those `found`, or the likeliest; None of less than the threshold.
+
+    Columns that are `taken` are of none; rows that are `tagged` are those of an inertial sensor.
+    """
+    chosen: dict[Sensor, Triad | None] = dict.fromkeys(Sensor) | dict(found or {})
+    # The accelerometer first, as gravity tells it.
+    for sensor in reversed(Sensor):
+        if chosen[sensor] is None:
+            chosen[sensor] = _likeliest(
+                table, sensor, list(filter(None, chosen.values())), taken, tagged=tagged
+            )
+    return chosen
+
+
+def _likeliest(
+    table: NamedTable, sensor: Sensor, others: Sequence[Triad], taken: Sequence[int], *, tagged: bool
+) -> Triad | None:
+    """Return the columns of a sensor that most speaks for, beside those of another that is known."""
+    used = {*taken, *(index for triad in others for index in triad.indices)}
+    free = [c for c in table.columns if c.index not in used and may_be_samples(table, c)]
+    several = len(free) > _NARROW
+    scored = [
+        (
+            _name_score(axes, sensor) or _score(table, axes, sensor, others, tagged=tagged, several=several),
+            axes,
+        )
+        for axes in _sets(free)
+    ]
+    # Of equal ones the accelerometer is the last, as people write them.
+    scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
+    score, best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
+    whole = len(best) == len(AXES) or score >= _NAMED
+    return triad_of_axes(sensor, best) if score >= _THRESHOLD and whole else None
+
+
+def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
+    """Return columns whose names differ in their axis alone; then those without an axis, three by three."""
+    lettered: dict[tuple[str, ...], dict[int, NamedColumn]] = {}
+    counted: dict[tuple[str, str], dict[int, NamedColumn]] = {}
+    for column in free:
+        tail = _NUMBERED.fullmatch(plain_name(column.header))
+        if column.axis is not None and not column.numbered:
+            lettered.setdefault(column.words, {}).setdefault(column.axis, column)
+        elif tail:
+            counted.setdefault((tail[1], tail[3]), {})[int(tail[2])] = column
+    sets = list(lettered.values())
+    # Numbers may count from 1, which only three of them tell.
+    whole = [axes for axes in counted.values() if sorted(axes) in ([0, 1, 2], [1, 2, 3])]
+    sets += [{number - min(axes): column for number, column in axes.items()} for axes in whole]
+    named = {column.index for axes in sets if len(axes) == len(AXES) for column in axes.values()}
+    return sets + _threes([column for column in free if column.index not in named])
+
+
+def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
+    """Return columns three by three where they stand side by side."""
+    found = []
+    while plain:
+        run = [column for at, column in enumerate(plain[:3]) if column.index == plain[0].index + at]
+        if len(run) == len(AXES):
+            found.append(dict(enumerate(run)))
+        plain = plain[len(run) :]
+    return found
+
+
+def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
+    """Return what names say of a sensor in some columns; 0 where they say nothing of either."""
+    (opposite,) = set(Sensor) - {sensor}
+    names = [plain_name(column.header) for column in axes.values()]
+    roles = {column.role for column in axes.values()}
+    if any(map(_HINTS[opposite].search, names)) or Role(str(opposite)) in roles:
+        return -_NAMED
+    if roles == {Role(str(sensor))}:
+        return _NAMED
+    # A group's name may stand above the first of its columns alone.
+    own = [name for name in names if not _HINTS[sensor].search(name)]
+    return _HINTED if len(own) < len(names) and not any(own) and names[0] else 0
+
+
+def _score(
+    table: NamedTable,
+    axes: Mapping[int, NamedColumn],
+    sensor: Sensor,
+    others: Sequence[Triad],
+    *,
+    tagged: bool,
+    several: bool,
+) -> int:
+    """Return what speaks for a sensor in columns whose names don't; gravity tells of no `several`."""
+    if len(axes) != len(AXES):
+        return 0
+    columns = [axes[at] for at in range(len(AXES))]
+    score = (_TAGGED if tagged else 0) + _unknown(columns)
+    if others:
+        return score + _beside(table, columns, others[0])
+    told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(table, columns)
+    return score + (_GRAVITY if told else 0)
+
+
+def _beside(table: NamedTable, columns: Sequence[NamedColumn], other: Triad) -> int:
+    """Return what speaks for columns by those of the other sensor: a bare vector, or neighbours of a kind."""
+    theirs = [table.columns[index] for index in other.indices]
+    if all(column.role is Role.VECTOR for column in columns):
+        return _VECTOR
+    near = min(abs(a.index - b.index) for a in columns for b in theirs) <= _APART
+    nameless = not any(column.role in {*map(Role, Sensor)} for column in theirs)
+    return _BESIDE if near and nameless and _unknown(theirs) == _unknown(columns) else 0
+
+
+def _unknown(columns: Sequence[NamedColumn]) -> int:
+    """Return what speaks against columns that are called by names of which nothing is known."""
+    return _UNKNOWN if any(c.header.strip() and c.role is not Role.VECTOR for c in columns) else 0
+
+
+def _is_gravity(table: NamedTable, columns: Sequence[NamedColumn]) -> bool:
+    """Return whether the mean vector of three columns is gravity, in some unit."""
+    cells = [table.filled(column.index) for column in columns]
+    if len({len(column) for column in cells}) > 1:
+        return False
+    rows = np.array([[float(cell) for cell in column] for column in cells]).T
+    return shows_gravity(rows[np.isfinite(rows).all(axis=1)])
+
+
+def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
+    """Return a columns text for a table, such as ``t=0,g=1:4,a=4:7``; empty where not enough speaks for one.
+
+    `name` is the file's, and `rows` says which rows are meant, such as ``@imu``.
+    """
+    time = table.time or _text_time(table) or _onward(table)
+    taken = [int(index) for index in time.split("+") if index]
+    chosen = likely(table, taken=taken, tagged=bool(rows))
+    if not any(chosen.values()):
+        chosen = _one_axis(table, taken, name)
+    if not any(chosen.values()):
+        return ""
+    return table.columns_text(*chosen.values(), rows=rows, time=time)
+
+
+def _one_axis(table: NamedTable, taken: Sequence[int], name: str) -> dict[Sensor, Triad | None]:
+    """Return the only column of a log of one axis, about z; of a name that says nothing the file's may."""
+    free = [c for c in table.columns if c.index not in taken and _is_numeric(table.filled(c.index))]
+    sensor = sensor_of_name(name)
+    if len(free) != 1 or (free[0].header.strip() and sensor is None):
+        return {}
+    sensor = sensor or Sensor.GYROSCOPE
+    return {sensor: triad_of_axes(sensor, {2: free[0]})}
+
+
+def _is_numeric(cells: Sequence[str]) -> bool:
+    return bool(cells) and all(map(is_number, cells))
+
+
+def _onward(table: NamedTable) -> str:
+    """Return the first column of numbers that only goes on, beside others."""
+    numeric = [c.index for c in table.columns if _is_numeric(table.filled(c.index))]
+    for index in numeric if len(numeric) > 1 else ():
+        steps = [b - a for a, b in pairwise(map(float, table.filled(index)))]
+        if steps and min(steps) >= 0 < max(steps):
+            return str(index)
+    return ""
+
+
+def _text_time(table: NamedTable) -> str:
+    """Return the columns of a time that is a text: a date with a time, or a date, a time and AM or PM."""
+    width = len(table.columns)
+    for index in range(width):
+        column = table.cells(index)
+        if column and all(map(is_text_stamp, column)):
+            return str(index)
+        if (
+            text_kind(column) == "date"
+            and index + 1 < width
+            and all(map(is_time_of_day, table.cells(index + 1)))
+        ):
+            half = index + 2 < width and text_kind(table.cells(index + 2)) == "half"
+            return "+".join(map(str, range(index, index + 2 + half)))
+    return ""

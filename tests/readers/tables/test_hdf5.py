@@ -1,0 +1,91 @@
+"""HDF5 and MATLAB 7.3: columns by their paths, as they are in NPZ and older MAT files."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+import scipy.io
+
+from imucal.errors import ReadError
+from imucal.readers import describe, read
+from tests.readers.tables.hdf5_logs import write_hdf5, write_matlab
+from tests.readers.tables.texts import EPOCH, N, truth
+
+UNITS: dict[str, Any] = {"gyro_unit": "rad/s"}
+STAMPS = np.array(truth().ns, dtype=np.int64) + EPOCH
+
+
+def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of any kind
+    recording = read(path, **UNITS, **options)
+    assert recording.source.format == "hdf5"
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    for sensor, values in (("gyroscope", truth().gyro), ("accelerometer", truth().accel)):
+        for index, axis in enumerate("xyz"):
+            npt.assert_array_equal(recording.axis(sensor, axis).samples, values[:, index])
+
+
+@pytest.mark.parametrize("compression", [None, "gzip"])
+def test_groups_of_arrays(compression: str | None, tmp_path: Path) -> None:
+    """Stamps are integers to the last digit."""
+    arrays = {"imu/stamp_ns": STAMPS, "imu/gyro": truth().gyro, "imu/accel": truth().accel}
+    path = write_hdf5(tmp_path / "log.h5", arrays | {"camera/exposure": np.ones(7)}, compression=compression)
+    is_truth(path)
+    assert read(path, **UNITS).series[0].clock.start_ns == EPOCH
+    assert (describe(path).topics[0].count, describe(path).start_ns) == (N, EPOCH)
+
+
+def test_a_table_of_records(tmp_path: Path) -> None:
+    records = np.zeros(
+        N, dtype=[("time_ns", "<i8"), *((f"{s}{axis}", "<f8") for s in "ga" for axis in "xyz")]
+    )
+    records["time_ns"] = STAMPS
+    for index, axis in enumerate("xyz"):
+        records[f"g{axis}"], records[f"a{axis}"] = truth().gyro[:, index], truth().accel[:, index]
+    is_truth(write_hdf5(tmp_path / "log.h5", {"imu": records}))
+
+
+def test_the_rate_in_an_attribute(tmp_path: Path) -> None:
+    """Lying arrays, without stamps."""
+    arrays = {"gyro": truth().gyro.T, "accel": truth().accel.T}
+    is_truth(write_hdf5(tmp_path / "log.hdf5", arrays, sampling_rate=100.0))
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_matlab_7_3(table: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a parameter of the case
+    """The columns of an older MAT file of the same variables; a table beside them is passed over."""
+    arrays = {"imu/t": STAMPS * 1e-9, "imu/gyro": truth().gyro, "imu/accel": truth().accel, "imu/fs": 100.0}
+    path = write_matlab(tmp_path / "log.mat", arrays, table=table)
+    is_truth(path)
+    older = tmp_path / "older.mat"
+    scipy.io.savemat(older, {"imu": {name.removeprefix("imu/"): array for name, array in arrays.items()}})
+    assert read(path, **UNITS).source.topics == read(older, **UNITS).source.topics
+
+
+def test_a_table_of_matlab_7_3_has_a_way_out(tmp_path: Path) -> None:
+    path = write_matlab(tmp_path / "log.mat", {}, table=True)
+    with pytest.raises(ReadError, match=r"T is a table of MATLAB.*type there writetable\(T, 'T\.csv'\)$"):
+        read(path)
+
+
+def test_more_than_memory_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a file unpacks to is added up before it is unpacked."""
+    path = write_hdf5(tmp_path / "log.h5", {"gyro": np.zeros((1_000_000, 3))}, compression="gzip")
+    monkeypatch.setenv("IMUCAL_MEMORY", "40M")
+    with pytest.raises(ReadError, match="its arrays take 24 MB, and it is read whole; expected at most 10"):
+        read(path)
+
+
+def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message says what to install."""
+    path = write_hdf5(tmp_path / "log.h5", {"gyro": truth().gyro})
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    for action in (read, describe):
+        with pytest.raises(ReadError) as caught:
+            action(path)
+        assert str(caught.value) == (
+            f"{path}: an HDF5 or MATLAB 7.3 file, which an extra reads; "
+            "type: pip install 'imucal-noise[hdf5]'"
+        )

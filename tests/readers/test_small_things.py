@@ -1,0 +1,109 @@
+"""What went wrong at the edges: names, widths, limits of memory, accelerations without gravity."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+
+from imucal.errors import ReadError
+from imucal.readers import describe, read
+from imucal.readers.scales import infer_accel_unit
+from imucal.screening import screen_units
+from tests.readers.tables.texts import STYLES, N, lines, truth, write, xyz
+from tests.readers.ulog.test_ulog import two_sensors
+
+SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
+
+
+@pytest.mark.parametrize("action", [read, describe])
+def test_a_name_that_is_too_long_for_a_file(action: object, tmp_path: Path) -> None:
+    path = tmp_path / ("a" * 300 + ".csv")
+    with pytest.raises(ReadError, match="can't be opened: File name too long"):
+        action(path)  # type: ignore[operator]
+
+
+def test_a_hundred_thousand_columns(tmp_path: Path) -> None:
+    """The command in the message, typed, writes the columns that are read."""
+    path, filling = tmp_path / "wide log.csv", ",0" * 100_000
+    rows = lines(
+        f"t_s,{SI}", [i / 100 for i in range(N)], *xyz(truth().gyro), *xyz(truth().accel)
+    ).splitlines()
+    path.write_text("\n".join(row + filling for row in rows[:60]) + "\n", encoding="utf-8")
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert re.search(r"or at least \d{6} columns; expected the few columns of an IMU", str(caught.value))
+    shell, command = shutil.which("bash") or "sh", re.search(r"cut .*", str(caught.value))
+    assert command is not None
+    subprocess.run([shell, "-c", command[0]], cwd=tmp_path, check=True)  # noqa: S603 - what the message says
+    recording = read(tmp_path / "imu.csv")
+    np.testing.assert_array_equal(recording.axis("gyroscope", "x").samples, truth().gyro[:59, 0])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are of Unix")
+def test_a_hard_limit_of_memory_is_kept(tmp_path: Path) -> None:
+    """Under `ulimit -v`, as batch schedulers set it, packages of other formats read in their child."""
+    columns = {"t_s": np.arange(N) / 100}
+    for sensor in ("gyro", "accel"):
+        columns |= {f"{sensor}_{axis}": truth().accel[:, i] for i, axis in enumerate("xyz")}
+    scipy.io.savemat(tmp_path / "log.mat", columns)
+    pl.DataFrame(columns).write_parquet(tmp_path / "log.parquet")
+    two_sensors(tmp_path / "log.ulg")
+    script = (
+        "import resource, sys\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (3_500_000_000, 3_500_000_000))\n"
+        "from imucal.readers import read\n"
+        "for log in sys.argv[1:]: print(len(read(log, gyro_unit='rad/s', accel_unit='m/s^2').series))\n"
+    )
+    logs = [str(tmp_path / f"log.{ending}") for ending in ("mat", "parquet", "ulg")]
+    done = subprocess.run(  # noqa: S603 - this interpreter
+        [sys.executable, "-c", script, *logs],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "1"},
+    )
+    assert (done.stdout, done.stderr) == ("6\n6\n6\n", "")
+
+
+def carried(mean: float) -> np.ndarray:
+    """Return accelerations of a median size of one about a mean, of a phone in a walker's hand."""
+    rng = np.random.default_rng(8)
+    rows = rng.normal(size=(5000, 3)) * np.sqrt((1 - mean**2) / 3) + np.array([0, 0, mean])
+    return np.asarray(rows / np.median(np.linalg.norm(rows, axis=1)))
+
+
+def test_accelerations_without_gravity_are_not_taken_for_g() -> None:
+    """As large as gravity in g, but their mean is not; where it is, the phone was only carried."""
+    assert infer_accel_unit(carried(0.9)).unit == "g"
+    found = infer_accel_unit(carried(0.1))
+    assert found.unit is None
+    assert re.search(
+        r"is gravity in none of m/s\^2, g and mg, and the vectors' mean is 0\.1\d* long", found.reason
+    )
+
+
+def test_linear_acceleration_is_said_of_what_was_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    linear = truth().accel - truth().accel.mean(axis=0)
+    header = (
+        f"t_s,{SI}".replace("ax", "linear_acc_x").replace("ay", "linear_acc_y").replace("az", "linear_acc_z")
+    )
+    path.write_text(lines(header, [i / 100 for i in range(N)], *xyz(truth().gyro), *xyz(linear)))
+    assert [finding.code for finding in screen_units(read(path))] == ["no-gravity"]
+    path.write_text(lines(f"t_s,{SI}", [i / 100 for i in range(N)], *xyz(truth().gyro), *xyz(truth().accel)))
+    assert screen_units(read(path)) == ()
+
+
+def test_each_sensor_is_shown_with_its_own_columns(tmp_path: Path) -> None:
+    """A comment names the fields of each kind of row."""
+    (style,) = [style for style in STYLES if style.name == "GnssLogger"]
+    decisions = dict(read(write(style, tmp_path)).source.decisions)
+    assert decisions["gyroscope columns"].startswith("UncalGyroXRadPerSec, UncalGyroYRadPerSec")
+    assert decisions["accelerometer columns"].startswith("UncalAccelXMps2, UncalAccelYMps2, UncalAccelZMps2")
+    assert decisions["accelerometer unit"].startswith("m/s^2, from the column header")

@@ -1,0 +1,219 @@
+"""Formats that are not read: each is named with a way out, and what can be typed here is typed and reads."""
+
+import json
+import lzma
+import pickle
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from imucal.errors import ChoiceError, ReadError
+from imucal.readers import describe, read
+from tests.readers.tables.texts import N, truth
+
+UNITS: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+
+
+def columns() -> dict[str, np.ndarray[Any, Any]]:
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    both = np.column_stack([truth().gyro, truth().accel])
+    return {"t_s": np.arange(N) / 100, **dict(zip(names, both.T, strict=True))}
+
+
+def rows() -> list[dict[str, float]]:
+    return pl.DataFrame(columns()).to_dicts()
+
+
+def refused(path: Path) -> str:
+    """Return what is said of a file, the same by `read` and by `describe`."""
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    return str(caught.value)
+
+
+def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of any kind
+    recording = read(path, **UNITS, **options)
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    np.testing.assert_allclose(recording.axis("gyroscope", "y").samples, truth().gyro[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(recording.axis("accelerometer", "z").samples, truth().accel[:, 2], rtol=1e-12)
+
+
+def typed(message: str, folder: Path) -> Path:
+    """Type the command that a message names, in a folder, with this interpreter; return what it wrote."""
+    command = message[message.index("python -c ") :]
+    before = set(folder.iterdir())
+    shell = shutil.which("bash") or "sh"
+    here = command.replace("python", sys.executable, 1)
+    subprocess.run([shell, "-c", here], cwd=folder, check=True)  # noqa: S603 - what the message says
+    (made,) = set(folder.iterdir()) - before
+    return made
+
+
+def write_pickle(path: Path) -> None:
+    with path.open("wb") as file:
+        pickle.dump(columns(), file)
+
+
+def write_lines(path: Path, line: Callable[[Any], str]) -> None:
+    path.write_text("".join(line(row) + "\n" for row in rows()), encoding="utf-8")
+
+
+def objects() -> np.ndarray[Any, Any]:
+    return np.column_stack(list(columns().values())).astype(object)
+
+
+#: What is written, and what the message calls it; the command in the message turns it into a log.
+WITH_COMMAND: dict[str, tuple[Callable[[Path], object], str]] = {
+    "log.pkl": (write_pickle, "a Python pickle, which may run any program when it is loaded"),
+    "log.feather": (lambda path: pl.DataFrame(columns()).write_ipc(path), r"an Arrow \(Feather\) file"),
+    "it's one log.json": (lambda path: path.write_text(json.dumps(rows())), "JSON in one piece"),
+    "pretty.json": (lambda path: path.write_text(json.dumps(rows(), indent=1)), "JSON in one piece"),
+    "lists.json": (
+        lambda path: path.write_text(json.dumps({k: v.tolist() for k, v in columns().items()})),
+        "JSON in one piece",
+    ),
+    "dicts.txt": (lambda path: write_lines(path, repr), "lines of Python dicts"),
+    "dict.npy": (lambda path: np.save(path, np.array(columns(), dtype=object)), "a Python object"),
+    "objects.npz": (
+        lambda path: np.savez(path, **{k: v.astype(object) for k, v in columns().items()}),  # type: ignore[arg-type]
+        "arrays of Python objects",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WITH_COMMAND)
+def test_the_command_in_the_message_makes_a_log(name: str, tmp_path: Path) -> None:
+    """Typed as it stands, it writes a file that is read, with every digit."""
+    write, what = WITH_COMMAND[name]
+    path = tmp_path / name
+    write(path)
+    message = refused(path)
+    assert re.search(what, message)
+    is_truth(typed(message, tmp_path))
+
+
+def test_an_array_of_objects_becomes_numbers(tmp_path: Path) -> None:
+    """Its columns have no names: with those it reads."""
+    path = tmp_path / "array.npy"
+    np.save(path, objects())
+    is_truth(typed(refused(path), tmp_path), columns="t=0,g=1:4,a=4:7")
+
+
+def write_workbook(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+        archive.writestr("xl/worksheets/sheet1.xml", "<worksheet/>")
+
+
+def write_document(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+
+
+#: First bytes of others, and a part of the sentence.
+NAMED: dict[str, tuple[bytes, str]] = {
+    "log.xls": (bytes.fromhex("d0cf11e0a1b11ae1"), r"an old Excel workbook; save the sheet .* as CSV"),
+    "LOG00001.BFL": (
+        b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n",
+        r"a blackbox of Betaflight, INAV or Cleanflight; decode it with blackbox_decode \S*LOG00001\.BFL",
+    ),
+    "log.tdms": (b"TDSm", "a TDMS file of National Instruments; export it as CSV"),
+    "log.mtb": (b"\xfa\xff\x36", "Xsens' binary messages; open it in MT Manager and export it as ASCII"),
+    "log.mip": (b"\x75\x65\x80", "MicroStrain's binary packets; export it as CSV from SensorConnect"),
+    "log.gps": (b"\xaa\x44\x12", "NovAtel's binary messages; convert them to ASCII with NovAtel Convert"),
+    "clip.mp4": (b"\0\0\0\x18ftypmp42", "a video; extract its telemetry as CSV"),
+    "logs.7z": (b"7z\xbc\xaf\x27\x1c", "an archive; unpack it, and name the log that was in it"),
+    "logs.tar": (b"a.csv".ljust(257, b"\0") + b"ustar", "an archive; unpack it"),
+    "device.dat": (bytes(range(256)), "own format as CSV with its maker's program"),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_foreign_format_is_named_with_a_way_out(name: str, tmp_path: Path) -> None:
+    start, said = NAMED[name]
+    path = tmp_path / name
+    path.write_bytes(start + bytes(range(256)) * 8)
+    assert re.search(said, refused(path))
+    with pytest.raises(ReadError, match=said):
+        describe(path)
+
+
+@pytest.mark.parametrize("write", [write_workbook, write_document])
+def test_a_spreadsheet_is_saved_as_csv(write: Callable[[Path], None], tmp_path: Path) -> None:
+    """What the spreadsheet saves is read, with semicolons and decimal commas too."""
+    path = tmp_path / "log.xlsx"
+    write(path)
+    assert refused(path).endswith("save the sheet with the samples as CSV (File, Save As, CSV)")
+    pl.DataFrame(columns()).write_csv(tmp_path / "log.csv")
+    is_truth(tmp_path / "log.csv")
+    text = (tmp_path / "log.csv").read_text().replace(",", ";").replace(".", ",")
+    (tmp_path / "comma.csv").write_text(text)
+    is_truth(tmp_path / "comma.csv")
+
+
+def test_a_compressed_binary_log_is_unpacked_first(tmp_path: Path) -> None:
+    """The unpacked file is read."""
+    path, plain = tmp_path / "log.parquet.xz", tmp_path / "log.parquet"
+    pl.DataFrame(columns()).write_parquet(plain)
+    path.write_bytes(lzma.compress(plain.read_bytes()))
+    assert refused(path).endswith("xz of binary data; unpack it, and name the log that was in it")
+    is_truth(plain)
+
+
+def _element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def write_matlab_object(path: Path, kind: str) -> None:
+    """Write what MATLAB writes of ``T = table(...)``: six numbers. Source: scipy.io (mxOPAQUE_CLASS)."""
+    texts = b"".join(_element(1, text) for text in (b"T", b"MCOS", kind.encode()))
+    numbers = np.array([0xDD000000, 2, 1, 1, 1, 1], dtype="<u4").tobytes()
+    shape = _element(5, struct.pack("<ii", 6, 1)) + _element(1, b"")
+    inner = _element(14, _element(6, struct.pack("<II", 13, 0)) + shape + _element(6, numbers))
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM"
+    path.write_bytes(head + _element(14, _element(6, struct.pack("<II", 17, 0)) + texts + inner))
+
+
+@pytest.mark.parametrize(
+    ("kind", "way"),
+    [
+        ("table", "writetable(T, 'T.csv')"),
+        ("timetable", "writetimetable(T, 'T.csv')"),
+        ("timeseries", "writematrix([T.Time squeeze(T.Data)], 'T.csv')"),
+        ("MyImu", "its arrays into variables of their own, and save those"),
+    ],
+)
+def test_objects_of_matlab_are_no_gyroscope(kind: str, way: str, tmp_path: Path) -> None:
+    """Their six numbers were offered as one."""
+    path = tmp_path / "log.mat"
+    write_matlab_object(path, kind)
+    assert refused(path) == f"{path}: T is a {kind} of MATLAB, which no other program reads; type there {way}"
+
+
+def test_a_table_of_matlab_beside_other_arrays(tmp_path: Path) -> None:
+    """Where the others hold no sensor, both ways are named; where they do, they are read."""
+    path = tmp_path / "log.mat"
+    import scipy.io
+
+    scipy.io.savemat(path, {"robot": np.zeros((20, 2))})
+    head = path.read_bytes()
+    write_matlab_object(path, "table")
+    path.write_bytes(head + path.read_bytes()[128:])
+    with pytest.raises(ChoiceError, match=r"or T is a table of MATLAB.*writetable\(T, 'T\.csv'\)"):
+        read(path)
+    scipy.io.savemat(path, columns())
+    head = path.read_bytes()
+    write_matlab_object(path, "table")
+    path.write_bytes(head + path.read_bytes()[128:])
+    is_truth(path)
