@@ -136,10 +136,10 @@ def _members(numbers: Numbers, axis: AxisReport, estimate: Estimate) -> Iterator
         yield f"value: {real(estimate.value * factor)}"
         yield f"low: {real(estimate.low * factor)}"
         yield f"high: {real(estimate.high * factor)}"
-    if estimate.correlation_time is not None:
-        yield f"correlation_time_s: {real(estimate.correlation_time.value)}"
         if estimate.drawn is None:
             yield "part_of: GM"
+    if estimate.correlation_time is not None:
+        yield f"correlation_time_s: {real(estimate.correlation_time.value)}"
     if math.isfinite(estimate.horizon_s):
         yield f"holds_to_s: {real(estimate.horizon_s)}"
     if estimate.alternatives:
