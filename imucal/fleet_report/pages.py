@@ -11,7 +11,7 @@ from typing import TypeAlias
 from imucal.fleet.trend import NEAREST, Trend
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.answers import symbol_of
-from imucal.fleet_report.summary import Fleet, FleetTerm, LooseLog, SensorModel
+from imucal.fleet_report.summary import Fleet, SensorModel
 from imucal.fleet_report.verdict import (
     alone,
     between,
@@ -28,7 +28,6 @@ from imucal.fleet_report.verdict import (
     with_limits,
 )
 from imucal.noise.terms import TERMS
-from imucal.printable import printable
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.markup import Markup, both_units, render
@@ -95,8 +94,8 @@ def _sections(fleet: Fleet, pictures: Pictures) -> Iterator[tuple[str, str, Mark
         yield "trend", "Temperature and time", drawn("trend") + _slopes(models)
         tested = [model for model in models if any(term.unit_logs for term in model.terms)]
         if tested:
-            yield "logs", "Several logs of one unit", Markup().join(map(_unit_logs, tested))
-        yield "numbers", "All numbers", Markup().join(map(_all_numbers, models))
+            yield "logs", "Several logs of one unit", _filled("unit_logs.html", models=tested)
+        yield "numbers", "All numbers", _filled("numbers.html", models=models)
     if fleet.loose:
         yield "loose", "Logs without a unit", _loose(fleet)
     yield "failed", "Logs that do not count", _filled("failed.html", failures=fleet.failures)
@@ -109,39 +108,6 @@ def _for_the_config(models: Sequence[SensorModel]) -> Markup:
     few = [model.title for model in models if len(model.units) < 3]
     with_axes = [(model, sorted({term.axis for term in model.terms})) for model in models]
     return _filled("config.html", models=with_axes, few=few)
-
-
-def _cards(
-    titles: Sequence[str], rows: Sequence[tuple[object, object]], caption: str, notes: Sequence[str] = ()
-) -> Markup:
-    """Return a table of heads and cells, where there are rows, with remarks below it."""
-    tables = [(caption, ("", *titles), rows)] if rows else []
-    return _filled("cards.html", tables=tables, notes=notes)
-
-
-def _all_numbers(model: SensorModel) -> Markup:
-    """Return spreads with intervals, the band of the next unit and the price of the bound, term by term."""
-    titles = ("units", "logs", "median", "between units", "within a unit", "next unit", "bound", "price")
-    rows = []
-    for term in model.terms:
-        found = term.population
-        spreads = [
-            f"{percent(s.value)} [{percent(s.low)}, {percent(s.high)}]" if s else "–"
-            for s in (found.spread, found.within)
-        ]
-        bound = alone(term, found.tolerance) if found.tolerance else "–"
-        cells = (len(found.units), found.logs, median_text(term), *spreads, _band(term), bound)
-        rows.append((f"{term.name} {term.term}", (*cells, price_text(term) or "–")))
-    return _cards(titles, rows, f"{model.title}: all numbers")
-
-
-def _band(term: FleetTerm) -> str | Markup:
-    if term.population.prediction is None:
-        return "–"
-    low, high = term.population.prediction
-    if term.population.bounded:
-        return Markup("below {}").format(alone(term, high))
-    return between(term, low, high)
 
 
 def _slopes(models: Sequence[SensorModel]) -> Markup:
@@ -169,7 +135,7 @@ def _slopes(models: Sequence[SensorModel]) -> Markup:
     ]
     titles = ("temperature", "drift", "units", "units that move otherwise")
     caption = "Change of each coefficient with its 95 % interval; bold where it is more than chance"
-    return _cards(titles, rows, caption, notes)
+    return _filled("slopes.html", titles=("", *titles), rows=rows, caption=caption, notes=notes)
 
 
 def _mean_slope(trend: Trend, label: str, unit: str, part: float) -> str | Markup:
@@ -181,32 +147,6 @@ def _mean_slope(trend: Trend, label: str, unit: str, part: float) -> str | Marku
     return Markup("<b>{}</b>").format(text) if mean.odd else text
 
 
-def _unit_logs(model: SensorModel) -> Markup:
-    """Return how many units have logs that differ, and which."""
-    rows = []
-    for term in model.terms:
-        if differing := [unit for unit in term.unit_logs if unit.differs]:
-            said = Markup().join(
-                Markup("<li>{} by {} ({}): {}</li>").format(
-                    printable(unit.unit),
-                    percent(unit.spread),
-                    p_text(unit.p_value),
-                    with_limits(term, unit.value, unit.low, unit.high),
-                )
-                for unit in differing
-            )
-            cells = (len(term.unit_logs), len(differing), Markup("<ul>{}</ul>").format(said))
-            rows.append((f"{term.name} {term.term}", cells))
-    units = {unit.unit for term in model.terms for unit in term.unit_logs}
-    agree = (
-        f"{model.title}: the logs of each of {len(units)} units agree with one coefficient a term; all "
-        "tests are judged together."
-    )
-    titles = ("units with several logs", "logs differ in", "which")
-    caption = f"{model.title}: have the logs of a unit one coefficient?"
-    return _cards(titles, rows, caption, () if rows else [agree])
-
-
 def _loose(fleet: Fleet) -> Markup:
     """Return the logs without a unit one by one, and the labels that would make a population of them."""
     logs = fleet.loose[:_MOST_LOOSE]
@@ -216,17 +156,8 @@ def _loose(fleet: Fleet) -> Markup:
         fleet=fleet,
         command=f"imucal fleet run -o {shlex.quote(str(fleet.folder))} --labels {shlex.quote(fleet.labels)}",
         titles=["log", *(f"{axis} {term}" for axis, term in columns)],
-        rows=[
-            (_log_name(one), [_loose_cell(where, one.values.get(where)) for where in columns]) for one in logs
-        ],
+        rows=[(one.log, [_loose_cell(where, one.values.get(where)) for where in columns]) for one in logs],
     )
-
-
-def _log_name(one: LooseLog) -> Markup:
-    path = printable(one.log.path)
-    if not one.log.report:
-        return Markup("<code>{}</code>").format(path)
-    return Markup('<a href="{}/report.html">{}</a>').format(printable(one.log.report), path)
 
 
 def _loose_cell(where: tuple[str, str], value: LogValue | None) -> str | Markup:
@@ -244,6 +175,7 @@ def _loose_cell(where: tuple[str, str], value: LogValue | None) -> str | Markup:
 #: What the templates call, by name.
 _TEXTS: Mapping[str, Callable[..., object]] = {
     "alone": alone,
+    "between": between,
     "bound_name": bound_name,
     "by_term": by_term,
     "loose_text": loose_text,
@@ -252,4 +184,5 @@ _TEXTS: Mapping[str, Callable[..., object]] = {
     "percent": percent,
     "price_text": price_text,
     "term_name": lambda term: TERMS[term.symbol].name(term.sensor),
+    "with_limits": with_limits,
 }

@@ -107,8 +107,14 @@ def _matches(name: str) -> Iterator[str]:
             yield match
 
 
-def _walk(folder: str) -> Iterator[str]:
-    """Yield the logs in a folder: bags, which are folders, and files by their endings."""
+def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
+    """Yield the logs in a folder: bags, which are folders, and files by their endings.
+
+    A link to a folder that it stands in, one `above`, leads nowhere.
+    """
+    real = os.path.realpath(folder)
+    if real in above:
+        return
     if os.path.exists(os.path.join(folder, METADATA)):  # noqa: PTH110, PTH118 - a name stays as it was typed
         yield folder
         return
@@ -117,7 +123,7 @@ def _walk(folder: str) -> Iterator[str]:
         if entry.name.startswith("."):
             continue
         if entry.is_dir():
-            yield from _walk(name)
+            yield from _walk(name, above | {real})
         elif entry.name.lower().endswith(_ENDINGS):
             yield name
 

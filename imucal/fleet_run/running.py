@@ -126,7 +126,12 @@ def run_plan(
         return batch
 
     tell(count)
-    for batch, outcome in _outcomes(take, settings, workers, scheduler):
+    done: Iterator[tuple[list[LogTask], list[LogDone] | Lost]] = (
+        outcomes(take, partial(_on_worker, settings=settings), address=scheduler)
+        if scheduler
+        else here(take, partial(work_on_batch, settings), settings, workers)
+    )
+    for batch, outcome in done:
         count.running -= len(batch)
         if not isinstance(outcome, Lost):
             count.add(batch, outcome)
@@ -142,14 +147,6 @@ def run_plan(
             count.add(batch, commit([failure(batch[0], settings, "crash", reason)], settings))
         tell(count)
     return count
-
-
-def _outcomes(
-    take: Callable[[], list[LogTask] | None], settings: FleetSettings, workers: int, scheduler: str | None
-) -> Iterator[tuple[list[LogTask], list[LogDone] | Lost]]:
-    if scheduler is not None:
-        return outcomes(take, partial(_on_worker, settings=settings), address=scheduler)
-    return here(take, partial(work_on_batch, settings), settings, workers)
 
 
 def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None = None) -> Ask:

@@ -7,7 +7,9 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.clock import Clock
+from imucal.errors import ChoiceError
 from imucal.findings import Finding
+from imucal.readers.clocks.period import RATES
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled, find_units
 from imucal.readers.store import Room
@@ -55,14 +57,27 @@ class RecordingBuilder:
     def add(self, samples: Sequence[Unscaled], *, where: str = "") -> None:
         """Add sensors in SI; `where` stands in front of an error's message, or else the path.
 
-        Raises ChoiceError if a unit is open, or the one that is given is none of the sensor's.
+        Raises ChoiceError if a unit is open, or the one that is given is none of the sensor's, or the rate is
+        none of an IMU's and nobody gave it.
         """
+        for entry in samples:
+            self._refuse_rate(entry.clock, where or self.path)
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:
             sensor, unit = entry.sensor, units[entry.sensor]
             self.decide(f"{sensor} unit", f"{unit.unit}, {unit.reason}")
             scale = SAMPLE_UNITS[sensor][unit.unit or ""] if unit.scale is None else unit.scale
             self.add_sensor(sensor, entry.rows, entry.clock, scale=scale, order=entry.order, names=entry.axes)
+
+    def _refuse_rate(self, clock: Clock, where: str) -> None:
+        given = self.options.rate_hz is not None or self.options.time_unit is not None
+        if given or clock.jitter_s is None or RATES[0] * 0.98 <= clock.rate_hz <= RATES[1] * 1.02:
+            return
+        msg = (
+            f"{where}: {clock.source} gives {clock.rate_hz:.6g} Hz; expected a rate of an IMU, "
+            f"{RATES[0]:g} Hz to {RATES[1]:g} Hz; give the sampling rate"
+        )
+        raise ChoiceError(msg)
 
     def add_sensor(
         self,

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 from urllib.parse import unquote, urlsplit, urlunsplit
 
-from imucal.errors import ReadError, SettingError
+from imucal.errors import ImucalError, ReadError, SettingError
 
 #: A scheme has two letters or more: C: is a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
@@ -300,7 +300,9 @@ def forbidden(url: str, code: int = 403) -> ReadError:
 
 
 def explained(error: Exception, url: str) -> Exception:
-    """Return a library's error as one of ours: a `PassingError`, or a `ReadError` with a message."""
+    """Return an error as one of ours, which stay: a `PassingError`, or a `ReadError` with a message."""
+    if isinstance(error, ImucalError | PassingError | ChangedError):
+        return error
     names = {kind.__name__ for cause in _chain(error) for kind in type(cause).__mro__}
     text = without_secrets(" ".join(str(error).split())[:200], url)
     if names & _MISSING:

@@ -37,30 +37,21 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
 
     Whoever holds it alone may remove the file: those who wait for it then take the new one.
     """
-    held = _acquire(path, shared=shared, wait=wait)
-    try:
-        yield held is not None
-    finally:
-        if held is not None:
-            os.close(held)
-
-
-def _acquire(path: Path, *, shared: bool, wait: bool) -> int | None:
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
+            had = True
             if fcntl is not None:
                 kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-                fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
-            if _is_at(file, path):
-                return file
-        except BlockingIOError:
+                try:
+                    fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    had = False
+            if not had or _is_at(file, path):
+                yield had
+                return
+        finally:
             os.close(file)
-            return None
-        except BaseException:
-            os.close(file)
-            raise
-        os.close(file)
 
 
 def _is_at(file: int, path: Path) -> bool:
@@ -350,16 +341,15 @@ def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> 
                 if done > farthest:
                     farthest = done
                     attempts.went_on()
+            if file.size is None or done == file.size:
+                return
+            if done > file.size:
+                raise ChangedError
+            attempts.wait(PassingError(f"the connection ended after {done} of {file.size} bytes"))
         except PassingError as error:
             attempts.wait(error)
-        else:
-            if file.size is None or done >= file.size:
-                break
-            attempts.wait(PassingError(f"the connection ended after {done} of {file.size} bytes"))
         if not file.ranges:
             out.seek(0)
             out.truncate()
             tell(-done)
             done = 0
-    if file.size is not None and done != file.size:
-        raise ChangedError

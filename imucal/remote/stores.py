@@ -20,13 +20,13 @@ from contextlib import suppress
 from email.message import Message
 from fnmatch import fnmatchcase
 from html import unescape
-from typing import IO, Any, TypeAlias, TypeVar
+from typing import IO, Any, TypeAlias
 from urllib.error import HTTPError
 from urllib.parse import quote, unquote, urljoin, urlsplit, urlunsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 from imucal._version import __version__
-from imucal.errors import ImucalError, ReadError
+from imucal.errors import ReadError
 from imucal.remote.addresses import (
     OBJECT_STORES,
     WEB,
@@ -34,6 +34,7 @@ from imucal.remote.addresses import (
     PassingError,
     RemoteFile,
     RemoteLog,
+    Result,
     explained,
     forbidden,
     has_wildcards,
@@ -59,7 +60,6 @@ def store_of(url: str) -> "Store":
             f"http://{hint}"
         )
         raise ReadError(msg)
-
     return ObjectStore(url)
 
 
@@ -242,8 +242,6 @@ def _links(folder: str) -> list[str]:
     return sorted(found)
 
 
-Result = TypeVar("Result")
-
 #: Bytes of one request of a download.
 _PART = 1 << 24
 
@@ -279,7 +277,7 @@ class ObjectStore:
             try:
                 yield self._part(file, at, min(at + _PART, size))
             except Exception as error:
-                raise _ours(error, file.url) from error
+                raise explained(error, file.url) from error
         # Parts may be of two objects where one took the place of the other meanwhile.
         now = self.look_at(file.url)
         if now is None or (now.etag, now.size) != (file.etag, file.size):
@@ -312,13 +310,9 @@ class ObjectStore:
             try:
                 return work()
             except Exception as error:
-                raise _ours(error, url) from error
+                raise explained(error, url) from error
 
         return retried(url, attempt)
-
-
-def _ours(error: Exception, url: str) -> Exception:
-    return error if isinstance(error, ImucalError | PassingError | ChangedError) else explained(error, url)
 
 
 def _entity_tag(info: dict[str, Any]) -> str:

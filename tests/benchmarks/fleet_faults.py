@@ -22,11 +22,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="*")
     parser.add_argument("--logs", type=int, default=12)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each log")
     parser.add_argument("--times", type=int, default=1, help="how often each is done")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder).resolve())
-        make_fleet(bench.folder / "logs", logs=asked.logs, seconds=30.0, seed=9)
+        make_fleet(bench.folder / "logs", logs=asked.logs, seconds=asked.seconds, seed=9)
         whole = bench.run("whole", *HERE)
         print(f"undisturbed: exit {whole.code}, {bench.store('whole').logs().height} logs", flush=True)
         failed = 0

@@ -23,7 +23,9 @@ from scipy import stats
 
 import imucal
 from imucal import DataError, Fleet, ReadError
+from imucal.checking.verdict import Measured, judge
 from imucal.errors import ChoiceError
+from imucal.fitting.noise_fit import Estimate
 from imucal.fleet.store import MANIFEST, FleetStore
 from imucal.fleet_report import answers
 from imucal.fleet_report.answers import NEAR, tolerance_excess
@@ -370,6 +372,34 @@ def test_a_unit_of_the_fleet_passes_and_another_does_not(fleet: Fleet) -> None:
     assert "the next unit of ACME-6 lies in [" in failed[0].text
     with pytest.raises(DataError, match="no axis and term in common with ACME-6"):
         imucal.check_fleet(replace(report, axes=()), fleet)
+
+
+def test_an_interval_that_reaches_beyond_is_undecided(fleet: Fleet) -> None:
+    """As a limit is that lies inside an interval: wide ones, and bounds that units lie below."""
+    report = imucal.fleet_as_report(fleet, value="median")
+    low, high = fleet.model()["gyro_x", "N"].population.prediction or (0.0, 0.0)
+
+    def verdict_of(value: float | None, least: float, most: float) -> tuple[str, str]:
+        axis = report.axes[0]
+        own = tuple(
+            (replace(e, value=value, low=least, high=most) if value else Estimate.bounded("N", "N", most))
+            if e.key == "N"
+            else e
+            for e in axis.fit.estimates
+        )
+        one = replace(report, axes=(replace(axis, fit=replace(axis.fit, estimates=own)),))
+        (row,) = [row for row in imucal.check_fleet(one, fleet) if row.subject.startswith("N ")]
+        assert row.verdict == judge("gyro_x", "N", Measured(value=value, low=least, high=most), side="max",
+                                    limit=high).verdict or least < low  # fmt: skip
+        return row.verdict, row.text
+
+    middle = math.sqrt(low * high)
+    assert verdict_of(middle, 1.01 * low, 0.99 * high)[0] == "pass"
+    said = "the interval reaches beyond, and the log does not tell; record for longer to decide"
+    for value, least, most in ((middle, 1.01 * low, 1.5 * high), (middle, 0.5 * low, 0.9 * high)):
+        assert verdict_of(value, least, most)[0] == "undecided"
+        assert verdict_of(value, least, most)[1].endswith(said)
+    assert verdict_of(None, 0.0, 2 * high)[0] == "undecided"
 
 
 def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:

@@ -5,6 +5,7 @@ line that says what happened; an assertion fails where something else did.
 """
 
 import contextlib
+import gzip
 import os
 import resource
 import shutil
@@ -12,9 +13,12 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import psutil
+from distributed import Client
 
 from tests.fleet_run.faults import (
     Bench,
@@ -235,6 +239,117 @@ def parts_cut_off(bench: Bench) -> str:
     return f"{cut} parts; " + _same(bench, "cut", end)
 
 
+def client_frozen(bench: Bench) -> str:
+    """By SIGSTOP, as a laptop that sleeps; it goes on where it was."""
+    run = bench.start("asleep", "--jobs", str(bench.jobs))
+    wait_until(lambda: bool(children_of(run.pid)))
+    psutil.Process(run.pid).suspend()
+    time.sleep(2.0)
+    psutil.Process(run.pid).resume()
+    return _same(bench, "asleep", ended(run))
+
+
+def store_deleted(bench: Bench) -> str:
+    """In mid-run: 5 with the name of what is missing, no traceback, and all of it the next time."""
+    run = bench.start("deleted", "--jobs", "1")
+    bench.wait_for_parts("deleted", run)
+    shutil.rmtree(bench.folder / "deleted")
+    end = ended(run)
+    assert end.code == 5, (end.code, end.err)
+    assert "can't be written: No such file or directory" in end.err
+    assert "Traceback" not in end.err
+    return _same(bench, "deleted", bench.run("deleted", *HERE), first=end)
+
+
+def two_clients_of_a_cluster(bench: Bench) -> str:
+    """On one scheduler and one store: both end well, every log counts once."""
+    with cluster(bench.folder, workers=bench.jobs) as (address, _):
+        return two_runs_at_once(bench, ("--scheduler", address))
+
+
+def another_numpy_on_a_worker(bench: Bench) -> str:
+    """Of the folder ``IMUCAL_OTHER_NUMPY``: the same logs and verdicts, and numbers to rounding."""
+    other = os.environ.get("IMUCAL_OTHER_NUMPY")
+    if other is None:
+        return "no other NumPy: not done"
+    paths = os.pathsep.join(filter(None, [other, os.environ.get("PYTHONPATH")]))
+    with cluster(bench.folder, workers=1, environment={"PYTHONPATH": paths}) as (address, _):
+        end = bench.run("numpy", "--scheduler", address)
+        with Client(address) as client:
+            (version,) = client.run(_numpy_version).values()
+    assert end.code == 0, end.err
+    here, there = bench.store("whole"), bench.store("numpy")
+    told = ("path", "key", "content", "status", "verdict", "findings")
+    assert there.logs().select(told).equals(here.logs().select(told))
+    numbers = ("value", "low", "high", "variance")
+    both = [(there.results()[name].to_numpy(), here.results()[name].to_numpy()) for name in numbers]
+    apart = [float(np.nanmax(np.abs(one - two) / np.nanmax(np.abs(two)))) for one, two in both]
+    assert max(apart) < 1e-6, apart
+    assert version != np.__version__
+    return f"exit {end.code}: NumPy {version} beside {np.__version__}, numbers within {max(apart):.1g}"
+
+
+def _numpy_version() -> str:
+    """Return what a worker has."""
+    return np.__version__
+
+
+def links(bench: Bench) -> str:
+    """To a log, to nothing, and to the folder that they stand in: each log once, what is missing is named."""
+    folder = bench.folder / "linked"
+    shutil.copytree(bench.folder / "logs", folder)
+    log = next(folder.rglob("*.npz"))
+    (folder / "again.npz").symlink_to(log)
+    (folder / "gone.npz").symlink_to("nowhere.npz")
+    (folder / "round").symlink_to(folder, target_is_directory=True)
+    end = bench.run("linked-store", *HERE, logs="linked")
+    assert end.code == 0, end.err
+    assert "linked/gone.npz: can't be opened: No such file or directory" in end.err, end.err
+    manifest = bench.store("linked-store").manifest()
+    assert manifest.height == bench.store("whole").logs().height + 2
+    assert manifest.drop_nulls("copy_of").height == 1
+    shutil.rmtree(folder)
+    return f"exit {end.code}: {manifest.height} names, same results"
+
+
+def bomb(bench: Bench) -> str:
+    """Done as any log: 1 MB that hold 1 GB cost no more than their memory and time, and no other log."""
+    (bench.folder / "bombs").mkdir()
+    shutil.copy(next((bench.folder / "logs").rglob("*.npz")), bench.folder / "bombs" / "log.npz")
+    with gzip.open(bench.folder / "bombs" / "bomb.csv.gz", "wb", compresslevel=9) as file:
+        file.write(b"t,gx,gy,gz,ax,ay,az\n")
+        for _ in range(1024):
+            file.write(b"1.25,0.0,0.0,0.0,0.0,0.0,9.8012\n" * (1 << 15))
+    end = bench.run("bomb-store", *HERE, "--memory", "400MB", "--timeout", "60s", logs="bombs")
+    assert end.code == 0, end.err
+    logs = bench.store("bomb-store").logs()
+    status = dict(logs.select("path", "status").iter_rows())
+    assert status["bombs/log.npz"] == "ok"
+    assert status["bombs/bomb.csv.gz"] in {"unreadable", "memory", "timeout"}
+    seconds = float(logs.filter(path="bombs/bomb.csv.gz")["wall_s"].sum() or 0.0)
+    shutil.rmtree(bench.folder / "bombs")
+    return f"exit {end.code}: {status['bombs/bomb.csv.gz']} after {seconds:.0f} s, all others done"
+
+
+def private_umask(bench: Bench) -> str:
+    """077: nobody else may read what is written; with another umask others may."""
+    end = bench.run("private", *HERE, limit=partial(os.umask, 0o077))
+    wide = bench.run("shared", *HERE, limit=partial(os.umask, 0o022))
+    assert wide.code == 0, wide.err
+    for name, mode in (("private", 0), ("shared", 0o044)):
+        files = [path for path in (bench.folder / name).rglob("*") if path.name != ".lock"]
+        assert {path.stat().st_mode & 0o066 for path in files if path.is_file()} == {mode}
+        assert {path.stat().st_mode & 0o022 for path in files} == {0}
+    return _same(bench, "private", end)
+
+
+def closed_output(bench: Bench) -> str:
+    """As of a job without a terminal: the run goes on to its end."""
+    end = bench.run("closed", *HERE, limit=partial(os.close, 1))
+    assert "Traceback" not in end.err, end.err
+    return _same(bench, "closed", end)
+
+
 def _same(bench: Bench, name: str, last: Ended, *, first: Ended | None = None) -> str:
     """Say that a store has every log once, with the undisturbed results."""
     assert last.code == 0, last.err
@@ -257,6 +372,10 @@ QUICK: tuple[Callable[[Bench], str], ...] = (
     parts_cut_off,
     worker_killed,
     process_of_a_log_frozen,
+    store_deleted,
+    links,
+    private_umask,
+    closed_output,
 )
 #: The others take longer, or ask for rights.
 SLOW: tuple[Callable[[Bench], str], ...] = (
@@ -266,5 +385,9 @@ SLOW: tuple[Callable[[Bench], str], ...] = (
     scheduler_killed,
     terminated,
     client_killed,
+    client_frozen,
     disk_full_for_real,
+    two_clients_of_a_cluster,
+    another_numpy_on_a_worker,
+    bomb,
 )

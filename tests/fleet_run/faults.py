@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,7 +45,7 @@ class Bench:
         return FleetStore(self.folder / name)
 
     def start(
-        self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], None] | None = None
+        self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], object] | None = None
     ) -> subprocess.Popen[str]:
         """Start a run, in a session of its own, as a terminal gives it one."""
         command = ["fleet", "run", logs, "-o", name, "--max-failed", "100%", *arguments]
@@ -60,7 +60,7 @@ class Bench:
         )
 
     def run(
-        self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], None] | None = None
+        self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], object] | None = None
     ) -> Ended:
         """Run to the end."""
         return ended(self.start(name, *arguments, logs=logs, limit=limit))
@@ -172,7 +172,9 @@ def huge_log(path: Path, *, samples: int = 5_000_000) -> None:
 
 
 @contextlib.contextmanager
-def cluster(folder: Path, *, workers: int = 2) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def cluster(
+    folder: Path, *, workers: int = 2, environment: Mapping[str, str] | None = None
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Yield the address and the process of a scheduler with some workers, as a cluster has them."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -186,7 +188,8 @@ def cluster(folder: Path, *, workers: int = 2) -> Iterator[tuple[str, subprocess
     try:
         for name, *arguments in commands:
             command = [sys.executable, "-m", f"distributed.cli.{name}", *arguments]
-            processes.append(subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL))  # noqa: S603
+            own = {**os.environ, **(environment or {})} if name == "dask_worker" else None
+            processes.append(subprocess.Popen(command, cwd=folder, env=own, stderr=subprocess.DEVNULL))  # noqa: S603
         yield address, processes[0]
     finally:
         for process in processes:

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import running
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
 from imucal.fleet_run.running import child_process, work_on_batch
 from imucal.processes import ChildProcess
 from imucal.resources import POOLS, THREADS
+from tests.fleet.simulated_fleet import make_fleet
 
 
 def test_a_log_has_one_thread_and_the_usual_allocator(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,6 +50,21 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
         "run again where there is room"
     )
     assert FleetStore(tmp_path / "store").logs()["status"].to_list() == ["crash"]
+
+
+def test_a_report_of_a_log_that_cannot_be_written_is_no_fault_of_the_log(tmp_path: Path) -> None:
+    """As on a full disk: the run ends with 5, and the log is not done."""
+    (log,) = make_fleet(tmp_path / "logs", logs=1, seconds=10.0, seed=83, axes=1)
+    store = FleetStore(tmp_path / "store")
+    store.create()
+    (store.folder / "reports").write_text("no folder")
+    settings = FleetSettings(store=str(store.folder), folder=str(tmp_path), memory=4 << 30, reports="all")
+    child = child_process(settings)
+    with pytest.raises(WriteError, match="the report can't be written: File exists; ") as error:
+        work_on_batch(settings, [LogTask(place=str(log.path))], child)
+    child.end()
+    assert error.value.exit_code == 5
+    assert store.logs().is_empty()
 
 
 def test_a_run_says_what_it_has_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

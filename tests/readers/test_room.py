@@ -122,7 +122,7 @@ def test_counters_and_times_of_day_go_on(room: Room) -> None:
         lambda room: to_ns(VALUES, 1000, room),
         lambda room: to_ns(VALUES / 7, 10**9, room),
         lambda room: to_ns(VALUES + (1 << 61), 1000, room),
-        lambda room: pair_stamps(np.arange(500), VALUES + 1000, room),
+        lambda room: pair_stamps(np.arange(500), VALUES + 1000, 1, room),
         lambda room: week_stamps(np.arange(500) // 100, VALUES + 1000, 10**6, room),
         lambda room: week_stamps(np.full(500, 9), np.arange(500), 10**6, room),
         lambda room: date_stamps([np.full(500, k) for k in (2024, 2, 29, 13)] + [VALUES, VALUES / 9], room),

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, median
 from imucal.clock import Clock, Segment
-from imucal.errors import DataError
+from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
+from imucal.readers.clocks.period import Period, estimate_period, evened
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
     Breaks,
-    Period,
     Steps,
-    estimate_period,
     find_breaks,
     fit_period,
     step_statistics,
@@ -46,7 +45,7 @@ _SHORTEST, _DRIFT = 60.0, 5e-4
 
 
 def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
-    """Return what the stamps show apart from gaps and jumps."""
+    """Return what the stamps show apart from gaps, jumps and jitter."""
     notes: list[Finding] = []
     same, back, tau, doubled = steps.same, steps.back, period.tau_ns, breaks.doubled.size
     if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
@@ -61,7 +60,7 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
             f"{1e9 / tau:.6g} Hz."
         )
         notes.append(_info("bursts", text))
-    elif same and (doubled or period.resolution_ns < tau / 50):
+    elif same and not period.loose and (doubled or period.resolution_ns < tau / 50):
         fate = f"{doubled} that are one too many are dropped" if doubled else "all are kept"
         text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
         notes.append(_warning("duplicate-stamps", text))
@@ -72,6 +71,26 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
         text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
         notes.append(_info("stamps-out-of-order", text))
     return notes
+
+
+def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
+    """Return a finding where stamps are no times of sampling, and what that does to the rate."""
+    tau, usual = period.tau_ns, period.usual_ns
+    text = ""
+    if jitter_ns > tau:
+        text = (
+            f"Stamps stray from an even grid by {jitter_ns / tau:.3g} sampling periods (standard deviation): "
+            f"samples were stamped late, not when they were taken. The rate, {1e9 / tau:.6g} Hz, is their "
+            f"mean and good to about {2 * jitter_ns / (tau * n):.1g} of it; N goes with the root of the rate."
+        )
+    elif period.regular and period.burst == 1 and not period.loose and usual > 1.02 * tau:
+        text = (
+            f"Most steps are {usual / 1e6:.4g} ms, as at {1e9 / usual:.6g} Hz, but there are {1e9 / tau:.6g} "
+            "samples a second: some stand between the others, as if interpolated at the stamps of a camera. "
+            f"The rate is the mean; at that of the steps N would be {np.sqrt(usual / tau) - 1:+.1%}."
+        )
+    advice = "Log the samples as the sensor gives them; give the sampling rate if you know it."
+    return [Finding(level="warning", code="uneven-stamps", text=text, advice=advice)] if text else []
 
 
 def _info(code: str, text: str) -> Finding:
@@ -116,15 +135,20 @@ def gap_notes(clock: Clock) -> list[Finding]:
 def repeats(
     stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
 ) -> BoolArray | None:
-    """Return which samples have the stamp and all values of the one before; None where none has.
+    """Return which samples have the stamp and all values of the one before; None where none was sent twice.
 
     Shape (n,), like the stamps and each of the `rows` of values. A stamp of zero is none, and tells nothing.
+    Where most equal stamps have values of their own, in bursts and on a coarse clock, equal values are the
+    sensor's resolution, and so they are where they are nearly as usual between different stamps.
     """
+    advancing = 0
 
     def of(part: slice) -> BoolArray:
+        nonlocal advancing
         first = max(part.start, 1)
-        here = stamps[first : part.stop]
-        at = np.flatnonzero((here == stamps[first - 1 : part.stop - 1]) & (here != 0)) + first
+        here, before = stamps[first : part.stop], stamps[first - 1 : part.stop - 1]
+        at = np.flatnonzero((here == before) & (here != 0)) + first
+        advancing += part.stop - first - at.size
         for values in rows:
             at = at[values[at] == values[at - 1]]
         same = np.zeros(part.stop - part.start, dtype=np.bool_)
@@ -132,7 +156,12 @@ def repeats(
         return same
 
     found = (room or Room()).made(stamps.size, np.bool_, of, stamps, *rows)
-    return found if count(found) else None
+    twice = count(found)
+    if 2 * twice <= stamps.size - 1 - advancing:
+        return None
+    some = [np.diff(column[:_MOST]) for column in (stamps, *rows)]
+    usual = np.all([steps == 0 for steps in some[1:]], axis=0)[some[0] != 0]
+    return None if usual.size and 2 * usual.mean() > twice / (stamps.size - 1 - advancing) else found
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
@@ -223,14 +252,16 @@ def clock_from_stamps(
     ------
     DataError
         If there is no sample, or no rate can be measured and none is given.
+    ChoiceError
+        If the stamps have two rates, and none is given.
     """
     try:
         return _Stamps(stamps_ns, source, log_ns, room or Room()).read(rate_hz, repeated)
-    except DataError as error:
+    except (ChoiceError, DataError) as error:
         if not where:
             raise
         msg = f"{where}: {error}"
-        raise DataError(msg) from error
+        raise type(error)(msg) from error
 
 
 class _Stamps:
@@ -251,10 +282,10 @@ class _Stamps:
         if repeated is not None and (twice := count(repeated)):
             self._drop(repeated, twice)
         self._replace_zeros()
-        period = estimate_period(self.stamps)
+        period = estimate_period(self.stamps, rate_hz)
         if period is None and self.log_ns is not None and self.source != LOG_TIME and self.stamps.size > 1:
             self._use(self.log_ns, "do not advance")
-            period = estimate_period(self.stamps)
+            period = estimate_period(self.stamps, rate_hz)
         n = self.stamps.size
         if period is not None:
             clock = self._clock(period, rate_hz)
@@ -278,6 +309,9 @@ class _Stamps:
         """Take log time instead of zeros or constants; fill single zeros."""
         stamps, n = self.stamps, self.stamps.size
         zeros = n - sum(int(np.count_nonzero(stamps[part])) for part in blocks(n, stamps))
+        if 0 < zeros < n and not stamps[:zeros].any() and 2 * int(stamps[zeros]) <= int(stamps[-1]):
+            # The clock of a device starts at zero, which is a stamp like any other.
+            return
         constant = n > 1 and is_constant(stamps[None])
         if (zeros > _ZEROS * n or constant) and self.log_ns is not None:
             what = "are all the same" if constant and not zeros else f"{zeros} of {n} are zero"
@@ -304,8 +338,10 @@ class _Stamps:
             msg = f"the stamps ({self.source}) go back {times}; expected a clock"
             raise DataError(msg)
         breaks = NO_BREAKS
+        stamps = evened(stamps, period, self.room)
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
-        for longest in (10,) if steps.even else (10, 1000):
+        # How many samples a gap between two batches misses is known to a batch.
+        for longest in (0, 0) if period.burst > 1 else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
             if 0.5 < tau / period.tau_ns < 2:
@@ -313,6 +349,7 @@ class _Stamps:
         log_ns = self.log_ns if self.source != LOG_TIME else None
         missing, jumps = _believable(stamps, log_ns, breaks, resets, period.tau_ns)
         notes += stamp_notes(steps, stamps.size, breaks, period)
+        notes += jitter_notes(period, jitter, stamps.size)
         notes += jump_notes(stamps, jumps)
         measured = 1e9 / period.tau_ns
         if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
@@ -322,7 +359,7 @@ class _Stamps:
             source=self.source,
             rate_hz=rate_hz or measured,
             segments=_segments(stamps.size, breaks, missing, jumps),
-            start_ns=int(stamps[0]),
+            start_ns=int(self.stamps[0]),
             jitter_s=jitter / 1e9,
         )
         notes += gap_notes(clock)

@@ -273,17 +273,18 @@ def _find_header(
         row = row[1:] if row and row[0] in {"#", "%", "//"} else row
         if not fewest <= len(row) - table.width <= 1 or len(row) < min(2, table.width):
             continue
-        if not units and _is_row_of_units(row):
+        if not units and _is_row_of_units(row, above[:line]):
             units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
         elif any(re.search(r"[^\W\d_]", cell) for cell in row):
             return line, _two_rows(above[line - 1] if line else [], row), units
     return None, [], units
 
 
-def _is_row_of_units(row: Sequence[str]) -> bool:
+def _is_row_of_units(row: Sequence[str], above: Sequence[Sequence[str]]) -> bool:
     units = sum(is_unit(cell.strip("[]()")) for cell in row)
-    # One alone may be a name: t is a time and a tesla.
-    return units >= max(0.3 * len(row), min(2, len(row))) and not _is_axes(row)
+    # With no names above it, it is the names: secs and nsecs are units too. So is one: t is a tesla.
+    named = units == len(row) or any(len(other) == len(row) for other in above)
+    return named and units >= max(0.3 * len(row), min(2, len(row))) and not _is_axes(row)
 
 
 def _is_axes(row: Sequence[str]) -> bool:

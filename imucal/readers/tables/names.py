@@ -102,8 +102,10 @@ _VECTOR_WORDS = _words("axis dof 3 3dof value values val data raw sensor cal cal
 _TIME_WORDS = _words(
     "time timestamp stamp t tick ticks uptime epoch epoc elapsed clock sec secs second seconds nsec nsecs "
     "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
-    "utc ustime mstime nstime ts yyyy"
+    "utc ustime mstime nstime ts yyyy sow gpst millisecond milliseconds microsecond microseconds"
 )
+#: What a column of steps is called: the time since the sample before.
+STEPS = (("dt",), ("delta", "t"), ("delta", "time"))
 _NOT_TIME = _words("dt relative offset flags flag exposure zone type id duration")
 _COUNTER_WORDS = _words(
     "counter count packet index idx sample samples n frame seq number no iteration f row line cnt"
@@ -268,9 +270,14 @@ def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
 
 def _is_time(words: list[str]) -> bool:
     stems = _stems(words)
-    return not _NOT_TIME.intersection(stems) and any(
-        stem in _TIME_WORDS or stem.startswith(("timestamp", "datetime")) or stem.endswith(("time", "stamp"))
-        for stem in stems
+    return tuple(words) in STEPS or (
+        not _NOT_TIME.intersection(stems)
+        and any(
+            stem in _TIME_WORDS
+            or stem.startswith(("timestamp", "datetime"))
+            or stem.endswith(("time", "stamp"))
+            for stem in stems
+        )
     )
 
 

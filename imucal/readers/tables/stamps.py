@@ -6,19 +6,28 @@ Joins of columns, counters that wrap, texts, and units that only the steps show.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
+from imucal.readers.clocks import estimate_period
+from imucal.readers.clocks.period import RATES
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable, list_columns
-from imucal.readers.tables.dates import DAY, HALF_DAY, day_first, is_text_stamp, is_time_of_day, text_kind
+from imucal.readers.tables.dates import (
+    DAY,
+    HALF_DAY,
+    day_first,
+    is_text_stamp,
+    is_time_of_day,
+    text_kind,
+)
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, plain_name
+from imucal.readers.tables.names import STEPS, NamedColumn, Role, plain_name
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -30,9 +39,6 @@ _LOOKED_AT = 1 << 20
 
 #: A column of counts or values.
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
-
-#: Rates at which IMUs are logged, in Hz; they tell the unit of a time without one.
-_RATES = (1.0, 20_000.0)
 
 
 def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
@@ -50,9 +56,33 @@ def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
     return room.made(parts[0].size, np.int64, of, *parts)
 
 
-def pair_stamps(seconds: Numbers, nanoseconds: Numbers, room: Room) -> IntArray:
-    """Return times in ns from their whole seconds and the nanoseconds beside them."""
-    return _sum(to_ns(seconds, _SECOND, room), to_ns(nanoseconds, 1, room), room)
+def pair_stamps(
+    coarse: Numbers, fine: Numbers, ns: int | None, room: Room, *, text: bool = False
+) -> IntArray:
+    """Return times in ns from whole seconds, or times as `text`, and finer counts of `ns` ns beside them.
+
+    Without a unit the largest count tells it. What goes beyond a second is a time by itself.
+    """
+    most = float(extremes(fine)[1]) if fine.size else 0.0
+    if ns is None:
+        ns = next((unit for unit in (_SECOND, 10**6, 1000) if most * unit < _SECOND), 1)
+    if most * ns >= _SECOND:
+        return to_ns(fine, ns, room)
+    whole = rolled(np.asarray(coarse, dtype=np.int64), DAY, room) if text else to_ns(coarse, _SECOND, room)
+    return _sum(whole, to_ns(fine, ns, room), room)
+
+
+def step_counts(steps: Numbers, room: Room) -> Numbers:
+    """Return the times that steps lead to, each from the sample before."""
+    done = steps.dtype.type(0)
+
+    def of(part: slice) -> NDArray[Any]:
+        nonlocal done
+        times = np.cumsum(steps[part]) + done
+        done = times[-1]
+        return times
+
+    return cast("Numbers", room.made(steps.size, steps.dtype, of, steps))
 
 
 def week_stamps(weeks: Numbers, of_week: Numbers, ns: int, room: Room) -> IntArray:
@@ -89,7 +119,7 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
 
 
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
-    """Return counts that go on where an unsigned 8, 16 or 32 bit counter starts again, and how often it did.
+    """Return counts that go on where a counter of 8, 16, 24 or 32 bits starts again, and how often it did.
 
     A step back is a wrap only where it leads from near the counter's end to near its start: a restart
     of the logger is none.
@@ -100,7 +130,7 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
     if lowest < 0:
         return counts, 0
     usual = 0
-    for bits in (8, 16, 32):
+    for bits in (8, 16, 24, 32):
         period = 1 << bits
         if highest >= period:
             continue
@@ -185,7 +215,7 @@ def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
         return None, ()
     size = float(np.median(values[:100_000]))
     epoch = next((unit for unit, ns in TIME_UNITS_NS.items() if 1e18 <= size * ns < 4e18), None)
-    fits = tuple(unit for unit, rate in rates.items() if _RATES[0] * 0.98 <= rate <= _RATES[1] * 1.02)
+    fits = tuple(unit for unit, rate in rates.items() if RATES[0] * 0.98 <= rate <= RATES[1] * 1.02)
     if epoch is not None and (epoch in fits or not fits):
         return epoch, (epoch,)
     return (fits[0] if len(fits) == 1 else None), fits
@@ -198,25 +228,31 @@ def rates_by_unit(values: Numbers) -> dict[str, float]:
 
 
 def typical_step(values: Numbers) -> float:
-    """Return the usual step between times: the median, or the mean where stamps repeat."""
+    """Return the sampling period in counts, as the first of them explain it; 0 where they do not go on."""
     head = values[:20_000]
-    steps = np.diff(head)
-    forward = steps[steps > 0]
-    if not forward.size:
+    since = head - head[:1]
+    span = float(np.ptp(since)) if since.size else 0.0
+    if not 0 < span < np.inf:
         return 0.0
-    if forward.size < 0.5 * steps.size:
-        return float((head[-1] - head[0]) / steps.size)
-    return float(np.median(steps)) if np.median(steps) > 0 else float(np.median(forward))
+    # Whole numbers of as many digits as a float holds.
+    scale = 1.0 if values.dtype.kind == "i" else 10.0 ** (15 - np.ceil(np.log10(span)))
+    try:
+        period = estimate_period(np.round(since * scale).astype(np.int64))
+    except ChoiceError:
+        return abs(float(since[-1])) / (head.size - 1)
+    return period.tau_ns / scale if period is not None else 0.0
 
 
-TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "counter"]
+TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "steps", "counter"]
 
 #: Words that say which sensor stamped the sample.
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
 _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
-_SECONDS = frozenset(("sec", "secs", "second", "seconds", "s"))
-_NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds", "nanos", "ns"))
+#: Words of a time of the week; the first counts seconds.
+_OF_WEEK = ("sow", "tow")
+#: Whole numbers that are seconds since 1970 or 1980, and GPS weeks.
+_EPOCH, _WEEKS = (5e8, 4e9), (1000, 9999)
 
 #: Words of the columns of a date, in order; nanoseconds need not be there.
 _DATE_PARTS = (
@@ -238,8 +274,8 @@ _PREFERENCE = {
     **dict.fromkeys(("uptime", "elapsed"), 55),
     **dict.fromkeys(("tick", "ticks"), 50),
     "tow": 45,
+    **dict.fromkeys(("sow", "gpst"), 60),
 }
-_PAIR = "seconds + nanoseconds"
 
 #: Preference of a time whose name has none of these words.
 _UNKNOWN = 40
@@ -263,11 +299,12 @@ _BONUS = {
 class TimeChoice:
     """The time of a sensor's samples: the columns it is in, by index, and the name that the log gives it.
 
-    ``pair`` is seconds and nanoseconds; ``week`` GPS week and time of week; ``date`` year, month, day,
-    hour, minute, second and perhaps nanosecond; ``text`` dates or times of day, in one column or in one of
-    dates, one of times and perhaps one of AM and PM; ``counter`` a count of samples. `ns` per count is None
-    where the data must tell; `ns_source` says in words where it is from. Dates with the year last begin with
-    the month, or `by_day`; where the cells leave it `open_date`, the month is taken.
+    ``pair`` is seconds, or a text, and a finer column; ``week`` GPS week and time of week; ``date`` year,
+    month, day, hour, minute, second and perhaps nanosecond; ``text`` dates or times of day, in one column or
+    in one of dates, one of times and perhaps one of AM and PM; ``steps`` the times since the sample before;
+    ``counter`` a count of samples. `ns` per count (of the finer column) is None where the data must tell;
+    `ns_source` says in words where it is from. Dates with the year last begin with the month, or `by_day`;
+    where the cells leave it `open_date`, the month is taken.
     """
 
     kind: TimeKind
@@ -297,7 +334,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
-    """Return the time in one column, in two of seconds and nanoseconds, or in a date and a time of day.
+    """Return the time in one column, in two of which the second is finer, or in a date and a time of day.
 
     A ChoiceError if it is none.
     """
@@ -305,7 +342,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     if len(columns) > 1 and text_kind(table.cells(indices[0])) == "date":
         return _texts(table, *columns)
     if len(columns) == 2:
-        return _joined("pair", *columns, ns=1, source=_PAIR)
+        return _week(*columns) if _is_week(table, *columns) else _pair(table, *columns)
     if len(columns) > 2:
         problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
         raise table.ask(problem)
@@ -347,7 +384,7 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     filled = table.filled(column.index)
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
-        return _joined("stamp", column, ns=ns, source=source)
+        return _joined("steps" if column.words in STEPS else "stamp", column, ns=ns, source=source)
     texts = filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled)
     return _texts(table, column) if texts else None
 
@@ -358,6 +395,10 @@ def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str
     ns = known.get(plain_name(column.header))
     if ns is not None and dialect is not None:
         return ns, f"as {dialect.name} counts it"
+    if plain_name(column.header) == "sampletimefine":
+        return 100_000, "as Xsens counts it"
+    if _OF_WEEK[0] in column.words:
+        return _SECOND, "seconds of the week"
     # A word of more than a letter may be a unit, or end like ustime.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
     spelled = (column.unit or "", *words)
@@ -368,6 +409,8 @@ def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str
 def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
     """Return how much a time is to be preferred: by its words, its owner, its unit and its cells."""
     words = column.words
+    if words in STEPS:
+        return 3.0
     owners = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
     if owners and sensor not in owners:
         return -1.0
@@ -389,40 +432,87 @@ def _with_cells(score: float, filled: Sequence[str]) -> float:
     # Dates are worse than numbers, ns since 1970 better.
     score -= 0 if is_number(filled[0].strip("\"'")) else 30
     digits = [cell.lstrip("+-") for cell in filled]
+    # One that counts more coarsely than the samples come is worse than another.
+    score -= 20 if 2 * len(set(filled)) < len(filled) else 0
     score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
 
 def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return seconds with nanoseconds, both whole numbers, of names that differ in nothing else."""
+    """Return whole seconds with a finer column, of names that differ in nothing but the unit.
+
+    A column that is called by a unit alone is part of the only seconds that there are.
+    """
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
-    for column in table.columns:
-        counts = _counts(table, column) if column.role is Role.TIME else []
-        if not counts:
-            continue
-        spelled = {*column.words, (column.unit or "").lower()}
-        stem = tuple(word for word in column.words if word not in _SECONDS | _NANOSECONDS)
-        if _NANOSECONDS & spelled and max(counts) < 10**9:
+    for column in (column for column in table.columns if column.role is Role.TIME):
+        counts = _counts(table, column)
+        stem = tuple(word for word in column.words if parse_time_unit(word) is None)
+        ns = _spelled_ns(column)
+        if counts and (ns or _SECOND) * max(counts[0], *counts, 1) < _SECOND:
             fractions.setdefault(stem, column)
-        elif _SECONDS & spelled:
+        elif _is_whole(table.filled(column.index), counts, ns):
             seconds.setdefault(stem, column)
-    found = []
-    for stem, fraction in fractions.items():
-        if stem in seconds:
-            # Nanoseconds that stand still are the last choice.
-            score = 92.0 if len(set(table.cells(fraction.index))) > 1 else 4.0
-            found.append((score, _joined("pair", seconds[stem], fraction, ns=1, source=_PAIR)))
-    return found
+    if len(seconds) == 1:
+        seconds[()] = next(iter(seconds.values()))
+    found = [(fraction, seconds[stem]) for stem, fraction in fractions.items() if stem in seconds]
+    # A fraction that stands still is the last choice.
+    return [
+        (92.0 if len(set(table.cells(fine.index))) > 1 else 4.0, _pair(table, coarse, fine))
+        for fine, coarse in found
+    ]
+
+
+def _spelled_ns(column: NamedColumn) -> int | None:
+    """Return the ns of the unit in a column's name."""
+    units = map(parse_time_unit, (column.unit or "", *column.words))
+    return next((TIME_UNITS_NS[unit] for unit in units if unit), None)
+
+
+def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
+    """Return whether cells are whole seconds: counts of that unit or size, or texts, many the same."""
+    if counts:
+        return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
+    return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
+
+
+def _pair(table: NamedTable, coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
+    """Return the time in whole seconds, or a text, and in a finer column beside it."""
+    ns = _spelled_ns(fine)
+    unit = next((name for name, size in TIME_UNITS_NS.items() if size == ns), None)
+    beside = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}.get(unit or "", "a fraction")
+    text = any(map(is_text_stamp, table.filled(coarse.index)))
+    source = f"{'text' if text else 'seconds'} + {beside}"
+    order = day_first(table.cells(coarse.index)) if text else False
+    choice = _joined("pair", coarse, fine, ns=ns if unit != "s" else None, source=source)
+    return replace(choice, by_day=bool(order), open_date=order is None)
 
 
 def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    week = next((c for c in table.columns if "week" in c.words and c.axis is None), None)
-    tow = next((c for c in table.columns if "tow" in c.words and c.role is Role.TIME), None)
-    if week is None or tow is None:
-        return []
-    ns = TIME_UNITS_NS.get(parse_time_unit(tow.unit) or "") if tow.unit else None
-    return [(60.0, _joined("week", week, tow, ns=ns, source="from the column header" if ns else ""))]
+    week = next(
+        (c for c in table.columns if "week" in c.words and c.axis is None and not _is_of_week(c)), None
+    )
+    tow = next((c for c in table.columns if _is_of_week(c) and c.role is Role.TIME), None)
+    return [] if week is None or tow is None else [(60.0, _week(week, tow))]
+
+
+def _is_of_week(column: NamedColumn) -> bool:
+    return any(word in _OF_WEEK for word in column.words)
+
+
+def _is_week(table: NamedTable, first: NamedColumn, second: NamedColumn) -> bool:
+    """Return whether columns are GPS weeks and times of the week: by their names, or as their cells say."""
+    if "week" in first.words or _is_of_week(second):
+        return True
+    weeks, times = _counts(table, first), [float(c) for c in table.filled(second.index) if is_number(c)]
+    whole = bool(_counts(table, second))
+    is_one = len(set(weeks)) == 1 and _WEEKS[0] <= weeks[0] <= _WEEKS[1]
+    return is_one and bool(times) and max(times) >= (10**6 if whole else 1)
+
+
+def _week(week: NamedColumn, tow: NamedColumn) -> TimeChoice:
+    ns, source = _unit(tow, None)
+    return _joined("week", week, tow, ns=ns, source=source)
 
 
 def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:

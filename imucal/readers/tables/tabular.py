@@ -32,6 +32,7 @@ from imucal.readers.tables.stamps import (
     infer_time_unit,
     pair_stamps,
     rates_by_unit,
+    step_counts,
     text_stamps,
     to_ns,
     typical_step,
@@ -108,12 +109,6 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     log = columns.log_time
     log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
-    # A device's clock may start at zero, which is a stamp like any other.
-    low, high = extremes(stamps)
-    shift = _SECOND if low == 0 and stamps[0] == 0 and high and log_ns is None else 0
-    if shift:
-        since = stamps
-        stamps = work.room.made(since.size, np.int64, lambda part: since[part] + shift, since)
     reading = clock_from_stamps(
         stamps,
         source=source,
@@ -123,8 +118,6 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         repeated=_sent_twice(work, stamps, columns),
         room=work.room,
     )
-    if shift and reading.clock.start_ns is not None:
-        reading = replace(reading, clock=replace(reading.clock, start_ns=reading.clock.start_ns - shift))
     work.decide("time", f"{source}, {_time_words(plan.time)}")
     _compare_rates(work, reading.clock.rate_hz)
     return reading
@@ -149,7 +142,12 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
 
 
 def _time_words(time: TimeChoice) -> str:
-    words = {"pair": "seconds + nanoseconds", "week": "GPS week and time of week", "text": "date and time"}
+    words = {
+        "pair": time.ns_source,
+        "week": "GPS week and time of week",
+        "text": "date and time",
+        "steps": "steps from sample to sample",
+    }
     return words.get(time.kind, "stamps") + (", read as month, day, year" if time.open_date else "")
 
 
@@ -171,14 +169,16 @@ def _stamps(
     if time.kind == "text":
         return text_stamps(cast("Sequence[IntArray]", columns), room)
     if time.kind == "pair":
-        return pair_stamps(columns[0], columns[1], room)
+        return pair_stamps(columns[0], columns[1], time.ns, room, text=time.ns_source.startswith("text"))
     if time.kind == "date":
         return date_stamps(columns, room)
     values = columns[-1]
     if time.kind == "week":
         ns = _ns_per_count(work, time, values, sensor)
         return week_stamps(columns[0], values, ns, room) if ns else None
-    if values.dtype.kind == "i":
+    if time.kind == "steps":
+        values = step_counts(values, room)
+    elif values.dtype.kind == "i":
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
             text = (
@@ -197,17 +197,12 @@ def _refuse_unit(work: RecordingBuilder, time: TimeChoice, sensor: Sensor) -> No
         known = ", ".join(TIME_UNITS_NS)
         msg = f"{work.path}: {given!r} is no time unit; expected one of {known}"
         raise ChoiceError(msg)
-    if given is not None and time.kind not in {"stamp", "week", "counter"}:
+    if given is not None and time.kind not in {"stamp", "week", "steps", "counter"}:
         msg = (
             f"{work.path}: the time unit {given} is given, but the {sensor} has the time "
             f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
         )
         raise ChoiceError(msg)
-
-
-def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
-    rates = rates_by_unit(values)
-    return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
@@ -222,7 +217,9 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
         work.decide("time unit", f"{unit} for {time.name}, {time.ns_source}")
         return time.ns
     if unit is None and rate is not None:
-        unit, how = _unit_of_rate(values, rate), "as the given rate has it"
+        rates = rates_by_unit(values).items()
+        unit = next((name for name, found in rates if abs(found / rate - 1) <= _AS_GIVEN), None)
+        how = "as the given rate has it"
     fits: tuple[str, ...] = ()
     if unit is None:
         unit, fits = infer_time_unit(values)
@@ -230,7 +227,7 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
     if unit is not None:
         work.decide("time unit", f"{unit} for {time.name}, {how}")
         return TIME_UNITS_NS[unit]
-    if rate is not None and values.dtype.kind == "i" and typical_step(values) == 1:
+    if rate is not None and values.dtype.kind == "i" and abs(typical_step(values) - 1) < 1e-3:
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
     if rate is not None:
@@ -264,7 +261,10 @@ def _open_unit(
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
     shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
     name = time.name.strip().strip("\"'")
-    in_header = f", name it in the header, such as {name}_{likely[0]}," if not name.isdigit() else ","
+    # A header names a unit, but what rate an IMU has only the user says.
+    in_header = (
+        f", name it in the header, such as {name}_{likely[0]}," if fits and not name.isdigit() else ","
+    )
     return ChoiceError(f"{found}, which is {shown}; give the time unit{in_header} or give the sampling rate")
 
 

@@ -32,7 +32,7 @@ from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable, list_columns, sensor_of_name
-from imucal.readers.tables.dates import NO_STAMP, TextKind, parse_texts, text_kind
+from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
 from imucal.readers.tables.dialects import find_messages, name_columns
 from imucal.readers.tables.layout import (
     BLANKS,
@@ -499,7 +499,7 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
-    if text:
+    if text or any(map(is_text_stamp, cells)):
         return text_kind(cells)
     filled = [cell.strip("\"'") for cell in cells if cell]
     integers = filled and all(_INTEGER.fullmatch(cell) and -(2**63) <= int(cell) < 2**63 for cell in filled)

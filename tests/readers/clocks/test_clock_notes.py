@@ -6,7 +6,8 @@ import pytest
 from imucal.arrays import IntArray
 from imucal.clock import Clock, Segment
 from imucal.readers.clocks.from_stamps import compare_clocks, gap_notes, jump_notes, stamp_notes
-from imucal.readers.clocks.placing import Breaks, Period, Steps
+from imucal.readers.clocks.period import Period
+from imucal.readers.clocks.placing import Breaks, Steps
 
 NONE = np.zeros(0, dtype=np.int64)
 TAU = 5_000_000

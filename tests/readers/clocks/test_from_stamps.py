@@ -318,6 +318,8 @@ def test_repeated_samples_have_the_stamp_and_all_values_of_the_one_before() -> N
     assert repeats(stamps[1:5], rows[:, 1:5]) is None
     long = np.arange(BLOCK + 3)
     long[BLOCK] = long[BLOCK - 1]
-    again = repeats(long, [np.zeros(long.size)])
+    values = np.arange(long.size, dtype=np.float64)
+    values[BLOCK] = values[BLOCK - 1]
+    again = repeats(long, [values])
     assert again is not None
     assert np.flatnonzero(again).tolist() == [BLOCK]

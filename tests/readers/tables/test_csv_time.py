@@ -183,6 +183,109 @@ def test_date_in_columns(tmp_path: Path) -> None:
     assert clock.start_ns == int(np.datetime64("2024-02-29T23:59:56", "ns").astype(np.int64))
 
 
+#: Times of 100 Hz from 1 s before the end of a minute on, in ms.
+TIMES = [59_000 + 10 * i for i in range(N)]
+WHOLE, MILLI = [EPOCH // 10**9 + t // 1000 for t in TIMES], [t % 1000 for t in TIMES]
+CLOCK = [f"12:{t // 60_000:02d}:{t // 1000 % 60:02d}" for t in TIMES]
+
+
+@pytest.mark.parametrize(
+    ("header", "coarse", "fine"),
+    [
+        ("Timestamp,Milliseconds", WHOLE, MILLI),
+        ("secs,nsecs", WHOLE, [1_000_000 * t for t in MILLI]),
+        ("time_s,time_us", WHOLE, [1000 * t for t in MILLI]),
+        ("Date,ms", [f"2024-02-29 {text}" for text in CLOCK], MILLI),
+        ("Timestamp,msec", CLOCK, MILLI),
+        ("gps_week,gps_sow", [2200] * N, [f"{t / 1000:.3f}" for t in TIMES]),
+        ("week,tow", [2200] * N, [f"{t / 1000:.3f}" for t in TIMES]),
+        ("week,tow (ms)", [2200] * N, TIMES),
+        # The finer column goes on beyond a second: it is the whole time.
+        ("time_s,time_ms", [t // 1000 for t in TIMES], [t - 59_000 for t in TIMES]),
+    ],
+)
+@pytest.mark.parametrize("named", [False, True])
+def test_a_finer_column_beside_a_coarse_one(
+    header: str,
+    coarse: list[object],
+    fine: list[object],
+    named: bool,  # noqa: FBT001 - of the case
+    tmp_path: Path,
+) -> None:
+    """It is joined, by its name or as a user says it: whole seconds alone would be 100 samples at once."""
+    said = {"columns": "t=0+1,g=2:5"} if named else {}
+    clock = recorded(tmp_path, header, coarse, fine, **said).series[0].clock
+    assert clock.source in {f"column {header.replace(',', '+')}", "column time_ms"}
+    assert clock.rate_hz == pytest.approx(100, rel=1e-9)
+    assert (clock.n, clock.missing) == (N, 0)
+    assert clock.jitter_s == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("coarse", "fine"),
+    [
+        (WHOLE, MILLI),
+        (WHOLE, [1000 * t for t in MILLI]),
+        (WHOLE, [1_000_000 * t for t in MILLI]),
+        (WHOLE, [f"{t / 1000:.3f}" for t in MILLI]),
+        ([2200] * N, [f"{t / 1000:.3f}" for t in TIMES]),
+        ([2200] * N, [1000 * t for t in TIMES]),
+    ],
+)
+def test_columns_without_names_are_joined(coarse: list[int], fine: list[object], tmp_path: Path) -> None:
+    """What is below a second tells its unit by its largest; a week that stands still, by its size."""
+    options = {"columns": "t=0+1,g=2:5", "gyro_unit": "rad/s"}
+    if isinstance(fine[0], int) and coarse[0] == 2200:
+        options["time_unit"] = "us"
+    path = tmp_path / "log.csv"
+    path.write_text(lines("0,0,0,0,0", coarse, fine, *xyz(truth().gyro)).partition("\n")[2])
+    clock = read(path, ReadOptions(**options)).series[0].clock  # type: ignore[arg-type]
+    assert clock.rate_hz == pytest.approx(100, rel=1e-6)
+    assert clock.missing == 0
+
+
+@pytest.mark.parametrize(
+    ("header", "times", "rate"),
+    [
+        ("gps_sow", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
+        ("sow", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
+        ("GPST", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
+        # 0.1 ms: the counts would be 20 kHz in us, or 20 Hz in ms.
+        ("SampleTimeFine", [50 * i for i in range(N)], 200),
+        ("dt", ["0.005"] * N, 200),
+        ("dt (s)", ["0.005"] * N, 200),
+        ("dt_ms", [5] * N, 200),
+        ("dt_us", [5000 if i % 10 else 10_000 for i in range(N)], 200),
+        ("delta_t", ["0.004"] * N, 250),
+    ],
+)
+def test_times_by_name(header: str, times: list[object], rate: float, tmp_path: Path) -> None:
+    """Seconds of the week, ticks of Xsens, and steps from sample to sample, which show gaps too."""
+    clock = recorded(tmp_path, header, times).series[0].clock
+    assert clock.rate_hz == pytest.approx(rate, rel=1e-6)
+    assert clock.missing == (times.count(10_000) - 1 if header == "dt_us" else 0)
+
+
+def test_stamps_go_before_steps(tmp_path: Path) -> None:
+    """Steps are a time for lack of another; whoever names them has them."""
+    columns = ["0.005"] * N, [10 * i for i in range(N)]
+    assert recorded(tmp_path, "dt,time_ms", *columns).series[0].clock.source == "column time_ms"
+    recording = recorded(tmp_path, "dt,time_ms", *columns, time="dt", time_unit="s")
+    assert recording.series[0].rate_hz == pytest.approx(200)
+    assert dict(recording.source.decisions)["time"] == "column dt, steps from sample to sample"
+
+
+def test_a_buffer_whose_time_has_no_unit(tmp_path: Path) -> None:
+    """The unit is that of the rate, not that of the steps within a batch."""
+    times = [250 * (i // 25) + i % 25 for i in range(N)]
+    (series, *_) = recorded(tmp_path, "t", times, time_unit="ms").series
+    assert series.rate_hz == pytest.approx(100)
+    fast = [100_000 * (i // 20) + 40 * (i % 20) for i in range(N)]
+    recording = recorded(tmp_path, "t", fast)
+    assert recording.series[0].rate_hz == pytest.approx(200)
+    assert dict(recording.source.decisions)["time unit"].startswith("us for t, inferred")
+
+
 def test_sensor_at_time_zero(tmp_path: Path) -> None:
     """A device's clock may start at zero: that is a stamp like any other."""
     clock = recorded(tmp_path, "time_ms", [10 * i for i in range(N)]).series[0].clock

@@ -247,9 +247,9 @@ def test_half_of_the_cells_say_what_a_column_is(cells: tuple[str, ...], kind: st
 
 
 def test_times_that_a_user_names() -> None:
-    """One column, or two that are seconds and nanoseconds; more are none."""
+    """One column, or two of seconds and what is beside them; more are none."""
     named = table({"a": ON, "b": ON, "count": ON, "": ON, "empty": ("", "")})
-    pair = TimeChoice(kind="pair", indices=(0, 1), name="a+b", ns=1, ns_source="seconds + nanoseconds")
+    pair = TimeChoice(kind="pair", indices=(0, 1), name="a+b", ns_source="seconds + a fraction")
     assert named_time(named, "a+b") == pair
     with pytest.raises(ChoiceError, match="columns 0, 1, 2 are no date, time of day, and AM or PM"):
         named_time(named, "a+b+count")

@@ -1,0 +1,330 @@
+"""The sampling period of stamps: two readings of one clock, held against each other.
+
+A sensor samples evenly; its stamps t[k] differ from k tau as samples were *late*, or as some are *missing*.
+
+- Late: a buffer is read in batches, a clock counts in coarse ticks. Every sample is there, and t[k] - k tau
+  stays bounded however long the log is. tau is the mean step, and steps are seldom as long as it.
+- Missing: steps are whole multiples of the shortest, which is tau, and t[k] - k (mean step) goes astray like
+  a random walk: losses don't know of each other.
+
+The von Neumann ratio of t[k] - k (mean step) tells them apart: 2 where one batch is as late as another, 0 for
+a random walk. Of a batch one stamp counts, with its first or its last sample: whichever scatters least.
+Where most samples would be missing and none of the two explains the stamps, both are for the caller to name.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import product, repeat
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray, median, percentile
+from imucal.errors import ChoiceError
+from imucal.readers.store import Room
+
+#: Runs of neighbouring samples by which the period is estimated, and samples in each; all samples where there
+#: are fewer.
+_RUNS, _RUN = 10, 4096
+#: Rates at which IMUs are logged, in Hz: what is outside is for the user to say.
+RATES = (1.0, 20_000.0)
+#: Relative difference of two slopes that counts as the same.
+_SAME = 0.03
+#: Steps over which a mean step is taken; it hardly depends on where batches of up to 128 begin.
+_WINDOW = 512
+#: Batches over which a slope is taken, at most.
+_FAR = 64
+#: Longest batch of a buffer, and longest time between samples that are read one after another, in ns.
+_DEEPEST, _SLOWEST = 512, 2_000_000
+#: Whether the last stamp of a batch tells when it was read, or its first, and the same for its sample.
+_READ = ((True, True), (False, False), (False, True))
+#: Samples that may be read at once, at most; also those that may catch up after a pause.
+REACH = 1 << 13
+#: Samples worked on at once: what fits the processor's cache.
+BLOCK = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """A first estimate of the sampling period, and what explains the stamps.
+
+    Attributes
+    ----------
+    tau_ns
+        Sampling period, in ns; good to about one percent.
+    jitter
+        Standard deviation of a stamp about its neighbours, in samples.
+    resolution_ns
+        Greatest common divisor of the steps, in ns.
+    burst
+        Samples that arrive together; 1 where they arrive one by one.
+    last_stamp, last_place
+        Whether a batch was read when its last stamp says, or its first; and whether its last sample was
+        taken then, or its first.
+    pause_ns
+        The step above which a batch ends, in ns.
+    usual_ns, regular
+        The usual step, in ns, and whether most steps are as long to a twentieth.
+    loose
+        Samples by which a stamp may be late without any missing: of a batch by how long its last one waited,
+        of a coarse clock by its tick; 0 where the stamps are fine.
+    """
+
+    tau_ns: float
+    jitter: float = 0.0
+    resolution_ns: int = 1
+    burst: int = 1
+    last_stamp: bool = True
+    last_place: bool = True
+    pause_ns: float = 0.0
+    usual_ns: float = 0.0
+    regular: bool = False
+    loose: float = 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """The sampling rate, in Hz."""
+        return 1e9 / self.tau_ns
+
+
+def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | None:
+    """Return the sampling period of stamps in ns, shape (n,); None where they don't advance.
+
+    Raises
+    ------
+    ChoiceError
+        If most samples are missing, or none and they came in batches, and no `rate_hz` says which.
+    """
+    runs = _runs(stamps)
+    steps = np.concatenate([np.diff(run) for run in runs])
+    positive = steps[steps > 0]
+    wide = _mean_step(runs)
+    if not positive.size or not wide > 0:
+        return None
+    quantum = _resolution(steps[:100_000])
+    late, conserved = _late(runs, steps, wide, quantum)
+    unit = _unit(positive)
+    missing = None
+    if unit < (1 - _SAME) * late.tau_ns and (unit := _whole_unit(positive, unit)):
+        missing = Period(tau_ns=unit)
+    chosen = late
+    if missing is not None:
+        longer = positive[positive > 1.4 * missing.tau_ns]
+        coarse = quantum > missing.tau_ns / 2 and np.log10(quantum) % 1 == 0
+        paused = bool(coarse or median(longer) >= 4 * missing.tau_ns)
+        chosen = _chosen(late, missing, rate_hz, conserved=conserved, paused=paused, pauses=longer.size)
+    near = positive[np.abs(positive / chosen.tau_ns - 1) < 0.25] if chosen is missing else steps
+    # The standard deviation of one stamp, from the median absolute deviation of steps.
+    deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2)
+    usual = median(steps)
+    return replace(
+        chosen,
+        jitter=float(deviation / chosen.tau_ns),
+        resolution_ns=quantum,
+        usual_ns=usual,
+        regular=bool(np.mean(np.abs(steps - usual) < 0.05 * usual) > 0.6),
+    )
+
+
+def _chosen(
+    late: Period, missing: Period, rate_hz: float | None, *, conserved: bool, paused: bool, pauses: int
+) -> Period:
+    """Return the reading that a given rate names, or else the one that explains the stamps."""
+    share = 1 - missing.tau_ns / late.tau_ns
+    if rate_hz is not None:
+        return min(late, missing, key=lambda reading: abs(np.log(reading.rate_hz / rate_hz)))
+    buffered = late.burst <= _DEEPEST and missing.tau_ns <= _SLOWEST
+    if conserved and (buffered or share <= 0.5) and (paused or share > 0.5):
+        return late
+    if share <= 0.5 or pauses < 3 or late.burst > _DEEPEST:
+        return missing
+    batches = f"in batches of about {late.burst}" if late.burst > 1 else "with uneven stamps"
+    msg = (
+        f"the stamps have two readings: {missing.rate_hz:.6g} Hz with {share:.0%} of the samples missing, or "
+        f"{late.rate_hz:.6g} Hz {batches}; expected one; give the sampling rate"
+    )
+    raise ChoiceError(msg)
+
+
+def _runs(stamps: IntArray) -> list[IntArray]:
+    """Return runs of neighbouring stamps, spread over the log."""
+    if stamps.size <= _RUNS * _RUN:
+        return [stamps]
+    starts = np.linspace(0, stamps.size - _RUN, _RUNS).astype(np.int64)
+    return [stamps[start : start + _RUN] for start in starts.tolist()]
+
+
+def _slope(runs: list[IntArray], width: int) -> float:
+    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no run is long enough."""
+    spans = [run[width:] - run[:-width] for run in runs if run.size > width]
+    return median(np.concatenate(spans)) / width if spans else np.nan
+
+
+def _mean_step(runs: list[IntArray]) -> float:
+    """Return the usual mean step over many samples, in ns; long gaps, if they are few, don't count."""
+    run = max(runs, key=len)
+    usual = _slope(runs, max(min(_WINDOW, run.size // 8), 16)) if run.size > 48 else 0.0
+    return usual if usual > 0 else (int(run[-1]) - int(run[0])) / max(run.size - 1, 1)
+
+
+def _resolution(steps: IntArray) -> int:
+    """Return the greatest common divisor of steps in ns; whole us stay so as floats of seconds since 1970."""
+    whole = np.rint(steps / 1000).astype(np.int64)
+    rounded = whole.any() and np.abs(steps - 1000 * whole).max() <= 250
+    return int(np.gcd.reduce(np.abs(1000 * whole if rounded else steps)))
+
+
+def _unit(positive: IntArray) -> float:
+    """Return the usual short step."""
+    return median(positive[positive <= 1.5 * percentile(positive, 10)])
+
+
+def _whole_unit(positive: IntArray, short: float) -> float:
+    """Return the step of which the longer ones are multiples, near the short one; 0 where there is none.
+
+    The mean cosine of the steps' phases is 1 where all are multiples, and 0 where none is.
+    """
+    units = short * np.linspace(0.9, 1.35, 91)
+    some = positive[:: max(positive.size // 4000, 1)]
+    unit = float(units[np.argmax([np.cos(2 * np.pi * some / unit).mean() for unit in units])])
+    near = positive[np.abs(positive / unit - 1) < 0.25]
+    if near.size < 0.3 * positive.size:
+        return 0.0
+    unit = float(near.mean())
+    longer = positive[positive > 1.4 * unit] / unit
+    if not longer.size:
+        return 0.0
+    whole, single = (np.cos(2 * np.pi * some).mean() for some in (longer, near / unit))
+    return unit if whole > max(0.35 * single, 3 / np.sqrt(2 * longer.size)) else 0.0
+
+
+def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
+    """Return the reading in which no sample is missing, and whether its stamps stay near their places."""
+    if _bursty(steps, wide):
+        return _batched(runs, steps, wide, quantum)
+    tick = quantum / wide
+    late = [(run - run[0]) / wide - np.arange(run.size) for run in runs]
+    coarse = bool(tick > 0.5 and np.count_nonzero(steps == 0) > 2)
+    if coarse and any(np.ptp(_about_a_line(run)) > 1.05 * tick for run in late):
+        coarse = False
+    return Period(tau_ns=wide, loose=tick if coarse else 0.0), _wander(late, tick)[0]
+
+
+def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
+    """Return the same of samples that come in batches: what each was read at scatters least."""
+    best, least, bounded = Period(tau_ns=wide), np.inf, False
+    # A batch ends between the steps within it and the mean one; or above the tick of a coarse clock.
+    pauses = {(median(steps[steps < wide]) + wide) / 2, max(1.5 * quantum, wide)}
+    for pause, (last_stamp, last_place) in product(sorted(pauses), _READ):
+        anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
+        tau = _slope_of(anchors) or wide
+        late = [times / tau - places for times, places in anchors]
+        moves = np.abs(np.concatenate([np.diff(one) for one in late]))
+        scatter = median(moves) if moves.size else np.inf
+        if scatter < 0.9 * least:
+            sizes = np.concatenate([np.diff(places) for _, places in anchors])
+            least, (bounded, loose) = scatter, _wander(late, quantum / tau)
+            best = Period(
+                tau_ns=tau,
+                burst=max(round(percentile(sizes, 75)), 2),
+                last_stamp=last_stamp,
+                last_place=last_place,
+                pause_ns=pause,
+                loose=max(loose if bounded else scatter, 1.0),
+            )
+    return best, bounded
+
+
+def _bursty(steps: IntArray, wide: float) -> bool:
+    """Say whether samples come in batches: steps shorter than the mean, and pauses.
+
+    White jitter makes as many steps long as short, and the order uncertain where it makes many long.
+    """
+    pauses = np.count_nonzero(steps > 1.5 * wide)
+    if pauses < max(3, steps.size / 5000) or np.mean(steps < 0) > 0.02:
+        return False
+    short = percentile(steps, 49) < (1 - _SAME) * wide
+    return short or bool(np.mean(np.abs(steps / wide - 1) < 0.25) < 0.3)
+
+
+def _edges(stamps: IntArray, pause: float) -> tuple[IntArray, IntArray]:
+    """Return the first and the last sample of each batch: a pause or the clock being set is between two."""
+    cuts = np.flatnonzero(np.abs(np.diff(stamps)) > pause) + 1
+    return np.concatenate([[0], cuts]), np.concatenate([cuts, [stamps.size]]) - 1
+
+
+def _anchors(
+    run: IntArray, pause: float, *, last_stamp: bool, last_place: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return when the batches of a run were read, in ns from the first, and the sample taken at that time."""
+    first, last = _edges(run, pause)
+    # The run may have cut the first and the last.
+    first, last = first[1:-1], last[1:-1]
+    times, places = run[last if last_stamp else first], (last if last_place else first)
+    return (times - times[:1]).astype(np.float64), (places - places[:1]).astype(np.float64)
+
+
+def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
+    """Return the median slope between anchors some way apart, in ns per sample; 0 where there are none."""
+    slopes = []
+    for times, places in anchors:
+        far = max(min(times.size // 8, _FAR), 1)
+        slopes.append((times[far:] - times[:-far]) / (places[far:] - places[:-far]))
+    every = np.concatenate(slopes)
+    return median(every) if every.size else 0.0
+
+
+def _wander(late: list[FloatArray], tick: float) -> tuple[bool, float]:
+    """Say whether lateness, in samples, stays bounded, so that none is missing; and return its range.
+
+    Both of the usual run. A random walk of m steps about its line has m/15 times the variance of a step, and
+    hardly ever less than m/64. A jump far beyond the usual ones is a gap, or the clock being set: left out.
+    """
+    ratios, ranges = [], []
+    for run in map(_without_jumps, late, repeat(tick)):
+        if run.size < 2:
+            continue
+        rest = _about_a_line(run)
+        ranges.append(float(np.ptp(rest)))
+        most = max(0.75, run.size / 64) * np.mean(np.diff(rest) ** 2)
+        ratios.append(ranges[-1] <= 1.01 * tick + 0.5 or rest.var() <= most)
+    return (median(ratios) > 0.5, median(ranges)) if ratios else (False, 0.0)
+
+
+def _without_jumps(late: FloatArray, tick: float) -> FloatArray:
+    moves = np.diff(late, prepend=0.0)
+    if moves.size:
+        moves[np.abs(moves) > 5 * percentile(np.abs(moves), 80) + tick + 0.5] = 0.0
+    return np.cumsum(moves)
+
+
+def _about_a_line(values: FloatArray) -> FloatArray:
+    place = np.arange(values.size) - (values.size - 1) / 2
+    rest = values - values.mean()
+    squares = max(float(np.einsum("i,i", place, place)), 1.0)
+    return np.asarray(rest - place * (float(np.einsum("i,i", place, rest)) / squares))
+
+
+def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
+    """Return stamps of samples that came in batches as if each had been stamped when it was taken.
+
+    The one stamp of a batch that tells when it was read gives those of its samples, a period apart.
+    """
+    if period.burst == 1:
+        return stamps
+
+    def of(part: slice) -> IntArray:
+        start = max(part.start - REACH, 0)
+        block = stamps[start : min(part.stop + REACH, stamps.size)]
+        first, last = _edges(block, period.pause_ns)
+        sizes = last - first + 1
+        times = block[last if period.last_stamp else first]
+        places = last if period.last_place else first
+        # The log may have cut its first and its last batch: they follow the others, unless a gap is between.
+        for end, near in ((0, 1), (-1, -2)) if times.size > 2 else ():
+            follows = times[near] + round((places[end] - places[near]) * period.tau_ns)
+            if abs(follows - times[end]) < 2 * period.burst * period.tau_ns:
+                times[end] = follows
+        behind = np.arange(block.size) - np.repeat(places, sizes)
+        spread = np.repeat(times, sizes) + np.round(behind * period.tau_ns).astype(np.int64)
+        return np.asarray(spread[part.start - start : part.stop - start])
+
+    return room.made(stamps.size, np.int64, of, stamps)

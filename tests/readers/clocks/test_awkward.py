@@ -1,0 +1,233 @@
+"""Every awkward clock of known truth is read right, or refused with both of its readings; none wrong."""
+
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.errors import ChoiceError
+from imucal.readers import read
+from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
+from tests.cli.run import run
+from tests.readers.clocks.awkward import (
+    MS,
+    SECOND,
+    SIZES,
+    START,
+    US,
+    Awkward,
+    even,
+    fifo,
+    fifos,
+    kinds,
+    lossy,
+    scheduled,
+    throttled,
+)
+from tests.readers.logs import Samples, imu_messages, write_bag, write_mcap
+from tests.readers.tables.texts import lines, xyz
+from tests.readers.ulog.test_ulog import SENSOR, Writer
+
+KINDS = dict(kinds())
+SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
+
+
+def values_of(case: Awkward, quantum: float = 0.0) -> FloatArray:
+    """Return white samples, shape (6, n), a multiple of the quantum where there is one."""
+    values = np.random.default_rng(1).normal(0, 1, (6, int(case.samples.max()) + 1))[:, case.samples]
+    return np.round(values / quantum) * quantum if quantum else values
+
+
+def clock_of(case: Awkward, rate_hz: float | None = None) -> ClockReading:
+    twice = repeats(case.stamps, values_of(case))
+    return clock_from_stamps(case.stamps, source="stamps", repeated=twice, rate_hz=rate_hz)
+
+
+def is_right(case: Awkward) -> None:
+    """Check the rate to a thousandth, the samples that are kept, and what is said."""
+    reading = clock_of(case)
+    once = np.unique(case.samples).size
+    assert reading.clock.rate_hz == pytest.approx(case.rate_hz, rel=1e-3)
+    # A stamp that is wrong may take one of its neighbours with it.
+    assert once - 2 <= reading.clock.n <= once
+    found = [finding.code for finding in reading.findings]
+    assert not case.said or case.said in found
+
+
+@pytest.mark.parametrize("name", [name for name, case in KINDS.items() if not case.refused])
+def test_awkward_clocks(name: str) -> None:
+    """Jitter, losses, coarse ticks, settings, stalls, repeats: the rate, the samples and the finding."""
+    is_right(KINDS[name])
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_batches_of_a_buffer(size: int) -> None:
+    """Of any size, with own ticks of 1 us to 1 ms, on clocks of ns, us and ms, fixed and random."""
+    for _, case in fifos((size,)):
+        is_right(case)
+    for tick in (1, US, MS):
+        case = fifo(100.0, size, 1000.0, tick)
+        is_right(case)
+        assert clock_of(case).clock.missing == 0
+
+
+@pytest.mark.parametrize("name", [name for name, case in KINDS.items() if case.refused])
+def test_both_readings_are_told_and_either_is_read(name: str, tmp_path: Path) -> None:
+    """Where most samples would be missing the user says which rate it is; each rate that is told works."""
+    case = KINDS[name]
+    path = tmp_path / "log.csv"
+    path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    pattern = (
+        r"the stamps have two readings: ([\d.]+) Hz with (\d+)% of the samples missing, or ([\d.]+) Hz in "
+        r"batches of about \d+; expected one; give the sampling rate$"
+    )
+    found = re.search(pattern, str(caught.value))
+    assert found is not None
+    assert str(caught.value).startswith(f"{path}: ")
+    rates = float(found[1]), float(found[3])
+    assert min(abs(rate / case.rate_hz - 1) for rate in rates) < 1e-3
+    most, none = (read(path, rate_hz=rate).series[0].clock for rate in rates)
+    assert (most.rate_hz, none.rate_hz) == rates
+    share = most.missing / most.grid_size
+    assert share == pytest.approx(int(found[2]) / 100, abs=0.02)
+    assert (most.n, none.n) == (case.samples.size, case.samples.size)
+
+
+def test_what_a_refusal_says_is_typed(tmp_path: Path) -> None:
+    """On the command line the refusal names the option, and with it the log is read."""
+    case = lossy(100.0, 0.7, n=3000)
+    path = tmp_path / "log.csv"
+    path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
+    refused = run("adev", path.name, cwd=tmp_path)
+    assert (refused.returncode, refused.stdout) == (3, "")
+    assert "--rate HZ" in refused.stderr
+    typed = run("adev", path.name, "--rate", "100", cwd=tmp_path)
+    assert typed.returncode == 0
+    # tau0 is the first of the averaging times.
+    assert ",0.01," in typed.stdout.splitlines()[1]
+
+
+@pytest.mark.parametrize("rate", [0.5, 25_000.0])
+def test_a_rate_of_no_imu_is_for_the_user_to_say(rate: float, tmp_path: Path) -> None:
+    """Fibre-optic and seismic sensors are above 20 kHz; with their rate they are read."""
+    case = even(rate, n=300)
+    path = tmp_path / "log.csv"
+    path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
+    text = (
+        f"column t_ns gives {rate:g} Hz; expected a rate of an IMU, 1 Hz to 20000 Hz; give the sampling rate"
+    )
+    with pytest.raises(ChoiceError, match=f"{re.escape(text)}$"):
+        read(path)
+    assert read(path, rate_hz=rate).series[0].rate_hz == rate
+
+
+def test_stops_of_a_log_are_no_second_reading() -> None:
+    """Hundreds of samples in a row show the rate, however long the log was stopped between them."""
+    case = throttled(200.0, 1200, 40_000, 200_000)
+    assert clock_of(case).clock.rate_hz == pytest.approx(200)
+    assert clock_of(case).clock.missing == 4 * 38_800
+
+
+def test_gaps_between_random_batches() -> None:
+    """Lost batches are gaps, and the rate is that of the samples within each run."""
+    case = fifo(200.0, 20, 100.0, 1, seed=5, n=8000)
+    keep = (case.samples < 3000) | (case.samples > 4500)
+    reading = clock_of(replace(case, stamps=case.stamps[keep], samples=case.samples[keep]))
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-4)
+    # Where in a batch the gap begins and ends is not known.
+    assert len(reading.clock.gaps) <= 2
+    assert reading.clock.missing == pytest.approx(1501, abs=31)
+
+
+def test_samples_of_a_batch_are_told_apart_from_jitter() -> None:
+    """A reader that comes at random is in bursts; stamps that jitter are not."""
+    assert "bursts" in {finding.code for finding in clock_of(scheduled(200.0)).findings}
+    for jitter in (0.2, 0.3, 0.5):
+        assert "bursts" not in {f.code for f in clock_of(even(200.0, jitter=jitter)).findings}
+
+
+@pytest.mark.parametrize("tick", [SECOND, 10 * MS])
+def test_coarse_stamps_and_coarse_samples_lose_nothing(tick: int, tmp_path: Path) -> None:
+    """Equal values under equal stamps are the sensor's resolution, here 1.8 standard deviations."""
+    case = even(104.0, tick, n=5000)
+    text = [f"{stamp / SECOND:.2f}" for stamp in case.stamps.tolist()]
+    path = tmp_path / "log.csv"
+    samples = values_of(case, 1.8)[:3]
+    path.write_text(lines(f"time (s),{SI[:32]}", text, *samples.tolist()), encoding="utf-8")
+    recording = read(path)
+    assert recording.series[0].n == 5000
+    assert recording.series[0].rate_hz == pytest.approx(104, rel=1e-3)
+    assert not {"duplicate-stamps", "held-samples"} & {finding.code for finding in recording.findings}
+
+
+def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
+    """To the rate, and through it to N."""
+    (note,) = (f for f in clock_of(even(200.0, jitter=1.5)).findings if f.code == "uneven-stamps")
+    assert note.level == "warning"
+    assert note.text.startswith(
+        "Stamps stray from an even grid by 1.51 sampling periods (standard deviation)"
+    )
+    assert "The rate, 200.001 Hz, is their mean and good to about 0.0005 of it" in note.text
+    (note,) = (f for f in clock_of(KINDS["interpolated"]).findings if f.code == "uneven-stamps")
+    assert note.text.startswith("Most steps are 5 ms, as at 200 Hz, but there are 219.3 samples a second")
+    assert note.text.endswith("The rate is the mean; at that of the steps N would be +4.7%.")
+
+
+def test_steps_shorter_than_the_mean_are_no_interpolation() -> None:
+    """Pairs and threes of a buffer that nearly keeps the sensor's time."""
+    for size in (2, 3, 4):
+        found = {finding.code for finding in clock_of(fifo(833.0, size, 1000.0, US)).findings}
+        assert "uneven-stamps" not in found
+
+
+def _csv(path: Path, stamps: IntArray, values: FloatArray) -> Path:
+    path = path.with_suffix(".csv")
+    path.write_text(lines(f"t_ns,{SI}", stamps.tolist(), *xyz(values[:3].T), *xyz(values[3:].T)))
+    return path
+
+
+def _truth(stamps: IntArray, values: FloatArray) -> Samples:
+    return Samples(stamps=stamps, log=stamps + 300_000, gyro=values[:3].T, accel=values[3:].T)
+
+
+def _mcap(path: Path, stamps: IntArray, values: FloatArray) -> Path:
+    return write_mcap(path.with_suffix(".mcap"), imu_messages(_truth(stamps, values)))
+
+
+def _bag(path: Path, stamps: IntArray, values: FloatArray) -> Path:
+    return write_bag(path.with_suffix(".bag"), imu_messages(_truth(stamps, values), ros1=True))
+
+
+def _ulog(path: Path, stamps: IntArray, values: FloatArray) -> Path:
+    log = Writer()
+    log.format("sensor_gyro", SENSOR)
+    log.add("sensor_gyro")
+    for stamp, sample in zip(((stamps - START) // US + 1_000_000).tolist(), values[:3].T, strict=True):
+        log.message("sensor_gyro", struct.pack("<QQI4f", stamp + 60, stamp, 7, *sample, 20.0))
+    return log.store(path.with_suffix(".ulg"))
+
+
+@pytest.mark.parametrize("write", [_csv, _mcap, _bag, _ulog])
+@pytest.mark.parametrize(("size", "own_us", "seed"), [(25, 1000.0, 0), (64, 10.0, 3), (3, 100.0, 4)])
+def test_batches_in_every_kind_of_log(
+    write: Callable[[Path, IntArray, FloatArray], Path], size: int, own_us: float, seed: int, tmp_path: Path
+) -> None:
+    """25 samples 1 ms apart every 250 ms were 1000 Hz with 90 % missing: the rate and N are the truth's."""
+    case = fifo(100.0, size, own_us, US, seed=seed, n=1500)
+    values = values_of(case)
+    recording = read(write(tmp_path / "log", case.stamps, values))
+    series = recording.axis("gyroscope", "z")
+    assert series.rate_hz == pytest.approx(100, rel=1e-3)
+    assert (series.n, series.clock.missing) == (1500, 0)
+    assert "bursts" in {finding.code for finding in recording.findings}
+    # White samples: N is their deviation over the root of the rate.
+    n = float(np.std(series.samples)) / np.sqrt(series.rate_hz)
+    npt.assert_allclose(n, np.std(values[2]) / np.sqrt(100.0), rtol=0.01)
