@@ -56,6 +56,7 @@ PHRASES: Mapping[str, str] = {
     "predicts-badly": "halves that don't predict each other",
     "rate-differs": "a rate other than the log's own",
     "rate-given": "a rate other than the log's own",
+    "sawtooth": "a level that ramps and jumps back",
     "second-opinion": "the second opinion",
     "short-times": "short times left out",
     "step": "a jump of the level",

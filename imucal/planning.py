@@ -221,7 +221,7 @@ def _two_digits(value: float) -> str:
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
     """Return the needs of the terms that a fit estimated, and of those it bounded, at their bounds."""
-    seen = [(e.term(e.value), False) for e in fit.estimates if e.value]
+    seen = [(e.term(e.value), False) for e in fit.estimates if e.value and e.drawn]
     unseen = [
         (e.term(e.high), True)
         for e in fit.estimates

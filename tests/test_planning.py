@@ -151,7 +151,8 @@ def test_what_is_planned_is_found() -> None:
     # Ten are expected: two standard errors less.
     assert len(long) >= 8
     assert np.median(long) == pytest.approx(0.12, rel=0.25)
-    assert len(short) <= 4
+    # The plan's share of records that show K was measured at a price of ln n; by chance's somewhat more do.
+    assert len(short) <= 6
 
 
 def test_what_no_record_tells_is_infinite() -> None:

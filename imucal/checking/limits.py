@@ -45,15 +45,15 @@ GRAVE = ("info", "warning", "error")
 
 _CODES = """
 absurd-rate axis-missing bad-rows bursts clock-jump clocks-differ coarse-lsb coarse-stamps compression
-counter-unused crc cut-line cycle damaged definition delay dropouts duplicate-axes duplicate-stamps
-encapsulation extra-samples few-units fast-rate file-missing gaps gaps-in-curve gaps-in-fit held-samples
-index joined line log-out-of-order log-time-used model-choice model-misfit motion no-data no-gravity
-no-result nonstationary not-checked not-drawn not-finite other-vectors output-filter poor-fit predicts-badly
-rate-differs rate-given record-length record-length-unknown records-differ rests roll-off rounding
-sampling-period saturated second-opinion sensor-missing short-times spectral-ambiguity spikes
-stamps-out-of-order step stuck swapped-sensors telegraph temperature time-unused tone touch truncated
-two-maxima unindexed unit-assumed unit-suspect verified wal-ignored warm-up warm-up-fitted weak-term
-wrapped zero-stamps
+counter-unused crc cut-line cycle cycle-doubtful damaged definition delay dropouts duplicate-axes
+duplicate-stamps encapsulation extra-samples few-units fast-rate file-missing gaps gaps-in-curve
+gaps-in-fit held-samples index joined line log-out-of-order log-time-used model-choice model-misfit
+motion no-data no-gravity no-result nonstationary not-checked not-drawn not-finite other-vectors
+output-filter poor-fit predicts-badly rate-differs rate-given record-length record-length-unknown
+records-differ rests roll-off rounding sampling-period saturated sawtooth second-opinion sensor-missing
+short-times spectral-ambiguity spikes stamps-out-of-order step stuck swapped-sensors telegraph
+temperature time-unused tone touch truncated two-maxima unindexed unit-assumed unit-suspect verified
+wal-ignored warm-up warm-up-fitted weak-term wrapped zero-stamps
 """
 #: Every code that a finding may have, so that a limits file can't forbid one that doesn't exist;
 #: described in ``docs/findings.md``.

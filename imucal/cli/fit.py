@@ -65,9 +65,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 @model_option('Terms, such as "N + B + K" or "N + 2*GM".')
 @shown("--method", type=click.Choice(METHODS), default="mle", help="Estimator.")
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
-@shown(
-    "--ic", "criterion", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model."
-)
+@shown("--ic", "criterion", type=click.Choice(CRITERIA), default="chance", help="What chooses the model.")
 @shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
 @shown(
     "--segments",

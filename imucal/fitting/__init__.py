@@ -23,7 +23,7 @@ def fit(
     model: str = "auto",
     method: str = "mle",
     level: float = 0.95,
-    criterion: str = "bic",
+    criterion: str = "chance",
     weights: str = "full",
     clean: bool = True,
     verify: bool = False,
@@ -47,7 +47,8 @@ def fit(
     level
         Confidence level of every interval.
     criterion
-        ``bic``, ``hq`` (Hannan-Quinn) or ``aic``: what chooses between models.
+        What chooses between models: ``chance``, the same at any rate, ``bic``, ``hq`` (Hannan-Quinn) or
+        ``aic``.
     weights
         Of gmwm: ``full`` covariance of the curve, or ``eta3``, the published diagonal.
     clean

@@ -1,7 +1,7 @@
 """NoiseFit: what explains an axis, with an interval on each number; Segments: what its parts say of it."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -95,7 +95,7 @@ class Segments(ReadOnlyArrays):
     white
         N in each segment; None where the fit has no N.
     floor
-        Allan deviation of the model in each segment at `floor_tau_s`, the curve's minimum or a quarter of a
+        Allan deviation of the model in each segment at `floor_tau_s`, where it is lowest, or a quarter of a
         segment; None where the fit has no slow noise.
     floor_tau_s
         In s; NaN without a floor.
@@ -156,6 +156,14 @@ class Estimate:
         T of a Gauss-Markov term, in s; None for others.
     alternatives
         Symbols of terms that may stand in this one's place: to this record they are one thing.
+    drawn
+        The coefficient that the fit's model has, in SI: also of a bounded term, whose interval holds zero,
+        where the model without it would be less likely. None where the model has no such term: an estimate
+        with a value is then another name of what other terms are, as the walk that a slow Gauss-Markov term
+        begins with is, and adds nothing to them. Set by the `NoiseFit` that it belongs to.
+    horizon_s
+        Longest time for which the coefficient holds, in s: a walk that may be the beginning of a Gauss-Markov
+        term holds up to the least T that such a term may have; infinite where nothing limits it.
     widening
         By what factor the interval is wider than the likelihood says, because the record's segments differ
         or the model does not describe it.
@@ -171,6 +179,8 @@ class Estimate:
     high: float
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
+    drawn: float | None = None
+    horizon_s: float = np.inf
     widening: float = 1.0
     origin: str = ""
 
@@ -274,7 +284,7 @@ class NoiseFit(Displayed):
     candidates
         Models within reach of the best, the chosen one (delta 0) first.
     criterion
-        ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
+        ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
     findings
         What the fit showed.
     noise_share
@@ -313,6 +323,21 @@ class NoiseFit(Displayed):
 
     def __getitem__(self, key: str) -> Estimate:
         return keyed(self.estimates, key, "the fit has")
+
+    def __post_init__(self) -> None:
+        coefficients = {key: abs(term.coefficient) for key, term in self.drawn.items()}
+        estimates = tuple(replace(e, drawn=coefficients.get(e.key)) for e in self.estimates)
+        object.__setattr__(self, "estimates", estimates)
+
+    @property
+    def drawn(self) -> dict[str, NoiseTerm]:
+        """The model's terms by the keys of their estimates; those with a value come before bounded ones."""
+        found: dict[str, NoiseTerm] = {}
+        for symbol in dict.fromkeys(term.symbol for term in self.model.terms):
+            terms = [term for term in self.model.terms if term.symbol == symbol]
+            own = sorted((e.value is None, e.key) for e in self.estimates if e.symbol == symbol)
+            found |= zip(sorted(key for _, key in own[: len(terms)]), terms, strict=False)
+        return found
 
     @property
     def correlation(self) -> FloatArray:

@@ -9,7 +9,7 @@ through tilt swings with a period of 84 minutes: it is less by 0.7 % at 300 s, b
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
@@ -27,6 +27,7 @@ from imucal.prediction.propagation import (
     coasting_variance,
     lower_limit,
     modelled,
+    shares,
     upper_limit,
 )
 from imucal.recording import Sensor
@@ -221,8 +222,7 @@ class _Coasts:
         """Return the drift of one axis at all times."""
         fit, variance = axis.fit, partial(self.variance, axis, integrals)
         value = modelled(fit, variance)
-        made = {e.key: modelled(replace(fit, estimates=(e,)), variance) for e in fit.estimates}
-        made = {key: own for key, own in made.items() if own.any()}
+        made = {key: own for key, own in shares(fit, variance).items() if own.any()}
         times = [e.correlation_time.high for e in fit.estimates if e.correlation_time]
         low, high = 0 * value, value + math.inf
         if np.isfinite([*times, *(e.high for e in fit.estimates)]).all():

@@ -20,7 +20,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS, GaussMarkov, term_keys
+from imucal.noise.terms import TERMS, GaussMarkov
 
 #: What is asked of a term: a value, or one for each time or frequency, linear in its coefficient's square.
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
@@ -75,8 +75,13 @@ class _Excursion(NamedTuple):
 
 def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
     """Return a quantity of the fitted model, shape as `of` gives it; a term that is not in it counts as 0."""
-    shown = [of(_term(e, e.value)) for e in _held(fit) if e.value is not None]
-    return np.sum(shown, axis=0) if shown else 0.0 * of(TERMS["N"].of(0.0))
+    parts = list(shares(fit, of).values())
+    return np.sum(parts, axis=0) if parts else 0.0 * of(TERMS["N"].of(0.0))
+
+
+def shares(fit: NoiseFit, of: Quantity) -> dict[str, FloatArray]:
+    """Return the part of a quantity that each term of the fitted model has, by their estimates' keys."""
+    return {e.key: of(_term(e, e.value)) for e, held in _held(fit) if held and e.value is not None}
 
 
 def upper_limit(fit: NoiseFit, of: Quantity, caution: Caution = LIMITS) -> FloatArray:
@@ -158,27 +163,20 @@ def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, in
     return max(float(power[0] + 2 * power[1:-1].sum() + power[-1]) / length, 0.0)
 
 
-def _held(fit: NoiseFit) -> Iterator[Estimate]:
-    """Yield the estimates, a bounded one that the model holds with the model's value.
+def _held(fit: NoiseFit) -> Iterator[tuple[Estimate, bool]]:
+    """Yield the estimates and whether the model holds them, a bounded one that it holds with its value there.
 
-    Its interval reaches zero, so a table prints a bound; but the model without it would be less likely.
+    One with a value that the model does not hold is another name of what its terms are: it counts with them.
     """
-    held = dict(zip(term_keys(term.symbol for term in fit.model.terms), fit.model.terms, strict=True))
+    drawn = fit.drawn
     for estimate in fit.estimates:
-        term = held.get(estimate.key)
-        if estimate.value is not None or term is None or not math.isfinite(estimate.high):
-            yield estimate
+        value = estimate.drawn
+        if estimate.value is not None or value is None or not math.isfinite(estimate.high):
+            yield estimate, value is not None
             continue
-        time = estimate.correlation_time or next(
-            (Interval(value=t, low=t, high=t) for t in term.values[1:]), None
-        )
-        yield replace(
-            estimate,
-            status="estimated",
-            value=term.coefficient,
-            high=max(estimate.high, term.coefficient),
-            correlation_time=time,
-        )
+        times = (Interval(value=t, low=t, high=t) for t in drawn[estimate.key].values[1:])
+        time, high = estimate.correlation_time or next(times, None), max(estimate.high, value)
+        yield replace(estimate, status="estimated", value=value, high=high, correlation_time=time), True
 
 
 def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> NoiseTerm:
@@ -195,12 +193,16 @@ def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> 
 
 def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursion]:
     """Yield how far each term moves a quantity up."""
-    for estimate in _held(fit):
+    for estimate, held in _held(fit):
         if estimate.value is None:
             if caution.bounded and 0 < estimate.high < math.inf:
                 yield _Excursion(None, caution.bounded * of(_term(estimate, estimate.high)))
             continue
         if not caution.shown:
+            continue
+        if not held:
+            beyond = of(_term(estimate, estimate.high)) - modelled(fit, of)
+            yield _Excursion(None, caution.shown * np.maximum(beyond, 0.0))
             continue
         value = of(_term(estimate, estimate.value))
         name, time_name = _names(estimate)
@@ -214,8 +216,8 @@ def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursio
 
 def _lowered(fit: NoiseFit, of: Quantity) -> Iterator[_Excursion]:
     """Yield how far each term moves a quantity down."""
-    for estimate in _held(fit):
-        if estimate.value is None:
+    for estimate, held in _held(fit):
+        if estimate.value is None or not held:
             continue
         value = of(_term(estimate, estimate.value))
         name, time_name = _names(estimate)

@@ -8,7 +8,7 @@ raises `ReadError` with the place, what was found and what was expected, so no c
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Generic, NoReturn, TypeVar
 
@@ -447,7 +447,7 @@ def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
             "tau_s": curve.minimum[1],
             "low": floor.low,
             "high": floor.high,
-            "datasheet": asdict(floor.scaled(level.factor, level.name)),
+            "datasheet": _quantity(floor.scaled(level.factor, level.name)),
         },
         "spectrum": {
             "sides": 2,
@@ -492,17 +492,23 @@ def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> dict[str, 
         "low": estimate.low,
         "high": estimate.high,
         "unit": TERMS[estimate.symbol].unit(sensor),
-        "datasheet": asdict(numbers.datasheet(estimate, sensor)),
+        "datasheet": _quantity(numbers.datasheet(estimate, sensor)),
+        "drawn": estimate.drawn,
         "alternatives": estimate.alternatives,
+        "horizon_s": estimate.horizon_s,
         "widening": estimate.widening,
     }
     if len(TERMS[estimate.symbol].parameters()) > 1:
         # What a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t].
         time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
-        entry["correlation_time"] = time and asdict(numbers.correlation_time(time))
+        entry["correlation_time"] = time and _quantity(numbers.correlation_time(time))
         entry["phi"] = term and term.phi(1 / fit.rate_hz)
         entry["q"] = term and term.q(1 / fit.rate_hz)
     return entry
+
+
+def _quantity(quantity: numbers.Quantity) -> dict[str, object]:
+    return {name: getattr(quantity, name) for name in ("value", "low", "high", "unit")}
 
 
 def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> dict[str, object]:
@@ -739,5 +745,6 @@ def _estimate(node: Node, key: str) -> Estimate:
         high=node["high"].number(null=math.inf),
         correlation_time=node.get("correlation_time", _maybe(_INTERVAL.read), None),
         alternatives=node.get("alternatives", lambda found: tuple(map(_one_of(*TERMS), found)), ()),
+        horizon_s=node.get("horizon_s", lambda found: found.number(null=math.inf), math.inf),
         widening=node.get("widening", Node.number, 1.0),
     )

@@ -29,18 +29,21 @@ _SMALL = 0.1
 class Quantity:
     """A value with its limits and unit; `value` is None where only the bound `high` is known.
 
-    A quantity without an interval (the curve's minimum) has ``low == value == high``.
+    A quantity without an interval (the curve's minimum) has ``low == value == high``. `drawn` is what the
+    model has where only a bound is known.
     """
 
     value: float | None
     low: float
     high: float
     unit: str
+    drawn: float | None = None
 
     def scaled(self, factor: float, unit: str) -> "Quantity":
         """Return it in another unit: ``value * factor``."""
-        value = None if self.value is None else self.value * factor
-        return Quantity(value=value, low=self.low * factor, high=self.high * factor, unit=unit)
+        value, drawn = (None if x is None else x * factor for x in (self.value, self.drawn))
+        low, high = self.low * factor, self.high * factor
+        return Quantity(value=value, low=low, high=high, unit=unit, drawn=drawn)
 
     @property
     def size(self) -> float:
@@ -49,12 +52,9 @@ class Quantity:
 
 
 def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
-    """Return the term whose correlation time is the estimate's; None where the model has none."""
-    terms = [term for term in fit.model.terms if isinstance(term, GaussMarkov)]
-    time = estimate.correlation_time
-    if estimate.symbol != GaussMarkov.symbol or estimate.value is None or time is None or not terms:
-        return None
-    return min(terms, key=lambda term: abs(math.log(term.T / time.value)))
+    """Return the term of an estimate that has a value; None where the model has none."""
+    term = fit.drawn.get(estimate.key) if estimate.value is not None else None
+    return term if isinstance(term, GaussMarkov) else None
 
 
 def term_name(symbol: str, sensor: Sensor | None) -> str:
@@ -65,7 +65,8 @@ def term_name(symbol: str, sensor: Sensor | None) -> str:
 def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
     """Return an estimate's coefficient in SI; without a unit where nobody knows the sensor."""
     unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""
-    return Quantity(value=estimate.value, low=estimate.low, high=estimate.high, unit=unit)
+    drawn = estimate.drawn if estimate.value is None else None
+    return Quantity(value=estimate.value, low=estimate.low, high=estimate.high, unit=unit, drawn=drawn)
 
 
 def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
@@ -106,8 +107,12 @@ def minimum(fit: NoiseFit) -> Quantity:
 
 
 def alternatives(estimate: Estimate) -> str:
-    """Return ``or GM`` where another term may stand in this one's place; else nothing."""
-    return f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
+    """Return ``or GM`` where another term may stand in this one's place; else nothing.
+
+    Or ``or GM, T > 310 s``: for times up to that T there is no difference.
+    """
+    text = f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
+    return f"{text}, T > {seconds(estimate.horizon_s)}" if math.isfinite(estimate.horizon_s) else text
 
 
 def seconds(value: float) -> str:
@@ -158,12 +163,13 @@ def engineering_exponent(quantities: Iterable[Quantity]) -> int:
 def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
     """Return value and interval as plain texts, both divided by ``10**exponent``.
 
-    ``("0.2013", "[0.2010, 0.2016]")``; a bound is ``("< 0.12", "")``; without an interval the
-    second is empty.
+    ``("0.2013", "[0.2010, 0.2016]")``; a bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` of a
+    term that the model has; without an interval the second is empty.
     """
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     if scaled.value is None:
-        return _bound(scaled.high), ""
+        drawn = "" if scaled.drawn is None else f"(drawn {_fixed(scaled.drawn, decimals(scaled))})"
+        return _bound(scaled.high), drawn
     places = decimals(scaled)
     value = _fixed(scaled.value, places)
     if scaled.low == scaled.high:

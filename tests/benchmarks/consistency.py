@@ -231,7 +231,13 @@ def known_fit(text: str) -> NoiseFit:
                 correlation_time=time and Interval(value=time, low=time, high=time),
             )
         )
-    return replace(fit, estimates=tuple(estimates), parameters=(), covariance=np.zeros((0, 0)))
+    return replace(
+        fit,
+        model=NoiseModel.parse(text),
+        estimates=tuple(estimates),
+        parameters=(),
+        covariance=np.zeros((0, 0)),
+    )
 
 
 def known() -> None:

@@ -157,7 +157,7 @@ def step_gain(samples: Array, text: str) -> tuple[float, bool]:
     variance = np.array([own.get(symbol, 0.0) for symbol in "QNBK"])
     spectrum = variance @ bin_blocks([block], 1.0).basis
     _, gain, _ = Whitened.by([block], spectrum, ()).step()
-    return gain, any(one.kind == "step" for one in find_disturbances([block_of(1e4 * samples)]))
+    return gain, any(one.kind == "step" for one in find_disturbances([block_of(1e4 * samples)])[0])
 
 
 def steps(records: int, seed: int) -> None:
@@ -196,7 +196,7 @@ def clean(records: int, seed: int) -> None:
                 samples = noise(text, n, rng)
                 if find_telegraph(AxisSeries.from_samples(samples, rate_hz=RATE)) is not None:
                     found["telegraph"] += 1
-                found.update({one.kind for one in find_disturbances([block_of(1e4 * samples)])})
+                found.update({one.kind for one in find_disturbances([block_of(1e4 * samples)])[0]})
             print(f"| {text} | {n} | {dict(found)} |", flush=True)
 
 

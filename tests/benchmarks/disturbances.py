@@ -5,6 +5,7 @@
                                                                         input | how many hold N, B, K
     python tests/benchmarks/disturbances.py clean [records] [seed]      truth | how often each finding
     python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often each finding
+    python tests/benchmarks/disturbances.py cycles [records] [seed]     truth | cycles named, and K held
     python tests/benchmarks/disturbances.py lengths                     length | CPU of transform and analysis
 
 Run with another version on PYTHONPATH it prints that version's figures.
@@ -21,6 +22,8 @@ import numpy as np
 
 import imucal
 from imucal.clock import Clock
+from imucal.fitting.spectral.blocks import make_blocks
+from imucal.fitting.spectral.disturbances import exact_places, find_disturbances
 
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
@@ -229,6 +232,32 @@ def filters(records: int, seed: int) -> None:
     _counted(FILTERS, records, N_SHORT, seed)
 
 
+def cycles(records: int, seed: int) -> None:
+    """Print how often a cycle of 7e-5 over 150 to 900 s is named, and K held beside it.
+
+    And how often a cycle is found in ten times as many clean records.
+    """
+    time_s = np.arange(N_SHORT) / RATE
+    for number, text in enumerate(("N=1e-4 + B=3e-5", "N=1e-4 + K=3e-6", "N=1e-4 + B=3e-5 + K=5e-6")):
+        found: Counter[str] = Counter()
+        for record in range(records):
+            rng = np.random.default_rng([seed, number, record, 1])
+            swing = 7e-5 * np.sin(2 * np.pi * time_s / rng.uniform(150, 900) + rng.uniform(0, 6.28))
+            fit = imucal.fit(AxisSeries.from_samples(noise(text, N_SHORT, rng) + swing, rate_hz=RATE))
+            found["K held"] += holds(fit, text)["K"]
+            found["K shown"] += fit["K"].value is not None
+            found.update({f.code for f in fit.findings} & {"cycle", "cycle-doubtful"})
+        print(f"| 7e-5 beside {text} | {records} | {dict(found)} |", flush=True)
+    for number, text in enumerate(CLEAN):
+        codes: Counter[str] = Counter()
+        for record in range(10 * records):
+            rng = np.random.default_rng([seed, number, record, 2])
+            series = AxisSeries.from_samples(noise(text, N_SHORT, rng), rate_hz=RATE)
+            named, doubtful = find_disturbances(make_blocks(series).blocks, exact=exact_places(series))
+            codes.update({one.kind for one in named} | {"doubtful" for _ in doubtful})
+        print(f"| clean {text} | {10 * records} | {dict(codes)} |", flush=True)
+
+
 def _neighbours() -> Iterator[int]:
     for n in (100_000, 1_000_000, 2_160_000):
         yield from (n, n - 1, n + 1, n - 2, n - 7, n - 20, n + 3, n + 20)
@@ -251,5 +280,6 @@ def lengths(_: int, seed: int) -> None:
 if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else "table"
     given = [int(text) for text in sys.argv[2:4]]
-    kinds = {"table": table, "coverage": coverage, "clean": clean, "filters": filters, "lengths": lengths}
+    every = (table, coverage, clean, filters, cycles, lengths)
+    kinds = {kind.__name__: kind for kind in every}
     kinds[what](*given, *(3, 1011)[len(given) :])

@@ -36,7 +36,7 @@ def fitted(
     *,
     rate_hz: float = 1.0,
     level: float = 0.95,
-    criterion: str = "bic",
+    criterion: str = "chance",
     max_gm: int = 2,
     temperature: FloatArray | None = None,
 ) -> NoiseFit:

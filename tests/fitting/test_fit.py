@@ -97,7 +97,7 @@ def test_a_line_is_named_and_left_out() -> None:
     ("setting", "message"),
     [
         ({"method": "ols"}, "method 'ols' is not one of mle, gmwm, slope"),
-        ({"criterion": "dic"}, "criterion 'dic' is not one of bic, hq, aic"),
+        ({"criterion": "dic"}, "criterion 'dic' is not one of chance, bic, hq, aic"),
         ({"weights": "none"}, "weights 'none' is not one of full, eta3"),
         ({"level": 1.0}, "level must be between 0 and 1, got 1.0"),
         ({"max_gm": 3}, "max_gm must be 0, 1 or 2, got 3"),
@@ -128,5 +128,5 @@ def test_every_method_is_where_the_table_says(method: str) -> None:
 def test_what_is_not_asked_for_is_decided_so() -> None:
     """The defaults of the facade and of the command line."""
     asked = FitSettings()
-    assert (asked.model, asked.method, asked.level, asked.criterion) == ("auto", "mle", 0.95, "bic")
+    assert (asked.model, asked.method, asked.level, asked.criterion) == ("auto", "mle", 0.95, "chance")
     assert (asked.weights, asked.max_gm, asked.clean, asked.verify) == ("full", 2, True, False)

@@ -8,7 +8,7 @@ import pytest
 
 import imucal
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov
@@ -137,3 +137,35 @@ def test_limits_scale_and_hold_their_value(fit: NoiseFit) -> None:
 def test_times_must_be_positive(times: list[float], rest: float) -> None:
     with pytest.raises(ValueError, match="must be positive"):
         coasting_variance(TERMS["N"].of(1.0), np.array(times), rest_s=rest, rate_hz=100.0)
+
+
+def test_a_walk_and_its_gauss_markov_term_count_once(fit: NoiseFit) -> None:
+    """K that a slow term begins with adds what its limit exceeds the model by, and nothing to the value."""
+    term = GaussMarkov(sigma=1e-3, T=2000.0)
+    walk = 1e-3 * math.sqrt(2 / 2000.0)
+    terms = [
+        Estimate(key="N", symbol="N", status="estimated", value=1e-3, low=1e-3, high=1e-3),
+        Estimate(
+            key="GM",
+            symbol="GM",
+            status="estimated",
+            value=1e-3,
+            low=1e-3,
+            high=1e-3,
+            correlation_time=Interval(value=2000.0, low=2000.0, high=2000.0),
+        ),
+    ]
+    k = Estimate(key="K", symbol="K", status="estimated", value=walk, low=walk / 2, high=2 * walk)
+    model = NoiseModel(terms=(TERMS["N"].of(1e-3), term))
+    known = replace(fit, model=model, parameters=(), covariance=np.zeros((0, 0)), estimates=tuple(terms))
+    named = replace(known, estimates=(*terms, k))
+
+    def angle(term: NoiseTerm) -> FloatArray:
+        return coasting_variance(term, TIMES, rest_s=REST, rate_hz=10.0)
+
+    assert [e.drawn for e in named.estimates] == [1e-3, 1e-3, None]
+    expected = sum(angle(term) for term in model.terms)
+    np.testing.assert_allclose(modelled(named, angle), expected)
+    np.testing.assert_allclose(lower_limit(named, angle), lower_limit(known, angle))
+    limit = np.maximum(angle(TERMS["K"].of(2 * walk)), expected)
+    np.testing.assert_allclose(upper_limit(named, angle), limit)

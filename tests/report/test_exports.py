@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from imucal.errors import DataError, WriteError
 from imucal.findings import Finding
+from imucal.fitting.noise_fit import Estimate
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, BiasInstability, GaussMarkov
 from imucal.prediction import filter_numbers
@@ -25,7 +26,7 @@ from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.own_program import flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document, to_document
-from imucal.report.result import Report
+from imucal.report.result import AxisReport, Report
 from tests.report.downstream import READERS, Recovered, opencv
 from tests.report.synthetic import axis_report, small_report
 from tests.report.synthetic import consumer_report as make_consumer_report
@@ -471,6 +472,36 @@ def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
     assert data["corrtime"] == 2
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
     assert data["abstd"] == pytest.approx([50.0] * 3)
+
+
+def test_a_walk_that_is_a_gauss_markov_term_is_written_once() -> None:
+    """The state space has its state, the terms say what K is part of, kf-gins takes sigma and T."""
+    walk = 4e-5 * math.sqrt(2 / 7200)
+    found = Estimate(
+        key="K",
+        symbol="K",
+        status="estimated",
+        value=walk,
+        low=walk / 2,
+        high=2 * walk,
+        alternatives=("GM",),
+        horizon_s=3600.0,
+    )
+    report = _slow_report("N=1e-4 + GM(sigma=4e-5, T=7200.0)", "N=1e-4 + GM(sigma=5e-4, T=7200.0)")
+
+    def with_walk(axis: AxisReport) -> AxisReport:
+        estimates = tuple(found if e.key == "K" else e for e in axis.fit.estimates)
+        return replace(axis, fit=replace(axis.fit, estimates=estimates))
+
+    report = replace(report, axes=tuple(map(with_walk, report.axes)))
+    states = yaml.safe_load(render(report, "gm"))["axes"]["gyro_x"]["states"]
+    assert [state["term"] for state in states] == ["GM"]
+    text = render_fitted(report, "yaml")
+    k = yaml.safe_load(text)["imu"]["gyroscope"]["x"]["K"]
+    assert (k["part_of"], k["holds_to_s"], k["or"]) == ("GM", 3600, ["GM"])
+    data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
+    assert data["corrtime"] == 2
+    assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
 
 
 def test_a_short_term_of_one_sensor_does_not_shorten_the_others_walk() -> None:

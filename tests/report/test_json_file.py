@@ -83,17 +83,19 @@ def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
 
 
 def test_what_may_stand_in_a_terms_place_comes_back() -> None:
-    """Other terms, and how much wider an interval became; a file without them has none."""
+    """Other terms, for how long it holds, and how much wider it became; a file without them has none."""
     report = small_report()
     axis = report.axes[0]
-    doubtful = tuple(replace(e, alternatives=("GM", "K"), widening=1.5) for e in axis.fit.estimates)
+    doubtful = tuple(
+        replace(e, alternatives=("GM", "K"), horizon_s=60.0, widening=1.5) for e in axis.fit.estimates
+    )
     document = to_document(replace(report, axes=(replace(axis, fit=replace(axis.fit, estimates=doubtful)),)))
     assert from_document(document).axes[0].fit.estimates == doubtful
     document = json.loads(dumps(document))
     for term in document["axes"][0]["fit"]["terms"].values():
-        del term["alternatives"], term["widening"]
+        del term["alternatives"], term["horizon_s"], term["widening"]
     plain = from_document(document).axes[0].fit.estimates
-    assert {(e.alternatives, e.widening) for e in plain} == {((), 1.0)}
+    assert {(e.alternatives, e.horizon_s, e.widening) for e in plain} == {((), math.inf, 1.0)}
 
 
 def test_unknown_numbers_are_null_and_come_back() -> None:

@@ -96,6 +96,25 @@ def test_rounding_keeps_what_the_interval_tells(value: float, below: float, abov
     assert float(low) <= float(text) <= float(high)
 
 
+def test_a_bounded_term_that_is_drawn_says_so() -> None:
+    """In its row's unit and places, in tables as in pictures; a value says nothing of it."""
+    bound = replace(_quantity(None, 0, 4.7e-6), drawn=2.5e-6)
+    assert compact(bound, exponent=-6) == ("< 4.7", "(drawn 2.5)")
+    assert with_uncertainty(bound.scaled(1e6, "deg/h")) == "< 4.7 (drawn 2.5) deg/h"
+    found = Estimate(key="K", symbol="K", status="bounded", value=None, low=0, high=4.7e-6, drawn=2.5e-6)
+    assert numbers.si(found, Sensor.GYROSCOPE).drawn == 2.5e-6
+    shown = replace(found, status="estimated", value=2.5e-6)
+    assert numbers.si(shown, Sensor.GYROSCOPE).drawn is None
+
+
+def test_a_walk_says_for_how_long_it_holds() -> None:
+    """Where a Gauss-Markov term may stand in its place, up to the least T of that."""
+    k = Estimate(key="K", symbol="K", status="bounded", value=None, low=0.0, high=1.0)
+    assert numbers.alternatives(k) == ""
+    assert numbers.alternatives(replace(k, alternatives=("B", "GM"))) == "or B or GM"
+    assert numbers.alternatives(replace(k, alternatives=("GM",), horizon_s=312.3)) == "or GM, T > 312 s"
+
+
 def test_powers_of_ten_of_a_row_are_shared() -> None:
     """A row of a table has one exponent, a multiple of three, of its largest number."""
     row = [_quantity(1.1e-6, 1e-6, 1.2e-6), _quantity(None, 0, 4e-7), _quantity(3e-9, 2e-9, 4e-9)]

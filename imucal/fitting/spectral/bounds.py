@@ -11,17 +11,23 @@ show why a remedy is needed; how well this one covers is measured by `tests/benc
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
-from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of, shaped_symbols
+from imucal.fitting.spectral.likelihood import (
+    Candidates,
+    Structure,
+    candidates_of,
+    evaluate,
+    shaped_symbols,
+)
 from imucal.fitting.spectral.ordinates import LAWS, SHAPED
-from imucal.fitting.spectral.scoring import bounds, maximize
+from imucal.fitting.spectral.scoring import bounds, covariance, maximize
 from imucal.fitting.spectral.selection import RankedModels
-from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
 #: Symbol of a power-law term -> its column in a row of parameters.
 COLUMN = {law.value: index for index, law in enumerate(LAWS)}
@@ -167,8 +173,41 @@ _FULL_SAY, _NO_SAY = 6.0, 9.0
 _ALIKE = 4.0
 #: A lower limit of less than this part of the upper one is none.
 _NOUGHT = 0.02
+#: A Gauss-Markov term slower than this part of the record is a walk to it: it speaks for K.
+_WALK = 1 / 20
+#: What a model without its full say does not bound, but only draws towards zero. Flicker it bounds, since a
+#: Gauss-Markov term of some seconds beside a walk passes for it: else B is shown there in 21 of 24 records.
+_FADES = frozenset({"K"})
 #: Most models that are looked at.
 _MOST = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Opinion:
+    """What a near model says of its terms.
+
+    Attributes
+    ----------
+    say
+        How much it counts: 1 near the best, 0 far from it.
+    terms
+        Its estimates by their keys, with limits as far from the values as its say goes.
+    fitted
+        The model.
+    """
+
+    say: float
+    terms: dict[str, Estimate]
+    fitted: Fitted
+
+    @property
+    def slow(self) -> bool:
+        """Whether its K is the walk of a slow Gauss-Markov term."""
+        return self.terms["K"].horizon_s < np.inf
+
+    def vetoes(self, key: str) -> bool:
+        """Whether a term may be zero here, and this is near enough for that to bound it."""
+        return _may_be_zero(self.terms[key]) and (self.say >= 1 or key not in _FADES)
 
 
 def hull_estimates(
@@ -178,19 +217,119 @@ def hull_estimates(
 
     A term whose interval reaches down to zero is bounded, also where the chosen model has it. Where N, B
     or K is shown that the chosen model lacks, the model is drawn with it: a parameter costs the choice
-    more than data need to show it, and terms that are printed should add up to the line.
+    more than data need to show it, and terms that are printed should add up to the line. Not so a K that
+    is the walk of a Gauss-Markov term, which the model has already.
     """
-    models = [
-        {e.key: e for e in estimate(_with_say(problem, distance), model)}
-        for distance, model in _completed(problem, choice)
-    ]
-    shown = {key for key in ALWAYS if not any(_may_be_zero(model[key]) for model in models)}
-    if shown - set(fitted.structure):
-        fitted, own = _richer(problem, fitted, shown, own)
-    values = {key: models[0][key] for key in ALWAYS} | {e.key: e for e in own}
-    others = _alternatives(choice)
-    found = (_hull(value, _span(key, values, models)) for key, value in values.items())
-    return fitted, own, ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
+    models = [_opinion(problem, distance, model) for distance, model in _completed(problem, choice)]
+    shown = {key for key in ALWAYS if not any(model.vetoes(key) for model in models)}
+    walks = "K" not in fitted.structure and models[0].slow
+    drawn = shown - {"K"} if walks else shown
+    if drawn - set(fitted.structure):
+        fitted, own = _richer(problem, fitted, drawn, own)
+    values = {key: models[0].terms[key] for key in ALWAYS} | {e.key: e for e in own}
+    values |= {key: _first_shown(values[key], models) for key in shown}
+    found = {key: _hull(value, _span(key, values, models)) for key, value in values.items()}
+    if found["N"].value is None:
+        found["N"] = _floor(problem, found["N"], [model.fitted for model in models])
+    return fitted, own, ordered(_with_rivals(problem, choice, found, models))
+
+
+def _with_rivals(
+    problem: Problem, choice: RankedModels, found: dict[str, Estimate], models: list[Opinion]
+) -> Iterator[Estimate]:
+    """Yield estimates with the terms that may stand in their place, and for how long K holds beside them."""
+    others, markov = _alternatives(choice), GaussMarkov.symbol
+    horizon = min(model.terms["K"].horizon_s for model in models)
+    if markov in others["K"]:
+        horizon = min(horizon, _shortest_rival(problem, choice))
+    elif horizon < np.inf:
+        others["K"] = (*others["K"], markov)
+    if any(model.vetoes("N") for model in models) and markov not in others["N"]:
+        others["N"] = (*others["N"], markov)
+    for e in found.values():
+        yield replace(e, alternatives=others[e.symbol], horizon_s=horizon if e.key == "K" else np.inf)
+
+
+def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
+    """Return what the nearest model with a value says of a term, where the chosen one has none."""
+    every = (own, *(model.terms[own.key] for model in models))
+    return next((e for e in every if e.value is not None), own)
+
+
+def _opinion(problem: Problem, distance: float, model: Fitted) -> Opinion:
+    """Return what a model at that distance from the best says; its slowest term may say what K is."""
+    from scipy.special import ndtr
+
+    say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
+    reach = say * quantile(problem.level)
+    terms = {e.key: e for e in estimate(replace(problem, level=float(2 * ndtr(reach) - 1)), model)}
+    slowest = max((e for e in terms.values() if e.value), key=_time_of, default=terms["K"])
+    if _may_be_zero(terms["K"]) and _time_of(slowest) > _WALK * problem.ordinates.samples * problem.tau0:
+        terms["K"] = _walk(slowest, terms["K"].high, reach, model)
+    return Opinion(say=say, terms=terms, fitted=model)
+
+
+def _time_of(found: Estimate) -> float:
+    """Return the correlation time of a Gauss-Markov term, in s; 0 of other terms."""
+    time = found.correlation_time
+    return time.value if time and found.symbol == GaussMarkov.symbol else 0.0
+
+
+def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
+    """Return the walk sigma sqrt(2/T) that a slow Gauss-Markov term begins with; at most `high`, or more.
+
+    Sigma and T of such a term are unsure by themselves, and the walk that both make is not: its
+    limits are `reach` standard errors of half the difference of log sigma² and log T. It holds for times
+    up to the lower limit of T.
+    """
+    columns = dict(model.columns())
+    sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
+    inverse = covariance(model.maximum.information[0], model.candidate.free[0])
+    variance = inverse[sigma, sigma]
+    if np.isfinite(inverse[time, time]):
+        variance += inverse[time, time] - 2 * inverse[sigma, time]
+    factor = float(np.exp(0.5 * reach * np.sqrt(max(variance, 0.0))))
+    span = slow.correlation_time
+    value = float((slow.value or 0.0) * np.sqrt(2 / _time_of(slow)))
+    walk = Estimate(
+        key="K",
+        symbol="K",
+        status="estimated",
+        value=value,
+        low=value / factor,
+        high=max(value * factor, high),
+    )
+    return replace(walk, horizon_s=span.low if span else np.inf)
+
+
+def _shortest_rival(problem: Problem, choice: RankedModels) -> float:
+    """Return the lower limit, in s, of T of the slowest term that the nearest model has in place of K."""
+    rivals = (s for s in choice.structures if GaussMarkov.symbol in s and "K" not in s)
+    model = fitted_model(choice, choice.structures.index(next(rivals)))
+    slowest = [column for name, column in model.columns() if name.endswith(".T")][-1]
+    lows, _ = problem.limits(model, [slowest])
+    return problem.tau0 * float(np.exp(lows[0]))
+
+
+def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
+    """Return the greatest white noise below the spectra of the near models, where N may be zero.
+
+    Every record has a floor. Where a quick Gauss-Markov term at the end of the band may have all of it, the
+    models differ in its name and not in its level.
+    """
+    ordinates, none = problem.ordinates, np.zeros(1, dtype=np.int64)
+    levels, freedom = [], []
+    for model in models:
+        candidate = replace(model.candidate, poles=none, zeros=none)
+        spectrum = evaluate(ordinates, candidate, model.maximum.theta).spectrum[0]
+        lowest = int(np.argmin(spectrum))
+        octave = np.abs(np.log2(ordinates.fraction / ordinates.fraction[lowest])) < 0.5
+        levels.append(problem.deviation("N") * float(np.sqrt(spectrum[lowest])))
+        freedom.append(float(ordinates.size[octave].sum()))
+    # A variance told by n ordinates is sure to the root of 2/n; its root to half of that.
+    reach = problem.widening.get("N", 1.0) * quantile(problem.level) / np.sqrt(2 * max(min(freedom), 1.0))
+    low, high = min(levels) * float(np.exp(-reach)), max(levels) * float(np.exp(reach))
+    return replace(bound, status="estimated", value=levels[0], low=low, high=max(bound.high, high))
 
 
 def _richer(
@@ -203,12 +342,27 @@ def _richer(
     return fitted, ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, fitted)}).values())
 
 
-def _span(key: str, values: dict[str, Estimate], models: list[dict[str, Estimate]]) -> list[Estimate]:
-    """Return what each model says of a term; of others than N, B and K, each model that has the same ones."""
+def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[tuple[float, Estimate]]:
+    """Return the say of each model and what it says of a term.
+
+    Of others than N, B and K, each model that has the same ones.
+    """
     if key in ALWAYS:
-        return [model[key] for model in models]
+        return [(model.say, model.terms[key]) for model in models]
     others = values.keys() - set(ALWAYS)
-    return [model[key] for model in models if model.keys() - set(ALWAYS) == others]
+    return [(m.say, m.terms[key]) for m in models if m.terms.keys() - set(ALWAYS) == others]
+
+
+def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+    """Return estimates with N, B and K so wide that they hold the limits of two fits; else the first's."""
+    other = {e.key: e for e in others if e.symbol in ALWAYS}
+    spans = {e.key: [(1.0, e), (1.0, other[e.key])] for e in estimates if e.key in other}
+    return tuple(
+        replace(_hull(e, spans[e.key]), alternatives=e.alternatives, horizon_s=e.horizon_s)
+        if e.key in spans
+        else e
+        for e in estimates
+    )
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
@@ -228,19 +382,31 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
     return {one: tuple(other for other in TERMS if replaces(one, other)) for one in TERMS}
 
 
-def _hull(own: Estimate, span: list[Estimate]) -> Estimate:
-    """Return an estimate with the limits of all models; itself where no near model has its term."""
+def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
+    """Return an estimate with the limits of all models; itself where no near model has its term.
+
+    A model with its full say that has the term at zero bounds it; one with less draws the lower limit of one
+    that `_FADES` towards zero.
+    """
     if not span:
         return own
-    high = max(e.high for e in span)
-    if own.value is None or any(map(_may_be_zero, span)):
+    high = max(e.high for _, e in span)
+    zeros = [say for say, e in span if _may_be_zero(e)]
+    if own.value is None or (zeros and (max(zeros) >= 1 or own.key not in _FADES)):
         return Estimate.bounded(own.key, own.symbol, high)
-    time = own.correlation_time
-    if time is not None:
-        times = [time, *(e.correlation_time for e in span if e.correlation_time)]
-        time = replace(time, low=min(t.low for t in times), high=max(t.high for t in times))
-    low = min(own.value, *(e.low for e in span))
-    return replace(own, low=low, high=max(own.value, high), correlation_time=time)
+    low = min([own.value, *(e.low for _, e in span if not _may_be_zero(e))])
+    low *= float(np.prod([1 - say for say in zeros]))
+    time = _time_hull(own.correlation_time, [e for _, e in span])
+    found = replace(own, low=low, high=max(own.value, high), correlation_time=time)
+    return Estimate.bounded(own.key, own.symbol, high) if _may_be_zero(found) else found
+
+
+def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
+    """Return a correlation time with the limits of all models."""
+    if own is None:
+        return None
+    times = [own, *(e.correlation_time for e in span if e.correlation_time)]
+    return replace(own, low=min(t.low for t in times), high=max(t.high for t in times))
 
 
 def _may_be_zero(found: Estimate) -> bool:
@@ -258,11 +424,3 @@ def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, 
         if structure not in seen:
             seen.add(structure)
             yield float(distances[index]), completed(problem, model)
-
-
-def _with_say(problem: Problem, distance: float) -> Problem:
-    """Return the problem at the level that a model at that distance deserves."""
-    from scipy.special import ndtr
-
-    say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
-    return replace(problem, level=float(2 * ndtr(say * quantile(problem.level)) - 1))

@@ -12,7 +12,7 @@ Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bar
 160, 268.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -29,6 +29,9 @@ _SHARE = 0.1
 _STEP, _STEPS = 1.5, 100
 #: Gain of the log-likelihood that ends the search.
 _CLOSE = 1e-5
+#: Where the second of two scales ends: at first so many of its deviations, then half as much more each time,
+#: so often; points of a grid between the ends, and scoring steps of the first scale at each.
+_FIRST_REACH, _WIDER, _GRID, _SCORINGS = 1.2, 12, 32, 3
 _TINY = 1e-12
 
 
@@ -97,6 +100,54 @@ class Parts:
             if np.all(np.where(better, rests, damping > 1e7)):
                 break
         return best
+
+    def of(self, test: int) -> "Parts":
+        """Return the parts of one test."""
+        rows = slice(test, test + 1)
+        return replace(self, varied=self.varied[rows], held=self.held[rows])
+
+    def sum_limits(
+        self, logs: FloatArray, weights: FloatArray, reach: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return a weighted sum of the two scales of one test in each group, and its least and greatest.
+
+        `logs`, shape (g, 2), are those of the maximum; `weights` is of shape (2,), the others of shape (g,).
+        The limits are the extremes over all scales at which twice the drop of the log-likelihood is below the
+        square of `reach`: where one scale is near zero, the expansion about the maximum says nothing. The
+        second scale's deviation runs over a grid between two that are out of reach, or from zero on; the
+        first follows by scoring, and its own reach ends where the drop is used up.
+        """
+        best = self.at(logs[np.newaxis])
+        tested, beside = np.moveaxis(best.logs[0], -1, 0)
+        steps = _FIRST_REACH * 1.5 ** np.arange(_WIDER)[:, np.newaxis]
+        tried = np.concatenate([np.exp(np.maximum(beside, -2.0) / 2) * steps, np.exp(beside / 2) / steps])
+        inside = 2 * (self._at_second(tried, tested).objective - best.objective) < reach**2
+        inside[-1] = False
+        tried[-1] = 0.0
+        out = [np.argmin(inside[:_WIDER], axis=0), _WIDER + np.argmin(inside[_WIDER:], axis=0)]
+        top, bottom = np.take_along_axis(tried, np.array(out), axis=0)
+        found = self._at_second(bottom + np.linspace(0.0, 1.0, _GRID)[:, np.newaxis] * (top - bottom), tested)
+        peak = np.minimum(best.objective, found.objective.min(axis=0))
+        left = reach**2 - 2 * (found.objective - peak)
+        width = np.sqrt(np.maximum(left, 0.0) / (found.matrix[..., 0, 0] + _TINY))
+        fast, slow = np.moveaxis(weights * np.exp(found.logs), -1, 0)
+        ends = np.where(left >= 0, fast * np.exp([-width, width]) + slow, np.nan)
+        # Where the reach ends between two points of the grid.
+        share = left[:-1] / (left[:-1] - left[1:])
+        crossing = (fast + slow)[:-1] + share * np.diff(fast + slow, axis=0)
+        crossing[left[:-1] * left[1:] > 0] = np.nan
+        value = weights @ np.exp(best.logs[0].T)
+        every = np.concatenate([*ends, crossing, value[np.newaxis]])
+        return value, np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+
+    def _at_second(self, deviations: FloatArray, tested: FloatArray) -> "Scales":
+        """Return the likelihood at the roots of the second scale, shape (t, g), the first at its best."""
+        logs = np.empty((*deviations.shape, 2))
+        logs[..., 0], logs[..., 1] = tested, 2 * np.log(np.maximum(deviations, np.exp(_INVISIBLE / 2)))
+        for _ in range(_SCORINGS):
+            found = self.at(logs)
+            logs[..., 0] -= np.clip(found.gradient[..., 0] / (found.matrix[..., 0, 0] + _TINY), -1.0, 1.0)
+        return self.at(logs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -26,12 +26,18 @@ from imucal.fitting.homogeneity import (
     widened,
     widened_covariance,
 )
-from imucal.fitting.noise_fit import Goodness, NoiseFit, Segments
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, Segments
 from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
-from imucal.fitting.spectral.bounds import estimate_or_bound, hull_estimates, numbered, with_absent
+from imucal.fitting.spectral.bounds import (
+    either,
+    estimate_or_bound,
+    hull_estimates,
+    numbered,
+    with_absent,
+)
 from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import (
     SHORTEST,
@@ -45,7 +51,7 @@ from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_fi
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
-from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
+from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
 
@@ -59,6 +65,7 @@ class View:
     ordinates: Ordinates
     whole: Ordinates
     common: tuple[str, ...]
+    doubtful: tuple[str, ...]
     findings: tuple[Finding, ...]
 
 
@@ -84,14 +91,6 @@ def fit_mle(
     view = spectral_view(series, structure, max_gm, temperature)
     shortest = SHORTEST if structure is None else SHORTEST_GIVEN
     band = view.band
-    choice = choose(
-        view.ordinates,
-        _structures(structure, max_gm, filtered=band.poles > 0),
-        criterion=settings.criterion,
-        band=band,
-        common=view.common,
-        shortest=shortest,
-    )
     problem = Problem(
         ordinates=view.ordinates,
         level=settings.level,
@@ -101,9 +100,12 @@ def fit_mle(
         tau0=series.tau0,
         widening={"N": heavy_tails(series.samples)},
     )
+    choice = _choice(problem, band, settings)
     fitted, own = estimate_or_bound(problem, choice)
     if structure is None:
         fitted, own, estimates = hull_estimates(problem, choice, fitted, own)
+        if view.doubtful:
+            estimates = either(estimates, _beside_doubtful(problem, view, settings))
     else:
         estimates = with_absent(problem, fitted, own)
     found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
@@ -190,6 +192,27 @@ def fit_mle(
     )
 
 
+def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels:
+    """Return the given structure, or those to choose from by their criterion, fitted."""
+    return choose(
+        problem.ordinates,
+        _structures(settings.structure, settings.max_gm, filtered=band.poles > 0),
+        criterion=settings.criterion,
+        band=band,
+        common=problem.common,
+        shortest=problem.shortest,
+    )
+
+
+def _beside_doubtful(problem: Problem, view: View, settings: FitSettings) -> tuple[Estimate, ...]:
+    """Return the estimates with the doubtful cycle taken out too."""
+    common = (*view.common, *view.doubtful)
+    ordinates = bin_blocks(view.blocks.blocks, view.blocks.scale, ("R", *common)).below(view.band.fraction)
+    problem = replace(problem, ordinates=ordinates, common=common)
+    choice = _choice(problem, view.band, settings)
+    return hull_estimates(problem, choice, *estimate_or_bound(problem, choice))[2]
+
+
 def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
     """Return the share of noise in each Allan variance, by the longest block; None where it is all noise.
 
@@ -233,8 +256,8 @@ def spectral_view(
 ) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    found, findings = find_shapes(series, blocks)
-    common = tuple(name for one in found for name in one.names)
+    found, doubtful, findings = find_shapes(series, blocks)
+    common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, richest(structure, max_gm), shortest=SHORTEST, common=common, given=structure)
     return View(
@@ -243,6 +266,7 @@ def spectral_view(
         ordinates=whole.below(band.fraction),
         whole=whole,
         common=common,
+        doubtful=may_be,
         findings=blocks.findings + findings,
     )
 

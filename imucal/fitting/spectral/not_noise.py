@@ -16,6 +16,7 @@ from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
 from imucal.fitting.spectral.disturbances import (
     Disturbance,
     disturbance_findings,
+    doubtful_finding,
     exact_places,
     find_disturbances,
 )
@@ -52,7 +53,7 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
         blocks = make_blocks(series, temperature)
     except DataError:
         return ()
-    found = find_disturbances(blocks.blocks, exact=exact_places(series))
+    found, _ = find_disturbances(blocks.blocks, exact=exact_places(series))
     common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, richest(None, 1), shortest=SHORTEST, common=common)
@@ -65,8 +66,8 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
 
 def find_shapes(
     series: AxisSeries, blocks: SeriesBlocks
-) -> tuple[tuple[Disturbance, ...], tuple[Finding, ...]]:
-    """Return what is to be taken out with the fit, and what to say of it and of two levels."""
+) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...], tuple[Finding, ...]]:
+    """Return what is to be taken out with the fit, what may be, and what to say of it and of two levels."""
     levels, no_levels = try_side_work(
         lambda: find_telegraph(series),
         None,
@@ -74,16 +75,18 @@ def find_shapes(
         code="not-checked",
         axis=series.name,
     )
-    found, no_shapes = try_side_work(
+    nothing: tuple[Disturbance, ...] = ()
+    (found, doubtful), no_shapes = try_side_work(
         lambda: find_disturbances(blocks.blocks, steps=levels is None, exact=exact_places(series)),
-        (),
+        (nothing, nothing),
         what="No look for steps and cycles",
         code="not-checked",
         axis=series.name,
     )
     said = telegraph_finding(levels, series)
     said += disturbance_findings(found, series, blocks.scale, fitted=True)
-    return found, said + no_levels + no_shapes
+    said += doubtful_finding(doubtful, series, blocks.scale)
+    return found, doubtful, said + no_levels + no_shapes
 
 
 def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ...]:

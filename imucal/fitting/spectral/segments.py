@@ -7,6 +7,7 @@ A term is tested with white noise free to vary beside it, so that a change of th
 blamed on the term; white noise itself with all slower terms free in one.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -20,13 +21,13 @@ from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import COLUMN, behind_filter
 from imucal.fitting.spectral.common_terms import Parts, visible
-from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
+from imucal.fitting.spectral.estimates import Fitted, Problem, quantile, student_quantile
 from imucal.fitting.spectral.likelihood import derivatives
 from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
-from imucal.fitting.spectral.scoring import bounds
+from imucal.fitting.spectral.scoring import bounds, covariance
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import in_order
+from imucal.noise.terms import in_order, term_keys
 from imucal.recording import AxisSeries
 
 #: Fewest samples of a segment, and of a part of it between two long gaps.
@@ -199,8 +200,8 @@ def fit_segments(
 ) -> Segments | None:
     """Return what the segments of finite samples say of their fit; None where they are too few for any.
 
-    `fitted` is the model that is shown, and `model` the same in SI; the minimum of the series' `curve` is
-    the averaging time of the floor. `wanted` and `fraction` as in `segment_ordinates`.
+    `fitted` is the model that is shown, and `model` the same in SI; where it is lowest on the series' `curve`
+    is the averaging time of the floor. `wanted` and `fraction` as in `segment_ordinates`.
     """
     names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
     found = segment_ordinates(
@@ -229,7 +230,7 @@ class _Tests:
     """The tests of one fit's terms, all side by side."""
 
     def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
-        self.problem, self.segments = problem, segments
+        self.problem, self.fitted, self.segments = problem, fitted, segments
         absent = [COLUMN[symbol] for symbol in fitted.missing]
         structure = in_order((*fitted.structure, *fitted.missing))
         candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
@@ -238,6 +239,7 @@ class _Tests:
         theta[:, absent] = low[absent]
         spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
         spectra *= visible(spectra, np.array(absent, dtype=np.int64))[:, np.newaxis]
+        self.spectra = spectra
         whole = np.delete(spectra, absent, axis=0).sum(axis=0)
         columns = {n: c for n, c in fitted.columns(fitted.missing) if not n.endswith(".T")}
         self.names = list(columns)
@@ -289,31 +291,52 @@ class _Tests:
     ) -> tuple[Trace | None, Trace | None, float]:
         """Return N and the floor of each segment, and the floor's averaging time."""
         length = float(np.min(self.segments.end_s - self.segments.start_s))
-        tau = min(curve.minimum[1], _PART * length)
+        # The curve's own lowest point may be any low one of its uncertain end.
+        lowest = curve.tau[int(np.argmin(model.avar(curve.m.astype(np.float64), rate_hz=series.rate_hz)))]
+        tau = min(float(lowest), _PART * length)
         m = np.array([max(tau / series.tau0, 1.0)])
-        shares: dict[str, float] = {}
-        for term in model.terms:
-            own = float(term.avar(m, 1 / series.rate_hz)[0])
-            shares[term.symbol] = shares.get(term.symbol, 0.0) + own
+        keys = term_keys(term.symbol for term in model.terms)
+        shares = {
+            key: float(term.avar(m, 1 / series.rate_hz)[0])
+            for key, term in zip(keys, model.terms, strict=True)
+        }
         white = next((term for term in model.terms if term.symbol == "N"), None)
-        slow = sum(share for symbol, share in shares.items() if symbol not in {"Q", "N", "R"})
+        slow = sum(share for key, share in shares.items() if key not in {"Q", "N", "R"})
         if white is None:
             return None, None, np.nan
         row = self.names.index("N")
         sure = self.parts.at(np.zeros(self.free.logs.shape))
         z, surplus = quantile(self.problem.level), self.surplus("N")
-        fast, rest = self.free.logs[row].T
+        fast = self.free.logs[row, :, 0]
         n = _trace(abs(white.values[0]), fast, z * np.sqrt(surplus / sure.information[row]))
         if not slow:
             return n, None, np.nan
-        fast, rest = shares["N"] * np.exp(fast), slow * np.exp(rest)
-        total = fast + rest + shares.get("Q", 0.0)
-        fast, rest = fast / total, rest / total
-        # The variance of the log of a sum of both parts that have these shares of it.
+        # What tells the slow part is a few ordinates: Student's quantile of the freedom that it has.
         (tested, both), (_, beside) = np.moveaxis(sure.matrix[row], 0, -1)
-        variance = surplus * fast**2 * beside - 2 * fast * rest * both + rest**2 * tested
-        error = np.sqrt(variance / (tested * beside - both**2))
-        return n, _trace(1.0, np.log(total), z * error), tau
+        reach = student_quantile(self.problem.level, np.sqrt(tested / (tested * beside - both**2)))
+        sums = self.parts.of(row).sum_limits(self.free.logs[row], np.array([shares["N"], slow]), reach)
+        value, low, high = np.log(np.array(sums) + shares.get("Q", 0.0)) / 2
+        shape = z * self._shape_error(row, shares, slow) / 2
+        low, high = value - np.hypot(value - low, shape), value + np.hypot(high - value, shape)
+        return n, Trace(value=np.exp(value), low=np.exp(low), high=np.exp(high)), tau
+
+    def _shape_error(self, row: int, shares: Mapping[str, float], slow: float) -> float:
+        """Return the standard error of the log of the floor's square that scales of its parts leave.
+
+        The segments have the ratios of the slow terms from the whole record. Where a term is larger than
+        there, each segment's scales make up for it at the frequencies that tell them, not at the floor's.
+        """
+        own = {name.partition(".")[0]: column for name, column in self.fitted.columns() if name[-2:] != ".T"}
+        keys = [key for key in shares if key in own]
+        columns = [own[key] for key in keys]
+        varied = self.parts.varied[row]
+        weight = 0.5 * self.segments.ordinates.size / (self.parts.held[row] + varied.sum(axis=0)) ** 2
+        scales = (weight * varied) @ varied.T
+        response = np.linalg.solve(scales, (weight * varied) @ self.spectra[columns].T)
+        slope = np.array([shares[key] for key in keys]) - np.array([shares["N"], slow]) @ response
+        inverse = covariance(self.fitted.maximum.information[0], self.fitted.candidate.free[0])
+        variance = float(slope @ inverse[np.ix_(columns, columns)] @ slope)
+        return math.sqrt(max(variance, 0.0)) / (slow + shares["N"] + shares.get("Q", 0.0))
 
 
 def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:

@@ -367,10 +367,11 @@ class Numbers:
         """Return N and the process that best stands for what is slower.
 
         A random walk that was found wins, with a nominal T: it goes on at the longest times, and a
-        short T would stop it. Else the slowest Gauss-Markov term, with its own T. Else the bound on K.
+        short T would stop it. Else the slowest Gauss-Markov term, with its own T, also where that is what the
+        walk is. Else the bound on K.
         """
         white, term = self.of(axis, "N"), self.gauss_markov(axis)
-        if term is not None and axis.fit["K"].value is None:
+        if term is not None and (axis.fit["K"].value is None or axis.fit["K"].drawn is None):
             sigma, time = term
             note = f"{white.note}; Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s"
             return WithBias(

@@ -51,7 +51,10 @@ def _axis_states(numbers: Numbers, axis: AxisReport) -> Iterator[str]:
     yield f"    rate_hz: {real(rate_hz)}"
     yield f"    white: {real(white.value * math.sqrt(rate_hz))}  # {white.note}"
     yield "    states:"
-    yield f"      - {{term: K, phi: 1.0, q: {real(walk.value / math.sqrt(rate_hz))}}}  # {walk.note}"
+    if axis.fit["K"].value is None or axis.fit["K"].drawn:
+        yield f"      - {{term: K, phi: 1.0, q: {real(walk.value / math.sqrt(rate_hz))}}}  # {walk.note}"
+    else:
+        yield f"    # K: what GM begins with, so that it is no state of its own; {walk.note}"
     for estimate in axis.fit.estimates:
         if estimate.symbol == GaussMarkov.symbol and estimate.value and estimate.correlation_time is not None:
             sigma = estimate.value * numbers.choices.factor(GaussMarkov.symbol)
@@ -133,8 +136,12 @@ def _members(numbers: Numbers, axis: AxisReport, estimate: Estimate) -> Iterator
         yield f"value: {real(estimate.value * factor)}"
         yield f"low: {real(estimate.low * factor)}"
         yield f"high: {real(estimate.high * factor)}"
+        if estimate.drawn is None:
+            yield "part_of: GM"
     if estimate.correlation_time is not None:
         yield f"correlation_time_s: {real(estimate.correlation_time.value)}"
+    if math.isfinite(estimate.horizon_s):
+        yield f"holds_to_s: {real(estimate.horizon_s)}"
     if estimate.alternatives:
         yield f"or: [{', '.join(estimate.alternatives)}]"
     yield f"unit: {quoted(TERMS[estimate.symbol].unit(axis.sensor))}"

@@ -61,7 +61,7 @@ def test_terms_are_chosen() -> None:
         fit = fit_gmwm(series, allan_curve(series), FitSettings())
         assert str(fit.model) == str(NoiseModel.parse(text))
         assert fit.candidates[0].delta == 0
-        assert fit.criterion == "bic"
+        assert fit.criterion == "chance"
 
 
 def test_eta3_reaches_the_minimum_of_its_objective() -> None:

@@ -1,5 +1,6 @@
 """The parts of an interval after the choice: what near models say, which are looked at, what is named."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -49,12 +50,29 @@ def _estimate(key: str, low: float, value: float, high: float, time: Interval | 
     )
 
 
+def _opinion(say: float, *terms: Estimate) -> bounds.Opinion:
+    return bounds.Opinion(say=say, terms={e.key: e for e in terms}, fitted=cast("Fitted", None))
+
+
 @pytest.mark.parametrize(
-    ("distance", "level"), [(0.0, 0.9545), (6.0, 0.9545), (7.5, 0.6827), (8.0, 0.4950), (9.0, 0.0)]
+    ("distance", "say", "level"),
+    [(0.0, 1.0, 0.9545), (6.0, 1.0, 0.9545), (7.5, 0.5, 0.6827), (8.0, 1 / 3, 0.4950), (8.999, 0.0, 0.0)],
 )
-def test_a_model_has_less_to_say_the_farther_it_is(distance: float, level: float) -> None:
+def test_a_model_has_less_to_say_the_farther_it_is(
+    monkeypatch: pytest.MonkeyPatch, distance: float, say: float, level: float
+) -> None:
     """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
-    assert bounds._with_say(PROBLEM, distance).level == pytest.approx(level, abs=1e-4)
+    levels = []
+
+    def estimates_of(problem: Problem, _: Fitted) -> tuple[Estimate, ...]:
+        levels.append(problem.level)
+        return (_estimate("K", 1.0, 2.0, 3.0),)
+
+    monkeypatch.setattr(bounds, "estimate", estimates_of)
+    found = bounds._opinion(PROBLEM, distance, cast("Fitted", None))
+    assert found.say == pytest.approx(say, abs=1e-3)
+    assert levels == pytest.approx([level], abs=1e-3)
+    assert not found.slow
 
 
 def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[tuple[float, str]]:
@@ -118,7 +136,7 @@ def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
         _estimate("GM", 1.0, 1.5, 2.0, Interval(value=9.0, low=7.0, high=11.0)),
         _estimate("GM", 2.5, 2.6, 2.7, Interval(value=13.0, low=9.0, high=14.0)),
     ]
-    found = bounds._hull(own, others)
+    found = bounds._hull(own, [(1.0, other) for other in others])
     assert (found.low, found.value, found.high) == (1.0, 3.0, 3.0)
     assert found.correlation_time == Interval(value=10.0, low=7.0, high=14.0)
     assert bounds._hull(own, []) is own
@@ -127,23 +145,34 @@ def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
 def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
     """By the highest limit of all, though the chosen model shows it."""
     own = _estimate("B", 2.0, 3.0, 4.0)
-    found = bounds._hull(own, [own, Estimate.bounded("B", "B", 5.0)])
-    assert found == Estimate.bounded("B", "B", 5.0)
+    for say in (1.0, 0.1):
+        found = bounds._hull(own, [(1.0, own), (say, Estimate.bounded("B", "B", 5.0))])
+        assert found == Estimate.bounded("B", "B", 5.0)
+
+
+@pytest.mark.parametrize(("say", "low"), [(0.25, 1.5), (0.75, 0.5), (0.99, None), (1.0, None)])
+def test_a_walk_is_bounded_by_a_model_with_full_say_only(say: float, low: float | None) -> None:
+    """One that is farther draws its lower limit towards zero, as much as it has to say."""
+    own, zero = _estimate("K", 2.0, 3.0, 4.0), Estimate.bounded("K", "K", 5.0)
+    found = bounds._hull(own, [(1.0, own), (say, zero)])
+    assert found == (Estimate.bounded("K", "K", 5.0) if low is None else _estimate("K", low, 3.0, 5.0))
+    assert _opinion(say, zero).vetoes("K") == (say == 1.0)
+    assert _opinion(say, replace(zero, key="B")).vetoes("B")
 
 
 @pytest.mark.parametrize(("low", "shown"), [(0.079, False), (0.081, True)])
 def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> None:
     """Less than a fiftieth of the upper one: ``34 [0, 77]`` would say that K is there and that it is not."""
     own = _estimate("K", low, 2.0, 4.0)
-    assert (bounds._hull(own, [own]).value is not None) == shown
+    assert (bounds._hull(own, [(1.0, own)]).value is not None) == shown
 
 
 def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
     """GM1 of two is another thing than GM of one; N is N in every model."""
     n, one, first, second = (_estimate(key, 1.0, 2.0, 3.0) for key in ("N", "GM", "GM1", "GM2"))
-    models = [{"N": n, "GM": one}, {"N": n, "GM1": first, "GM2": second}, {"N": n}]
-    assert bounds._span("N", {"N": n, "GM": one}, models) == [n, n, n]
-    assert bounds._span("GM", {"N": n, "GM": one}, models) == [one]
+    models = [_opinion(1.0, n, one), _opinion(0.5, n, first, second), _opinion(0.2, n)]
+    assert bounds._span("N", {"N": n, "GM": one}, models) == [(1.0, n), (0.5, n), (0.2, n)]
+    assert bounds._span("GM", {"N": n, "GM": one}, models) == [(1.0, one)]
 
 
 @pytest.mark.parametrize(("shown", "added"), [({"N", "B"}, "B"), ({"B", "K"}, "BK")])

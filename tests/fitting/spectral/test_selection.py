@@ -57,6 +57,7 @@ def test_prices_of_a_parameter() -> None:
     assert CRITERIA["bic"](1e6) == pytest.approx(np.log(1e6))
     assert CRITERIA["hq"](1e6) == pytest.approx(2 * np.log(np.log(1e6)))
     assert CRITERIA["aic"](1e6) == 2
+    assert CRITERIA["chance"](1e4) == CRITERIA["chance"](1e7) == 12
 
 
 def test_a_lower_price_never_chooses_fewer_parameters() -> None:
@@ -91,7 +92,7 @@ def test_says_which_terms_stand_for_one_another() -> None:
     ("arguments", "message"),
     [
         ({"method": "magic"}, "method 'magic' is not one of mle, gmwm, slope"),
-        ({"criterion": "cv"}, "criterion 'cv' is not one of bic, hq, aic"),
+        ({"criterion": "cv"}, "criterion 'cv' is not one of chance, bic, hq, aic"),
         ({"weights": "none"}, "weights 'none' is not one of full, eta3"),
         ({"level": 1.0}, "level must be between 0 and 1, got 1.0"),
         ({"max_gm": 5}, "max_gm must be 0, 1 or 2, got 5"),

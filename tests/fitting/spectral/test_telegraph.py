@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.telegraph import find_telegraph
+from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, simulated
@@ -34,6 +34,7 @@ def test_two_levels_are_found(amplitude: float, dwell: float, text: str) -> None
     assert found is not None
     assert found.amplitude == pytest.approx(1e-4 * amplitude, rel=0.15)
     assert found.dwell_s == pytest.approx(dwell / 10, rel=0.5)
+    assert not found.sawtooth
 
 
 def test_the_finding_is_a_warning_and_no_step_is_taken_out() -> None:
@@ -46,6 +47,26 @@ def test_the_finding_is_a_warning_and_no_step_is_taken_out() -> None:
     assert float(finding.text.partition("±")[2].split()[0]) == pytest.approx(2, rel=0.1)
     assert not any(finding.code == "step" for finding in fit.findings)
     assert fit.taken_out == {}
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_sawtooth_is_no_telegraph(way: float) -> None:
+    """Ramps of unequal length and jumps back, up or down; a telegraph's jumps are as many up as down."""
+    rng = np.random.default_rng(76)
+    named = 0
+    for seed in range(4):
+        resets = np.cumsum([0.0, *rng.uniform(2000, 6000, 40)])
+        ramp = np.arange(N) - resets[np.searchsorted(resets, np.arange(N), side="right") - 1]
+        samples = simulated("N=1e-4 + B=1e-5 + K=1e-6", N, 77 + seed, rate_hz=20.0) + way * 5e-8 * ramp
+        series = AxisSeries.from_samples(samples, rate_hz=20.0)
+        found = find_telegraph(series)
+        assert found is None or found.sawtooth
+        if found is not None:
+            named += 1
+            (finding,) = telegraph_finding(found, series)
+            assert (finding.level, finding.code) == ("warning", "sawtooth")
+            assert finding.text.startswith("The level ramps and jumps back, by some ")
+    assert named >= 2
 
 
 @pytest.mark.parametrize(
