@@ -176,7 +176,7 @@ def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
         if perhaps := _listed((unit, term) for unit, term in odd if (id(term), unit) not in sure):
             chance.append(f"{title}{perhaps}")
         if moving := _listed((unit, term) for term in model.terms for unit in term.drifting):
-            said.append(f"{title}moving with time or temperature as no other: {moving}")
+            said.append(f"{title}drifts with time or temperature unlike the others: {moving}")
     return said, chance
 
 
