@@ -1,5 +1,6 @@
 """Every command and every line of code in the README does what it says."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -19,3 +20,14 @@ def test_the_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
         run_block(language, text.replace("pip install . && ", ""), tmp_path)
     assert (tmp_path / "report" / "report.html").is_file()
     assert (tmp_path / "imu.yaml").is_file()
+    _shows_what_the_json_holds(next(text for language, text in blocks if language == "json"), tmp_path)
+
+
+def _shows_what_the_json_holds(shown: str, folder: Path) -> None:
+    """Words to the letter, numbers to the three digits that are shown."""
+    document = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    found = document["axes"][0]["fit"]["terms"]
+    for symbol, term in json.loads(shown).items():
+        for name, value in term.items():
+            own = found[symbol][name]
+            assert value == (float(f"{own:.3g}") if isinstance(own, float) else own), (symbol, name)
