@@ -68,6 +68,7 @@ PHRASES: Mapping[str, str] = {
     "touch": "something touched or shook the IMU",
     "truncated": "a log that was cut off",
     "two-maxima": "two explanations",
+    "uneven-stamps": "uneven stamps",
     "unit-assumed": "an assumed unit",
     "unit-suspect": "a unit that looks wrong",
     "verified": "an exact likelihood that disagrees",

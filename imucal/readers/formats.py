@@ -166,7 +166,8 @@ def _by_ending(path: Path, head: bytes) -> Format:
     if b"\x00" not in head or head.startswith(_BYTE_ORDER_MARKS):
         # A damaged binary log may have lost its first bytes; text never ends in .mcap.
         return ending if ending.damaged_start else text
-    if ending is text:
+    # Anybody's binary data may end in .bin; ArduPilot's begin with their mark.
+    if ending is text or name.endswith(".bin"):
         # Text of two bytes a letter may have no mark that says so.
         from imucal.readers.tables.text_source import utf16_order
 

@@ -346,7 +346,8 @@ Store: TypeAlias = HttpStore | ObjectStore
 _METADATA = "metadata.yaml"
 #: Endings of logs; a compressed text may have one more.
 _MESSAGES = (".mcap", ".bag", ".db3", ".bag.active", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst")
-_TABLES = (".csv", ".tsv", ".txt", ".log", ".dat", ".parquet", ".npz", ".npy", ".mat", ".ulg")
+_TEXTS = (".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl")
+_TABLES = (*_TEXTS, ".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat", ".ulg", ".bin", ".tlog")
 _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip")
 _LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED))
 

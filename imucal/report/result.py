@@ -166,5 +166,6 @@ class Report(Displayed):
     @property
     def _too_short(self) -> bool:
         """Whether no axis shows B or K, and the record tells nothing of the times that filters coast for."""
-        unseen = all(axis.fit[key].value is None for axis in self.axes for key in ("B", "K"))
+        slow = [term for axis in self.axes for term in axis.fit.estimates if term.key in {"B", "K"}]
+        unseen = bool(slow) and all(term.value is None for term in slow)
         return unseen and any(axis.samples and axis.duration_s < _TELLS_S for axis in self.axes)

@@ -64,7 +64,7 @@ def test_report_writes_its_files_and_says_what_matters(folder: Path) -> None:
 def test_report_says_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An old page does not stay in place of the one that can't be drawn."""
 
-    def broken(_: object) -> str:
+    def broken(*_: object) -> str:
         msg = "no ticks"
         raise ArithmeticError(msg)
 
