@@ -52,8 +52,8 @@ motion no-data no-gravity no-result nonstationary not-checked not-drawn not-fini
 output-filter poor-fit predicts-badly rate-differs rate-given record-length record-length-unknown
 records-differ rests roll-off rounding sampling-period saturated sawtooth second-opinion sensor-missing
 short-times spectral-ambiguity spikes stamps-out-of-order step stuck swapped-sensors telegraph
-temperature time-unused tone touch truncated two-maxima uneven-stamps unindexed unit-assumed unit-suspect verified
-wal-ignored warm-up warm-up-fitted weak-term wrapped zero-stamps
+temperature time-unused tone touch truncated two-maxima uneven-stamps unindexed unit-assumed unit-suspect
+verified wal-ignored warm-up warm-up-fitted weak-term wrapped zero-stamps
 """
 #: Every code that a finding may have, so that a limits file can't forbid one that doesn't exist;
 #: described in ``docs/findings.md``.
