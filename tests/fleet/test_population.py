@@ -123,11 +123,11 @@ def test_the_order_of_the_logs_does_not_matter() -> None:
 
 
 def test_intervals_cover() -> None:
-    """Forty fleets of 10 units with 3 logs: median, spreads and bound, each in about 95 % of them."""
+    """Twenty fleets of 10 units with 3 logs: median, spreads and bound, each in about 95 % of them."""
     rng = np.random.default_rng(4501)
     tau, omega = 0.2, 0.1
     held = np.zeros(4)
-    for _ in range(40):
+    for _ in range(20):
         found = population(strong_fleet(rng, units=10, logs=3, tau=tau, error=0.05, omega=omega))
         assert found.spread is not None
         assert found.within is not None
@@ -137,7 +137,7 @@ def test_intervals_cover() -> None:
             found.within.low <= omega <= found.within.high,
             (found.tolerance or 0.0) >= math.exp(ndtri(0.95) * tau),
         ]
-    assert (held >= 34).all()
+    assert (held >= 16).all()
 
 
 def test_a_weak_term_is_pooled_without_bias() -> None:
@@ -158,14 +158,14 @@ def test_what_all_logs_only_bound_has_bounds_that_hold(
 ) -> None:
     """Median, next unit and tolerance; a fleet that by chance shows the term has intervals that hold."""
     rng = np.random.default_rng(4505)
-    found = [population(weak_fleet(rng, units=units, logs=logs, tau=tau, error=error)) for _ in range(12)]
+    found = [population(weak_fleet(rng, units=units, logs=logs, tau=tau, error=error)) for _ in range(6)]
     bounded = [f for f in found if f.bounded]
-    assert len(bounded) >= 7
+    assert len(bounded) >= 3
     assert all(f.median.low == 0 and f.spread is None and f.within is None for f in bounded)
     assert all(f.prediction is not None and f.prediction[0] == 0 for f in bounded)
     assert {x.code for f in bounded for x in f.findings} == {"weak-term"}
-    assert sum(f.median.low <= 1 <= f.median.high for f in found) >= 10
-    assert sum((f.tolerance or 0) >= math.exp(ndtri(0.95) * tau) for f in found) >= 10
+    assert sum(f.median.low <= 1 <= f.median.high for f in found) >= 5
+    assert sum((f.tolerance or 0) >= math.exp(ndtri(0.95) * tau) for f in found) >= 5
 
 
 def test_a_bound_is_that_of_the_mean_square() -> None:
