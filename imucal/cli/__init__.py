@@ -260,7 +260,11 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
         # Whoever parses standard output learns there what went wrong, unless the results are there already.
         document = {
             "schema": "imucal/error/1",
-            "error": {"type": type(error).__name__, "message": message, "exit_code": code},
+            "error": {
+                "type": type(error).__name__,
+                "message": message.removeprefix("Error: "),
+                "exit_code": code,
+            },
         }
         click.echo(printable_json(json.dumps(document, indent=2)))
     return code

@@ -81,6 +81,11 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
             f"samples were stamped late, not when they were taken. The rate, {1e9 / tau:.6g} Hz, is their "
             f"mean and good to about {2 * jitter_ns / (tau * n):.1g} of it; N goes with the root of the rate."
         )
+    elif not period.bounded:
+        text = (
+            "Stamps go astray from an even grid: samples were taken at no even times, or most are missing. "
+            f"The rate, {1e9 / tau:.6g} Hz, is that of those there are; N goes with the root of the rate."
+        )
     elif period.regular and period.burst == 1 and not period.loose and usual > 1.02 * tau:
         text = (
             f"Most steps are {usual / 1e6:.4g} ms, as at {1e9 / usual:.6g} Hz, but there are {1e9 / tau:.6g} "

@@ -66,6 +66,8 @@ class Period:
     loose
         Samples by which a stamp may be late without any missing: of a batch by how long its last one waited,
         of a coarse clock by its tick; 0 where the stamps are fine.
+    bounded
+        Whether batches stay near their places; where they do not, nothing explains the stamps.
     """
 
     tau_ns: float
@@ -78,6 +80,7 @@ class Period:
     usual_ns: float = 0.0
     regular: bool = False
     loose: float = 0.0
+    bounded: bool = True
 
     @property
     def rate_hz(self) -> float:
@@ -229,6 +232,7 @@ def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -
                 last_place=last_place,
                 pause_ns=pause,
                 loose=max(loose if bounded else scatter, 1.0),
+                bounded=bounded,
             )
     return best, bounded
 

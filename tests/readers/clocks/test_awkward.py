@@ -231,3 +231,12 @@ def test_batches_in_every_kind_of_log(
     # White samples: N is their deviation over the root of the rate.
     n = float(np.std(series.samples)) / np.sqrt(series.rate_hz)
     npt.assert_allclose(n, np.std(values[2]) / np.sqrt(100.0), rtol=0.01)
+
+
+@pytest.mark.parametrize("share", [0.75, 0.85, 0.95])
+def test_losses_that_leave_no_step_of_one_sample_are_warned_of(share: float) -> None:
+    """Of 1000 Hz in whole ms hardly two samples in a row are there: no reading explains the stamps."""
+    rng = np.random.default_rng(round(1000 * share))
+    kept = np.sort(rng.choice(40_000, round(40_000 * (1 - share)), replace=False))
+    found = clock_from_stamps(kept.astype(np.int64) * MS, source="stamps")
+    assert "uneven-stamps" in {finding.code for finding in found.findings}
