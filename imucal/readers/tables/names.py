@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from imucal.readers.tables.layout import is_number
 from imucal.recording import Sensor
 from imucal.units import is_unit, parse_sample_unit, parse_time_unit
 
@@ -27,6 +28,7 @@ class NamedColumn:
 
     `words` are the name in small letters, without axis and unit. `axis` is 0, 1, 2 for x, y, z, or the
     number in a name; that may count from 1, which `numbered` tells. The unit stands as it is written.
+    `cells` are the first ones of the column.
     """
 
     index: int
@@ -36,6 +38,23 @@ class NamedColumn:
     axis: int | None = None
     numbered: bool = False
     unit: str | None = None
+    cells: Sequence[str] = ()
+
+    @property
+    def filled(self) -> list[str]:
+        """The cells that are not empty, without quotation marks."""
+        return [cell.strip("\"'") for cell in self.cells if cell]
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether there are filled cells, and all of them are numbers."""
+        return bool(filled := self.filled) and all(map(is_number, filled))
+
+    @property
+    def counts(self) -> list[int]:
+        """The filled cells as whole numbers; none where one is not."""
+        filled = self.filled
+        return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []
 
     @property
     def family(self) -> tuple[str, ...]:
@@ -126,7 +145,12 @@ def plain_name(header: str) -> str:
 
 
 def parse_column(
-    header: str, index: int, *, unit: str | None = None, context: frozenset[str] = frozenset()
+    header: str,
+    index: int,
+    *,
+    unit: str | None = None,
+    context: frozenset[str] = frozenset(),
+    cells: Sequence[str] = (),
 ) -> NamedColumn:
     """Return what the name of a column says.
 
@@ -151,7 +175,14 @@ def parse_column(
     if role in {Role.TEMPERATURE, Role.OTHER} or text == "T":
         role = _temperature(text, unit, role)
     return NamedColumn(
-        index=index, header=shown, words=tuple(words), role=role, axis=axis, numbered=numbered, unit=unit
+        index=index,
+        header=shown,
+        words=tuple(words),
+        role=role,
+        axis=axis,
+        numbered=numbered,
+        unit=unit,
+        cells=cells,
     )
 
 
@@ -287,3 +318,13 @@ def _temperature(text: str, unit: str | None, role: Role) -> Role:
     if text == "T" or (degrees and text.lower().startswith("t")):
         return Role.TEMPERATURE
     return role
+
+
+def sensor_of_name(name: str) -> Sensor | None:
+    """Return the sensor that the name of a file, or the tag of a row, names, if it names one."""
+    plain = name.lower()
+    gyro = re.search(r"gyr|angular|rotation_?rate", plain) is not None
+    accel = re.search(r"acc(?!u)", plain) is not None
+    if gyro == accel:
+        return None
+    return Sensor.GYROSCOPE if gyro else Sensor.ACCELEROMETER

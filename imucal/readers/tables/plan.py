@@ -1,11 +1,12 @@
 """What to read from a table: its sensors' columns, their times, the temperature, and why these.
 
-Names tell; a column of text may say whose a row is. What else speaks for a sensor only gives a columns text
-that is shown to the user, never taken. Columns that were not read are named where a sensor was not found.
+Names tell; a column of text, or the name of the file, may say whose a row is. What else speaks for a sensor
+only gives a columns text that is shown to the user, never taken. Columns that were not read are named where
+a sensor was not found.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
@@ -14,24 +15,17 @@ from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess
 from imucal.readers.tables.columns import (
-    Cells,
     ColumnsError,
-    ColumnSpec,
     NamedTable,
     Triad,
-    find_axes,
-    find_bare_triads,
-    find_temperature,
-    find_triads,
-    list_columns,
     parse_columns_text,
-    pick,
-    sensor_of_name,
     triad_of,
+    triad_of_axes,
+    unit_of,
 )
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
+from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name, sensor_of_name
 from imucal.readers.tables.proposals import likely, may_be_samples, proposal
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import AXES, Sensor
@@ -50,6 +44,13 @@ _INSTANCE = frozenset(
         *("type", "stream", "channel"),
     )
 )
+
+#: Text of a row's tag for the gyroscope -> for the accelerometer.
+_PARTNERS = {
+    case(gyro): case(accel)
+    for gyro, accel in (("gyro", "accel"), ("gyroscope", "accelerometer"), ("gyr", "acc"))
+    for case in (str.lower, str.capitalize, str.upper)
+}
 
 #: Columns that a message lists, and ready texts that it shows.
 _LISTED, _SHOWN = 12, 4
@@ -92,7 +93,7 @@ class TablePlan:
 def make_plan(
     path: str,
     headers: Sequence[str],
-    cells: Cells,
+    cells: Callable[[int], Sequence[str]],
     options: ReadOptions,
     *,
     units: Sequence[str | None] = (),
@@ -113,23 +114,23 @@ def make_plan(
     context = frozenset(header.strip().strip("\"'").lower() for header in headers)
     row_units = [*units, *([None] * len(headers))]
     columns = tuple(
-        parse_column(header, index, unit=row_units[index], context=context)
+        parse_column(header, index, unit=row_units[index], context=context, cells=cells(index))
         for index, header in enumerate(headers)
     )
     dialect = find_dialect(headers, preamble)
-    table = NamedTable(path=path, columns=columns, cells=cells, dialect=dialect, preamble=preamble)
+    table = NamedTable(path=path, columns=columns, dialect=dialect, preamble=preamble)
     try:
         if options.columns is not None:
-            return _as_asked(table, parse_columns_text(options.columns, table), options)
+            return _as_asked(table, options.columns, options)
         return _by_name(table, options, name or PurePath(path).name, shape)
     except ColumnsError as error:
         if error.example:
             raise
-        found = list_columns(table.headers, table.cells)
-        raise ColumnsError.of(path, error.problem, found, propose(table, options)) from None
+        raise table.ask(error.problem, example=propose(table, options)) from None
 
 
-def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
+def _as_asked(table: NamedTable, text: str, options: ReadOptions) -> TablePlan:
+    asked = parse_columns_text(text, table)
     time = time_of_columns(table, asked.time) if asked.time else None
     sensors = [
         SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
@@ -139,17 +140,26 @@ def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> Tab
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
-    gyro, accel, reason = _sensors(table, options, name)
+    given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
+    triads = find_triads(table, units_given=given)
+    gyro, accel = (_pick(table, triads, sensor) for sensor in Sensor)
+    reason = _BY_NAME
+    if not triads:
+        gyro, accel, reason = find_bare_triads(table, name)
+    if gyro is None and accel is None:
+        # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
+        gyro, accel = (_single_axes(table, sensor) for sensor in Sensor)
+        reason = _BY_NAME
     if gyro is None and accel is None:
         raise _nothing_found(table, shape)
     if reason == _BY_NAME:
-        gyro, accel, rows = rows_of_sensors(table, gyro, accel)
+        gyro, accel, rows = _rows_of_sensors(table, gyro, accel)
         reason += f", {rows}" if rows else ""
-    triads = [triad for triad in (gyro, accel) if triad is not None]
-    near = [index for triad in triads for index in triad.indices]
-    sensors = [_with_time(table, triad, options) for triad in triads]
+    found = [triad for triad in (gyro, accel) if triad is not None]
+    near = [index for triad in found for index in triad.indices]
+    sensors = [_with_time(table, triad, options) for triad in found]
     plan = _plan(table, sensors, find_temperature(table.columns, near=near), reason)
-    return replace(plan, findings=missing_sensor(table, gyro, accel))
+    return replace(plan, findings=_missing(table, {Sensor.GYROSCOPE: gyro, Sensor.ACCELEROMETER: accel}))
 
 
 def _plan(
@@ -160,13 +170,12 @@ def _plan(
         named = zip(triad.headers, triad.indices, strict=True)
         shown = ", ".join(header or f"column {index}" for header, index in named)
         decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
-    dialect = table.dialect
-    if dialect is not None:
-        decisions.append(("layout", f"{dialect.name}, from the column names"))
+    if table.dialect is not None:
+        decisions.append(("layout", f"{table.dialect.name}, from the column names"))
     return TablePlan(
-        sensors=tuple(replace(plan, stated=_stated_unit(plan.triad, dialect)) for plan in sensors),
+        sensors=tuple(replace(plan, stated=_stated_unit(plan.triad, table.dialect)) for plan in sensors),
         temperature=temperature,
-        dialect=dialect,
+        dialect=table.dialect,
         decisions=tuple(decisions),
     )
 
@@ -178,23 +187,19 @@ def _stated_unit(triad: Triad, dialect: Dialect | None) -> UnitGuess | None:
     return UnitGuess(unit=usual, reason=f"as {dialect.name} logs it") if dialect and usual else None
 
 
-def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
-    given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
-    triads = find_triads(table, units_given=given)
-    if triads:
-        return pick(table, triads, Sensor.GYROSCOPE), pick(table, triads, Sensor.ACCELEROMETER), _BY_NAME
-    bare = find_bare_triads(table, name)
-    # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
-    return bare if any(bare[:2]) else (*find_axes(table), _BY_NAME)
-
-
 def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorPlan:
     if options.time is not None and options.time not in _CLOCKS:
         return SensorPlan(triad=triad, time=named_time(table, options.time))
     times = choose_times(table, triad.sensor)
     stamps = [time for time in times if time.kind != "counter"]
     if options.time == "log":
-        return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
+        if len(stamps) < 2:
+            msg = (
+                f"{table.path}: there is no log time beside the stamps; found times: "
+                f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
+            )
+            raise ChoiceError(msg)
+        return SensorPlan(triad=triad, time=stamps[1])
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
         # Stamps that stand still are still the first choice: the clock says so and takes the log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
@@ -203,25 +208,11 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
     return SensorPlan(triad=triad, time=next(iter(times), None))
 
 
-def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
-    if len(stamps) > 1:
-        return stamps[1]
-    msg = (
-        f"{table.path}: there is no log time beside the stamps; found times: "
-        f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
-    )
-    raise ChoiceError(msg)
-
-
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
     """Return the error for a table without a complete triad."""
-    partial = [
-        f"{column.header} ({column.role})"
-        for column in table.columns
-        if column.role in {Role.GYROSCOPE, Role.ACCELEROMETER}
-    ]
-    if not any(header.strip() for header in table.headers):
-        problem = f"nothing names the {len(table.headers)} columns, and their order is not guessed"
+    partial = [f"{c.header} ({c.role})" for c in table.columns if c.role in {*map(Role, Sensor)}]
+    if not any(column.header for column in table.columns):
+        problem = f"nothing names the {len(table.columns)} columns, and their order is not guessed"
     elif partial:
         problem = f"x, y and z of one sensor are needed, found only {', '.join(partial)}"
     else:
@@ -229,66 +220,191 @@ def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
     return table.ask(f"{shape}: {problem}" if shape else problem)
 
 
-def rows_of_sensors(
+def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
+    """Yield the columns of some roles by their axes, in sets whose names differ in nothing else.
+
+    Two columns of one axis are a ChoiceError.
+    """
+    families: dict[tuple[str, ...], list[NamedColumn]] = {}
+    for column in table.columns:
+        if column.axis is not None and column.role in roles:
+            families.setdefault(column.family, []).append(column)
+    for members in families.values():
+        numbers = sorted(column.axis or 0 for column in members)
+        first = 1 if numbers == [1, 2, 3] and all(column.numbered for column in members) else 0
+        axes: dict[int, NamedColumn] = {}
+        for column in members:
+            other = axes.setdefault((column.axis or 0) - first, column)
+            if other is not column:
+                problem = f"columns {other.index} and {column.index} are both {column.header!r}"
+                raise table.ask(problem)
+        yield axes
+
+
+def _is_whole(axes: dict[int, NamedColumn]) -> bool:
+    """Return whether x, y and z are there; of more numbers, such as those of a matrix, none tells an axis."""
+    return axes.keys() == {0, 1, 2}
+
+
+def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
+    """Return every complete x, y, z of a sensor, in the order of the table; second choices last.
+
+    A vector without a sensor (bare x, y, z) is not among them. Two columns of the same name are a
+    ChoiceError, and so are different units in one triad of which the caller gave none.
+    """
+    triads = []
+    for axes in filter(_is_whole, _families(table, *map(Role, Sensor))):
+        sensor, columns = Sensor(str(axes[0].role)), [axes[at] for at in range(3)]
+        units = [unit_of(sensor, column) for column in columns]
+        # A unit behind one name is that of the others too: wx(rad/s), wy, wz.
+        if sensor not in units_given and len({*units} - {None}) > 1:
+            named = zip(columns, units, strict=True)
+            shown = ", ".join(f"{column.header} in {unit or 'no unit'}" for column, unit in named)
+            msg = (
+                f"{table.path}: the axes of the {sensor} carry different units ({shown}), so at least one of "
+                f"them is wrong; expected one unit; give the unit of the {sensor}, or correct the header; "
+                f"found columns: {table.listed}"
+            )
+            raise ChoiceError(msg)
+        triads.append(triad_of(sensor, columns))
+
+    def is_linear(triad: Triad) -> bool:
+        # Linear acceleration, which phones give without gravity.
+        header = triad.headers[0].lower().lstrip("\"'")
+        return triad.sensor is Sensor.ACCELEROMETER and header.startswith("lin")
+
+    measured = {triad.sensor for triad in triads if not is_linear(triad)}
+    kept = [triad for triad in triads if not is_linear(triad) or triad.sensor not in measured]
+    return sorted(kept, key=lambda triad: triad.sensor is Sensor.ACCELEROMETER)
+
+
+def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
+    """Return the single axes of a sensor of which no triad is complete: a gyroscope about z, say.
+
+    None where axes are numbered, carry different units, or belong to several sets.
+    """
+    sets = list(_families(table, Role(str(sensor))))
+    if len(sets) != 1:
+        return None
+    units = {unit_of(sensor, column) for column in sets[0].values()} - {None}
+    if len(units) > 1 or any(column.numbered for column in sets[0].values()):
+        return None
+    return triad_of_axes(sensor, sets[0])
+
+
+def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | None:
+    """Return the only triad of a sensor, or None; a ChoiceError where there are several."""
+    found = [triad for triad in triads if triad.sensor is sensor]
+    if len(found) <= 1:
+        return next(iter(found), None)
+    gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
+    accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
+
+    def likeness(pair: tuple[Triad, ...]) -> tuple[int, int]:
+        first, second = (set(table.columns[triad.indices[0]].words) for triad in pair)
+        apart = abs(pair[0].indices[0] - pair[1].indices[0])
+        return len(first & second) - len(first ^ second), -apart
+
+    # A gyroscope and the accelerometer that goes with it: by the words they share, then by place.
+    pairs: list[tuple[Triad, ...]] = [(triad,) for triad in triads]
+    if gyros and len(gyros) >= len(accels) > 0:
+        pairs = [max(((gyro, accel) for accel in accels), key=likeness) for gyro in gyros]
+    elif gyros and accels:
+        pairs = [max(((gyro, accel) for gyro in gyros), key=likeness) for accel in accels]
+    texts = [table.columns_text(*pair) for pair in pairs[:_SHOWN]]
+    problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
+    raise table.ask(problem, example=" or ".join(texts))
+
+
+def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()) -> int | None:
+    """Return the index of the temperature column; of several, the one nearest the sensors' columns."""
+    indices = [column.index for column in columns if column.role is Role.TEMPERATURE]
+    return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
+
+
+def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad | None, str]:
+    """Return the sensors of bare columns x, y, z: by a column of tags, or by the name of the file.
+
+    Gyroscope, accelerometer, and how they were found; None twice where there are no such columns. A
+    ChoiceError where nothing says which sensor they are.
+    """
+    axes = next(filter(_is_whole, _families(table, Role.VECTOR)), None)
+    if axes is None:
+        return None, None, ""
+    both = {sensor: triad_of(sensor, [axes[at] for at in range(3)]) for sensor in Sensor}
+    gyro, accel = both.values()
+    for column in table.columns:
+        tags = _tags({cell for cell in column.filled if not is_number(cell)})
+        several = max(map(len, tags.values()))
+        if several > 1:
+            texts = []
+            for k in range(several):
+                rows = {sensor: names[min(k, len(names) - 1)] for sensor, names in tags.items() if names}
+                parts = [both[sensor].text(f"@{tag}") for sensor, tag in rows.items()]
+                texts.append(",".join(filter(None, [table.columns_text(), *parts])))
+            problem = f"rows of several sensors: {', '.join(tag for names in tags.values() for tag in names)}"
+            raise table.ask(problem, example=" or ".join(texts))
+        if several:
+            gyros, accels = (
+                replace(both[sensor], rows=(column.index, names[0])) if names else None
+                for sensor, names in tags.items()
+            )
+            return gyros, accels, f"by the tags of column {column.header or column.index}"
+    sensor = sensor_of_name(name)
+    if sensor is None:
+        problem = f"x, y and z are there ({', '.join(gyro.headers)}), but not of which sensor"
+        raise table.ask(problem, example=f"{table.columns_text(gyro)} or {table.columns_text(accel)}")
+    by_name = "by the name of the file"
+    return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
+
+
+def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
+    """Return the tags of each sensor's rows; one of a usual pair tells both."""
+    gyros, accels = (sorted(t for t in texts if t.lower().startswith(start)) for start in ("gyr", "acc"))
+    if not gyros:
+        gyros = [name for name, other in _PARTNERS.items() if accels == [other]]
+    if not accels and len(gyros) == 1 and gyros[0] in _PARTNERS:
+        accels = [_PARTNERS[gyros[0]]]
+    return {Sensor.GYROSCOPE: gyros, Sensor.ACCELEROMETER: accels}
+
+
+def _rows_of_sensors(
     table: NamedTable, gyro: Triad | None, accel: Triad | None
 ) -> tuple[Triad | None, Triad | None, str]:
     """Restrict columns that were found by name to the rows of their sensor, where a column of text names it.
 
     The accelerometer's rows may use the columns that the header names for the gyroscope, and the other
-    way round. Also returns how the rows were found; empty where all rows are of the sensors.
-
-    Raises
-    ------
-    ChoiceError
-        If rows of several sensors can't be told apart; the message says how to choose.
+    way round. Also returns how the rows were found; empty where all rows are of the sensors. A ChoiceError
+    if rows of several sensors can't be told apart; the message says how to choose.
     """
-    found = _tag_column(table)
-    if found is None:
+    for column in table.columns:
+        texts = [] if column.role is Role.TIME else sorted({*column.filled})
+        tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
+        if len(texts) <= _MOST_TAGS and any(tags.values()) and not any(map(is_number, texts)):
+            break
+    else:
         _refuse_instances(table, gyro, accel)
         return gyro, accel, ""
-    column, tags = found
-    both: dict[Sensor, Triad | None] = {}
+    header = column.header or column.index
+    both: list[Triad | None] = []
     for sensor, own, other in ((Sensor.GYROSCOPE, gyro, accel), (Sensor.ACCELEROMETER, accel, gyro)):
-        names = tags[sensor]
-        triad = own
-        if own is None and other is not None and names:
-            # The header names these columns for the other sensor, and not this one's unit.
-            own_names = table.names_of_rows(names[0])
-            triad = triad_of(sensor, [parse_column(own_names[at], at) for at in other.indices])
+        names, triad = tags[sensor], own
+        if triad is None and other is not None and names:
+            # The header names these columns for the other sensor, and not this one's unit; a comment may
+            # name the cells of tagged rows.
+            comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
+            plain = [f"column {column.index}" for column in table.columns]
+            cells = next((row for row in comments if row[0] == names[0] and len(row) >= len(plain)), plain)
+            triad = triad_of(sensor, [parse_column(cells[at], at) for at in other.indices])
         if triad is not None and len(names) != 1:
-            raise _unclear(table, column, triad, tags)
-        both[sensor] = replace(triad, rows=(column.index, names[0])) if triad is not None else None
-    reason = f"in the rows that column {column.header.strip() or column.index} names"
-    return both[Sensor.GYROSCOPE], both[Sensor.ACCELEROMETER], reason
-
-
-def _tag_column(table: NamedTable) -> tuple[NamedColumn, dict[Sensor, list[str]]] | None:
-    """Return the column of text that names the sensors of rows, and which text names which."""
-    for column in table.columns:
-        texts = [] if column.role is Role.TIME else _texts(table, column.index)
-        tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
-        if len(texts) <= _MOST_TAGS and any(tags.values()):
-            return column, tags
-    return None
-
-
-def _unclear(
-    table: NamedTable, column: NamedColumn, triad: Triad, tags: dict[Sensor, list[str]]
-) -> ColumnsError:
-    """Return the error for rows of which none, or several kinds, are the sensor's."""
-    names, texts = tags[triad.sensor], _texts(table, column.index)
-    rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
-    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
-    found = f"{len(names)} of them name" if names else "none of them names"
-    header = column.header.strip() or column.index
-    problem = f"column {header} says whose a row is ({', '.join(texts)}); {found} the {triad.sensor}"
-    return table.ask(problem, example=" or ".join(examples))
-
-
-def _texts(table: NamedTable, index: int) -> list[str]:
-    """Return the different texts of a column; none where it holds numbers too."""
-    cells = set(table.filled(index))
-    return [] if any(map(is_number, cells)) else sorted(cells)
+            others = [text for text in texts if not any(text in named for named in tags.values())]
+            rows = (names or others or texts)[:_SHOWN]
+            examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows]
+            found = f"{len(names)} of them name" if names else "none of them names"
+            problem = f"column {header} says whose a row is ({', '.join(texts)}); {found} the {sensor}"
+            raise table.ask(problem, example=" or ".join(examples))
+        both.append(replace(triad, rows=(column.index, names[0])) if triad is not None else None)
+    return both[0], both[1], f"in the rows that column {header} names"
 
 
 def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> None:
@@ -297,39 +413,33 @@ def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None
     # The last part of a name counts: frame_id of header.frame_id.
     columns = [c for c in table.columns if plain_name(c.header).rpartition(".")[2] in _INSTANCE]
     for column in columns if first is not None else ():
-        devices = _devices(table.cells(column.index), table.cells(first.indices[0] if first else 0))
-        if len(devices) < 2:
+        samples = table.columns[first.indices[0] if first else 0].cells
+        pairs = zip(column.cells, samples, strict=False)
+        devices = sorted({cell.strip("\"'") for cell, sample in pairs if cell and sample})
+        if all(map(str.isdigit, devices)):
+            devices.sort(key=int)
+        elif any(map(is_number, devices)):
             continue
-        name = column.header.strip().strip("\"'")
+        if not 1 < len(devices) <= _MOST_TAGS:
+            continue
+        name = column.header.strip("\"'")
         at = name if re.fullmatch(r"\w+", name) else str(column.index)
         texts = [table.columns_text(gyro, accel, rows=f"@{at}:{cell}") for cell in devices[:_SHOWN]]
         problem = f"rows of {len(devices)} sensors, told apart by column {name} ({', '.join(devices)})"
         raise table.ask(problem, example=" or ".join(texts))
 
 
-def _devices(cells: Sequence[str], samples: Sequence[str]) -> list[str]:
-    """Return the numbers or names of several devices in the rows that hold samples; none of a single one."""
-    pairs = zip(cells, samples, strict=False)
-    found = {cell.strip("\"'") for cell, sample in pairs if cell and sample}
-    if not 1 < len(found) <= _MOST_TAGS:
-        return []
-    if all(map(str.isdigit, found)):
-        return sorted(found, key=int)
-    return [] if any(map(is_number, found)) else sorted(found)
-
-
-def missing_sensor(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> tuple[Finding, ...]:
+def _missing(table: NamedTable, found: dict[Sensor, Triad | None]) -> tuple[Finding, ...]:
     """Return a finding where a sensor, or an axis, was not found and columns of numbers were left over.
 
     Columns x, y, z, or some of them, that are left over may be the sensor: that is a warning, which says
     what names them. Others are listed in a remark.
     """
-    found = {Sensor.GYROSCOPE: gyro, Sensor.ACCELEROMETER: accel}
     used = {index for triad in found.values() if triad is not None for index in triad.indices}
-    left = [column for column in table.columns if column.index not in used and may_be_samples(table, column)]
+    left = [column for column in table.columns if column.index not in used and may_be_samples(column)]
     if not left:
         return ()
-    shown = [f"{column.index} {column.header.strip() or '(no name)'}" for column in left[:_LISTED]]
+    shown = [f"{column.index} {column.header or '(no name)'}" for column in left[:_LISTED]]
     shown += [f"… {len(left) - _LISTED} more"] if len(left) > _LISTED else []
     listed = f"columns that were not read: {', '.join(shown)}."
     guessed = likely(table, found)
@@ -349,17 +459,17 @@ def missing_sensor(table: NamedTable, gyro: Triad | None, accel: Triad | None) -
     return tuple(findings)
 
 
-def works(table: NamedTable, options: ReadOptions, text: str) -> bool:
-    """Return whether a columns text names columns of numbers, and a time, in a table."""
-    try:
-        plan = _as_asked(table, parse_columns_text(text, table), options)
-    except ChoiceError:
-        return False
-    indices = [index for sensor in plan.sensors for index in sensor.triad.indices]
-    return all(is_number(cell) for index in indices for cell in table.cells(index) if cell)
-
-
 def propose(table: NamedTable, options: ReadOptions, *, first: Sequence[str] = (), rows: str = "") -> str:
-    """Return a columns text that works on a table: one of those `first`, or the likeliest; or none."""
-    texts = (*first, proposal(table, name=PurePath(table.path).name, rows=rows))
-    return next((text for text in texts if text and works(table, options, text)), "")
+    """Return a columns text that works on a table: one of those `first`, or the likeliest; or none.
+
+    It works where it names columns of numbers, and a time.
+    """
+    for text in filter(None, (*first, proposal(table, name=PurePath(table.path).name, rows=rows))):
+        try:
+            plan = _as_asked(table, text, options)
+        except ChoiceError:
+            continue
+        indices = [index for sensor in plan.sensors for index in sensor.triad.indices]
+        if all(is_number(cell) for index in indices for cell in table.columns[index].cells if cell):
+            return text
+    return ""

@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 
 from imucal.readers.scales import shows_gravity
-from imucal.readers.tables.columns import NamedTable, Triad, sensor_of_name, triad_of_axes
-from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
-from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, plain_name
+from imucal.readers.tables.columns import NamedTable, Triad, triad_of_axes
+from imucal.readers.tables.dates import is_text_stamp
+from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, plain_name, sensor_of_name
+from imucal.readers.tables.stamps import dates_and_times
 from imucal.recording import AXES, Sensor
 
 #: Less speaks for nothing.
@@ -39,13 +39,12 @@ _HINTS = {
 _NUMBERED = re.compile(r"(.*\D)(\d)(\W*)")
 
 
-def may_be_samples(table: NamedTable, column: NamedColumn) -> bool:
+def may_be_samples(column: NamedColumn) -> bool:
     """Return whether a column holds numbers, and its name says nothing else than samples."""
-    cells = table.filled(column.index)
-    counts = column.role is Role.COUNTER and all(map(str.isdecimal, cells))
+    counts = column.role is Role.COUNTER and column.counts
     if counts or column.role in {Role.TIME, Role.TEMPERATURE} or is_of_something_else(column):
         return False
-    return _is_numeric(cells)
+    return column.is_numeric
 
 
 def likely(
@@ -74,7 +73,7 @@ def _likeliest(
 ) -> Triad | None:
     """Return the columns of a sensor that most speaks for, beside those of another that is known."""
     used = {*taken, *(index for triad in others for index in triad.indices)}
-    free = [c for c in table.columns if c.index not in used and may_be_samples(table, c)]
+    free = [c for c in table.columns if c.index not in used and may_be_samples(c)]
     several = len(free) > _NARROW
     scored = [
         (
@@ -149,7 +148,7 @@ def _score(
     score = (_TAGGED if tagged else 0) + _unknown(columns)
     if others:
         return score + _beside(table, columns, others[0])
-    told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(table, columns)
+    told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
     return score + (_GRAVITY if told else 0)
 
 
@@ -168,9 +167,9 @@ def _unknown(columns: Sequence[NamedColumn]) -> int:
     return _UNKNOWN if any(c.header.strip() and c.role is not Role.VECTOR for c in columns) else 0
 
 
-def _is_gravity(table: NamedTable, columns: Sequence[NamedColumn]) -> bool:
+def _is_gravity(columns: Sequence[NamedColumn]) -> bool:
     """Return whether the mean vector of three columns is gravity, in some unit."""
-    cells = [table.filled(column.index) for column in columns]
+    cells = [column.filled for column in columns]
     if len({len(column) for column in cells}) > 1:
         return False
     rows = np.array([[float(cell) for cell in column] for column in cells]).T
@@ -194,40 +193,30 @@ def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
 
 def _one_axis(table: NamedTable, taken: Sequence[int], name: str) -> dict[Sensor, Triad | None]:
     """Return the only column of a log of one axis, about z; of a name that says nothing the file's may."""
-    free = [c for c in table.columns if c.index not in taken and _is_numeric(table.filled(c.index))]
+    free = [column for column in table.columns if column.index not in taken and column.is_numeric]
     sensor = sensor_of_name(name)
-    if len(free) != 1 or (free[0].header.strip() and sensor is None):
+    if len(free) != 1 or (free[0].header and sensor is None):
         return {}
     sensor = sensor or Sensor.GYROSCOPE
     return {sensor: triad_of_axes(sensor, {2: free[0]})}
 
 
-def _is_numeric(cells: Sequence[str]) -> bool:
-    return bool(cells) and all(map(is_number, cells))
-
-
 def _onward(table: NamedTable) -> str:
     """Return the first column of numbers that only goes on, beside others."""
-    numeric = [c.index for c in table.columns if _is_numeric(table.filled(c.index))]
-    for index in numeric if len(numeric) > 1 else ():
-        steps = [b - a for a, b in pairwise(map(float, table.filled(index)))]
+    numeric = [column for column in table.columns if column.is_numeric]
+    for column in numeric if len(numeric) > 1 else ():
+        steps = [b - a for a, b in pairwise(map(float, column.filled))]
         if steps and min(steps) >= 0 < max(steps):
-            return str(index)
+            return str(column.index)
     return ""
 
 
 def _text_time(table: NamedTable) -> str:
     """Return the columns of a time that is a text: a date with a time, or a date, a time and AM or PM."""
-    width = len(table.columns)
-    for index in range(width):
-        column = table.cells(index)
-        if column and all(map(is_text_stamp, column)):
-            return str(index)
-        if (
-            text_kind(column) == "date"
-            and index + 1 < width
-            and all(map(is_time_of_day, table.cells(index + 1)))
-        ):
-            half = index + 2 < width and text_kind(table.cells(index + 2)) == "half"
-            return "+".join(map(str, range(index, index + 2 + half)))
+    dated = {columns[0].index: columns for columns in dates_and_times(table)}
+    for column in table.columns:
+        if column.cells and all(map(is_text_stamp, column.cells)):
+            return str(column.index)
+        if column.index in dated:
+            return "+".join(str(part.index) for part in dated[column.index])
     return ""

@@ -3,7 +3,7 @@
 Joins of columns, counters that wrap, texts, and units that only the steps show.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal, TypeAlias, cast
@@ -16,7 +16,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.clocks import estimate_period
 from imucal.readers.clocks.period import RATES
 from imucal.readers.store import Room, extremes
-from imucal.readers.tables.columns import NamedTable, list_columns
+from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.dates import (
     DAY,
     HALF_DAY,
@@ -322,15 +322,22 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     Stamps come before counters; columns that are empty, or stand still over the first rows, come
     after those that go on.
     """
-    found = [*_pairs(table), *_weeks(table), *_dates(table), *_dates_and_times(table, sensor)]
+    found = [*_pairs(table), *_weeks(table), *_dates(table)]
+    for date, time, *half in dates_and_times(table):
+        found.append((_score(time, sensor), _texts(date, time, *half)))
     taken = {index for _, choice in found for index in choice.indices}
     for column in table.columns:
         if column.role is Role.TIME and column.index not in taken:
             choice = _single(table, column)
             if choice is not None:
-                found.append((_score(column, table.cells(column.index), sensor), choice))
+                found.append((_score(column, sensor), choice))
     found.sort(key=lambda entry: -entry[0])
-    return [choice for score, choice in found if score > 0] + _counters(table)
+    counters = [c for c in table.columns if c.role is Role.COUNTER and _goes_on(c.counts)]
+    return [choice for score, choice in found if score > 0] + [_joined("counter", c) for c in counters]
+
+
+def _goes_on(counts: Sequence[int]) -> bool:
+    return len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts)
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
@@ -339,17 +346,17 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     A ChoiceError if it is none.
     """
     columns = [table.columns[index] for index in indices]
-    if len(columns) > 1 and text_kind(table.cells(indices[0])) == "date":
-        return _texts(table, *columns)
+    if len(columns) > 1 and text_kind(columns[0].cells) == "date":
+        return _texts(*columns)
     if len(columns) == 2:
-        return _week(*columns) if _is_week(table, *columns) else _pair(table, *columns)
+        return _week(*columns) if _is_week(*columns) else _pair(*columns)
     if len(columns) > 2:
         problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
         raise table.ask(problem)
     (column,) = columns
     choice = _single(table, column)
     if choice is None:
-        found = next((cell for cell in table.cells(column.index) if cell), "nothing")
+        found = next(filter(None, column.cells), "nothing")
         problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
         raise table.ask(problem)
     return _joined("counter", column) if column.role is Role.COUNTER else choice
@@ -360,8 +367,7 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
     try:
         indices = [table.index_of(part) for part in name.split("+")]
     except ValueError as error:
-        found = list_columns(table.headers)
-        msg = f"{table.path}: there is no time column {name!r}; found columns: {found}"
+        msg = f"{table.path}: there is no time column {name!r}; found columns: {table.listed}"
         raise ChoiceError(msg) from error
     return time_of_columns(table, indices)
 
@@ -372,41 +378,49 @@ def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source
     return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
 
 
-def _texts(table: NamedTable, *columns: NamedColumn) -> TimeChoice:
+def _texts(*columns: NamedColumn) -> TimeChoice:
     """Return the time that texts give: one of dates with times, or of dates, times and AM or PM."""
-    order = day_first(table.cells(columns[0].index))
-    choice = _joined("text", *columns, ns=1, source="text")
+    return _ordered(_joined("text", *columns, ns=1, source="text"), columns[0])
+
+
+def _ordered(choice: TimeChoice, dates: NamedColumn) -> TimeChoice:
+    """Return a choice of texts with the order of day and month in them."""
+    order = day_first(dates.cells)
     return replace(choice, by_day=bool(order), open_date=order is None)
 
 
 def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     """Return the time in one column, of numbers or of texts; None where most cells are neither."""
-    filled = table.filled(column.index)
+    filled = column.filled
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
         return _joined("steps" if column.words in STEPS else "stamp", column, ns=ns, source=source)
-    texts = filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled)
-    return _texts(table, column) if texts else None
+    return _texts(column) if filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled) else None
 
 
-def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str]:
+def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | None, str]:
     """Return the ns per count that the dialect or the name of a column says, and which of them does."""
-    known = dict(dialect.time_ns) if dialect is not None else {}
-    ns = known.get(plain_name(column.header))
+    name = plain_name(column.header)
+    ns = dict(dialect.time_ns).get(name) if dialect is not None else None
     if ns is not None and dialect is not None:
         return ns, f"as {dialect.name} counts it"
-    if plain_name(column.header) == "sampletimefine":
+    if name == "sampletimefine":
         return 100_000, "as Xsens counts it"
     if _OF_WEEK[0] in column.words:
         return _SECOND, "seconds of the week"
     # A word of more than a letter may be a unit, or end like ustime.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
-    spelled = (column.unit or "", *words)
-    unit = next(filter(None, map(parse_time_unit, spelled)), None)
-    return (TIME_UNITS_NS[unit], "from the column header") if unit else (None, "")
+    ns = _spelled_ns(column.unit or "", *words)
+    return ns, "from the column header" if ns else ""
 
 
-def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
+def _spelled_ns(*words: str) -> int | None:
+    """Return the ns of the first word that is a unit of time."""
+    unit = next(filter(None, map(parse_time_unit, words)), None)
+    return TIME_UNITS_NS[unit] if unit else None
+
+
+def _score(column: NamedColumn, sensor: Sensor) -> float:
     """Return how much a time is to be preferred: by its words, its owner, its unit and its cells."""
     words = column.words
     if words in STEPS:
@@ -414,27 +428,23 @@ def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
     owners = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
     if owners and sensor not in owners:
         return -1.0
-    score: float = max(
-        (_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words), default=_UNKNOWN
-    )
+    known = (_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words)
+    score: float = max(known, default=_UNKNOWN)
     score += sum(_BONUS.get(word, 0) for word in words) + (2 if column.unit else 0)
     if owners:
         score += 30
     elif any(word.startswith(_OTHER_OWNERS) for word in words):
         score -= 35
-    return _with_cells(score, [cell for cell in cells if cell])
-
-
-def _with_cells(score: float, filled: Sequence[str]) -> float:
-    """Return a score that the filled cells of a time change; those that stand still make it a last choice."""
+    filled = column.filled
     if not filled:
         return score
     # Dates are worse than numbers, ns since 1970 better.
-    score -= 0 if is_number(filled[0].strip("\"'")) else 30
+    score -= 0 if is_number(filled[0]) else 30
     digits = [cell.lstrip("+-") for cell in filled]
     # One that counts more coarsely than the samples come is worse than another.
     score -= 20 if 2 * len(set(filled)) < len(filled) else 0
     score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
+    # One that stands still is a last choice.
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
 
@@ -446,72 +456,56 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
     for column in (column for column in table.columns if column.role is Role.TIME):
-        counts = _counts(table, column)
+        counts, cells = column.counts, column.filled
         stem = tuple(word for word in column.words if parse_time_unit(word) is None)
-        ns = _spelled_ns(column)
-        if counts and (ns or _SECOND) * max(counts[0], *counts, 1) < _SECOND:
+        ns = _spelled_ns(column.unit or "", *column.words)
+        if counts and (ns or _SECOND) * max(*counts, 1) < _SECOND:
             fractions.setdefault(stem, column)
-        elif _is_whole(table.filled(column.index), counts, ns):
+        # Whole seconds are counts of that unit or size, or texts, many the same.
+        elif (
+            ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
+            if counts
+            else 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
+        ):
             seconds.setdefault(stem, column)
     if len(seconds) == 1:
         seconds[()] = next(iter(seconds.values()))
-    found = [(fraction, seconds[stem]) for stem, fraction in fractions.items() if stem in seconds]
     # A fraction that stands still is the last choice.
     return [
-        (92.0 if len(set(table.cells(fine.index))) > 1 else 4.0, _pair(table, coarse, fine))
-        for fine, coarse in found
+        (92.0 if len(set(fine.cells)) > 1 else 4.0, _pair(seconds[stem], fine))
+        for stem, fine in fractions.items()
+        if stem in seconds
     ]
 
 
-def _spelled_ns(column: NamedColumn) -> int | None:
-    """Return the ns of the unit in a column's name."""
-    units = map(parse_time_unit, (column.unit or "", *column.words))
-    return next((TIME_UNITS_NS[unit] for unit in units if unit), None)
-
-
-def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
-    """Return whether cells are whole seconds: counts of that unit or size, or texts, many the same."""
-    if counts:
-        return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
-    return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
-
-
-def _pair(table: NamedTable, coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
+def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
     """Return the time in whole seconds, or a text, and in a finer column beside it."""
-    ns = _spelled_ns(fine)
-    unit = next((name for name, size in TIME_UNITS_NS.items() if size == ns), None)
-    beside = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}.get(unit or "", "a fraction")
-    text = any(map(is_text_stamp, table.filled(coarse.index)))
+    ns = _spelled_ns(fine.unit or "", *fine.words)
+    beside = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
+    text = any(map(is_text_stamp, coarse.filled))
     source = f"{'text' if text else 'seconds'} + {beside}"
-    order = day_first(table.cells(coarse.index)) if text else False
-    choice = _joined("pair", coarse, fine, ns=ns if unit != "s" else None, source=source)
-    return replace(choice, by_day=bool(order), open_date=order is None)
+    choice = _joined("pair", coarse, fine, ns=ns if ns != _SECOND else None, source=source)
+    return _ordered(choice, coarse) if text else choice
 
 
 def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    week = next(
-        (c for c in table.columns if "week" in c.words and c.axis is None and not _is_of_week(c)), None
-    )
-    tow = next((c for c in table.columns if _is_of_week(c) and c.role is Role.TIME), None)
-    return [] if week is None or tow is None else [(60.0, _week(week, tow))]
+    of_week = [column for column in table.columns if not set(_OF_WEEK).isdisjoint(column.words)]
+    times = [column for column in of_week if column.role is Role.TIME]
+    weeks = [c for c in table.columns if "week" in c.words and c.axis is None and c not in of_week]
+    return [(60.0, _week(weeks[0], times[0]))] if weeks and times else []
 
 
-def _is_of_week(column: NamedColumn) -> bool:
-    return any(word in _OF_WEEK for word in column.words)
-
-
-def _is_week(table: NamedTable, first: NamedColumn, second: NamedColumn) -> bool:
+def _is_week(first: NamedColumn, second: NamedColumn) -> bool:
     """Return whether columns are GPS weeks and times of the week: by their names, or as their cells say."""
-    if "week" in first.words or _is_of_week(second):
+    if "week" in first.words or not set(_OF_WEEK).isdisjoint(second.words):
         return True
-    weeks, times = _counts(table, first), [float(c) for c in table.filled(second.index) if is_number(c)]
-    whole = bool(_counts(table, second))
+    weeks, times = first.counts, [float(cell) for cell in second.filled if is_number(cell)]
     is_one = len(set(weeks)) == 1 and _WEEKS[0] <= weeks[0] <= _WEEKS[1]
-    return is_one and bool(times) and max(times) >= (10**6 if whole else 1)
+    return is_one and bool(times) and max(times) >= (10**6 if second.counts else 1)
 
 
 def _week(week: NamedColumn, tow: NamedColumn) -> TimeChoice:
-    ns, source = _unit(tow, None)
+    ns, source = _unit(tow)
     return _joined("week", week, tow, ns=ns, source=source)
 
 
@@ -520,36 +514,17 @@ def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     parts: list[NamedColumn] = []
     for names in _DATE_PARTS:
         column = next((c for c in table.columns if names.intersection(c.words) and c not in parts), None)
-        if column is None or not all(map(is_number, filter(None, table.cells(column.index)))):
+        if column is None or not all(map(is_number, column.filled)):
             break
         parts.append(column)
     whole = len(parts) >= _DATE_NEEDED
     return [(58.0, _joined("date", *parts, ns=1, source="date and time"))] if whole else []
 
 
-def _dates_and_times(table: NamedTable, sensor: Sensor) -> list[tuple[float, TimeChoice]]:
-    """Return the times that a column of dates and one of times of day beside it give together."""
-    found = []
+def dates_and_times(table: NamedTable) -> Iterator[list[NamedColumn]]:
+    """Yield columns of dates, of times of day beside them, and of AM and PM where they stand behind."""
     for date, time in pairwise(table.columns):
-        cells = list(filter(None, table.cells(time.index)))
-        if text_kind(table.cells(date.index)) != "date" or not cells or not all(map(is_time_of_day, cells)):
-            continue
-        after = table.columns[time.index + 1 : time.index + 2]
-        half = [column for column in after if text_kind(table.cells(column.index)) == "half"]
-        found.append((_score(time, cells, sensor), _texts(table, date, time, *half)))
-    return found
-
-
-def _counters(table: NamedTable) -> list[TimeChoice]:
-    found = []
-    for column in table.columns:
-        counts = _counts(table, column) if column.role is Role.COUNTER else []
-        if len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts):
-            found.append(_joined("counter", column))
-    return found
-
-
-def _counts(table: NamedTable, column: NamedColumn) -> list[int]:
-    """Return the filled cells of a column as whole numbers; nothing where one is none."""
-    filled = [cell for cell in table.cells(column.index) if cell]
-    return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []
+        filled = time.filled
+        if text_kind(date.cells) == "date" and filled and all(map(is_time_of_day, filled)):
+            after = table.columns[time.index + 1 : time.index + 2]
+            yield [date, time, *(column for column in after if text_kind(column.cells) == "half")]

@@ -31,7 +31,7 @@ from imucal.readers.compression import keep_freed_memory
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import GrowingColumn
-from imucal.readers.tables.columns import ColumnsError, NamedTable, list_columns, sensor_of_name
+from imucal.readers.tables.columns import ColumnsError, NamedTable
 from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
 from imucal.readers.tables.dialects import find_messages, name_columns
 from imucal.readers.tables.layout import (
@@ -43,7 +43,7 @@ from imucal.readers.tables.layout import (
     rows_of_tag,
     split_line,
 )
-from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.names import NamedColumn, Role, parse_column, sensor_of_name
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import (
@@ -90,23 +90,26 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
             f"the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
             "belongs to a column"
         )
-    found = list_columns([""] * layout.width, layout.cells)
-    raise ColumnsError.of(path, problem, found, _propose(path, lines, layout, options))
+    table = NamedTable(path=path, columns=_nameless(layout))
+    raise table.ask(problem, example=_propose(table, lines, layout, options))
 
 
-def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
+def _nameless(layout: TextLayout) -> tuple[NamedColumn, ...]:
+    return tuple(parse_column("", index, cells=layout.cells(index)) for index in range(layout.width))
+
+
+def _propose(table: NamedTable, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
     """Return a columns text that works on a table without names; empty where there is none."""
     tags = _inertial_tags(lines, layout.delimiter)
     if tags:
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
+        table = replace(table, columns=_nameless(layout))
     gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
-    numeric = [index for index in range(layout.width) if all(map(is_number, layout.cells(index)))]
+    numeric = [column.index for column in table.columns if all(map(is_number, column.cells))]
     both = []
     if gyro and accel and len(numeric) == 4:
         axes = f"{numeric[1]}:{numeric[1] + 3}"
         both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    columns = tuple(parse_column("", index) for index in range(layout.width))
-    table = NamedTable(path=path, columns=columns, cells=layout.cells)
     return propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
 
 

@@ -7,14 +7,9 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.columns import (
-    NamedTable,
-    find_bare_triads,
-    find_temperature,
-    find_triads,
-    parse_columns_text,
-)
+from imucal.readers.tables.columns import NamedTable, parse_columns_text
 from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.plan import find_bare_triads, find_temperature, find_triads
 from imucal.readers.tables.text_table import read
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit, parse_time_unit
@@ -127,10 +122,11 @@ def test_alpha_is_an_acceleration_beside_an_omega_only() -> None:
 
 def named(*headers: str, rows: Sequence[Sequence[str]] = ()) -> NamedTable:
     """Return a table of columns by name."""
-    columns = tuple(parse_column(header, index) for index, header in enumerate(headers))
-    return NamedTable(
-        path="log.csv", columns=columns, cells=lambda index: [row[index] for row in rows], dialect=None
+    columns = tuple(
+        parse_column(header, index, cells=[row[index] for row in rows])
+        for index, header in enumerate(headers)
     )
+    return NamedTable(path="log.csv", columns=columns)
 
 
 @pytest.mark.parametrize(

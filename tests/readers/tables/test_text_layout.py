@@ -19,8 +19,9 @@ def proposed(
 ) -> str:
     """Return the columns text for a table of some rows."""
     columns = [list(map(str, cells)) for cells in zip(*rows, strict=True)]
-    named = tuple(parse_column(name, at) for at, name in enumerate(names or [""] * len(columns)))
-    table = NamedTable(path=file, columns=named, cells=columns.__getitem__)
+    headers = names or [""] * len(columns)
+    named = tuple(parse_column(headers[at], at, cells=cells) for at, cells in enumerate(columns))
+    table = NamedTable(path=file, columns=named)
     return proposal(table, name=file, rows="@i" if tagged else "")
 
 

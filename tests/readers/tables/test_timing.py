@@ -18,9 +18,9 @@ ON = ("1", "2", "3")
 
 def table(columns: Mapping[str, tuple[str, ...]], dialect: Dialect | None = None) -> NamedTable:
     """Return a table of columns by name, with their first cells."""
-    held = list(columns.values())
-    named = tuple(parse_column(name, index) for index, name in enumerate(columns))
-    return NamedTable(path="log.csv", columns=named, cells=held.__getitem__, dialect=dialect)
+    entries = enumerate(columns.items())
+    named = tuple(parse_column(name, index, cells=cells) for index, (name, cells) in entries)
+    return NamedTable(path="log.csv", columns=named, dialect=dialect)
 
 
 def offered(
@@ -77,7 +77,7 @@ def offered(
 )
 def test_what_a_name_is_worth(name: str, score: float) -> None:
     """Stamps before times, the sensor's own clock before the computer's, no other sensor's at all."""
-    assert _score(parse_column(name, 0), ON, GYRO) == score
+    assert _score(parse_column(name, 0, cells=ON), GYRO) == score
 
 
 @pytest.mark.parametrize(
@@ -100,13 +100,13 @@ def test_what_a_name_is_worth(name: str, score: float) -> None:
 )
 def test_what_cells_are_worth(cells: tuple[str, ...], score: float) -> None:
     """Nanoseconds since 1970 are better than numbers, numbers than dates; what stands still is the last."""
-    assert _score(parse_column("time", 0), cells, GYRO) == score
+    assert _score(parse_column("time", 0, cells=cells), GYRO) == score
 
 
 def test_a_time_of_another_sensor_that_stands_still_is_not_lifted() -> None:
     """A low score stays where it is, and one below zero is no choice."""
-    assert _score(parse_column("gps_log_time", 0), ON, GYRO) == -20
-    assert _score(parse_column("gps_log_time", 0), ("7", "7"), GYRO) == -20
+    assert _score(parse_column("gps_log_time", 0, cells=ON), GYRO) == -20
+    assert _score(parse_column("gps_log_time", 0, cells=("7", "7")), GYRO) == -20
     assert offered({"gps_log_time": ON}) == []
     assert offered({"mag_log_timestamp": ON}) == []
     assert offered({"mag_log_timestamp [ms]": ON}) == [("stamp", "mag_log_timestamp [ms]", 10**6)]
