@@ -376,11 +376,23 @@ def read_table(
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
-    layout, plan = _planned(source, options, name)
-    groups = _by_rows(plan, stamps)
+    try:
+        layout, plan = plan_of_head(source, options, name)
+    except ColumnsError as error:
+
+        def tried(columns: str) -> object:
+            return read_table(source, replace(options, columns=columns), name=name, head=True)
+
+        raise with_more(source.name, error, tried) from error
+    # Sensors whose samples stand in the same rows are read together.
+    groups: dict[Rows, list[SensorPlan]] = {}
+    for sensor in plan.sensors:
+        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
+        groups.setdefault(sensor.triad.rows, []).append(timed)
     expected = 0 if head else source.expected_rows
     readers = [
-        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
+        _reader(source, layout, group, plan.temperature, options, expected=expected)
+        for group in groups.values()
     ]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
@@ -389,7 +401,7 @@ def read_table(
         raise ReadError(msg)
     findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
-    for reader, group in zip(readers, groups, strict=True):
+    for reader, group in zip(readers, groups.values(), strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
         if stamps is not None:
             if reader.bad or reader.good != stamps.values.size:
@@ -413,27 +425,6 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, plan.topics)
-
-
-def _planned(source: TextSource, options: ReadOptions, name: str) -> tuple[TextLayout, TablePlan]:
-    """Return the layout and the columns of a text; where they are open, ask for all that is."""
-    try:
-        return plan_of_head(source, options, name)
-    except ColumnsError as error:
-
-        def tried(columns: str) -> object:
-            return read_table(source, replace(options, columns=columns), name=name, head=True)
-
-        raise with_more(source.name, error, tried) from error
-
-
-def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
-    """Return the sensors in groups that are read from the same rows; `stamps` are the times of all."""
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
-    return list(groups.values())
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -464,7 +455,13 @@ def _reader(
     expected: int,
 ) -> BlockReader:
     rows = sensors[0].triad.rows or layout.tag
-    layout = _of_rows(source.head, layout, rows)
+    if rows is not None and rows != layout.tag:
+        # Tagged rows differ in width.
+        tagged = rows_of_tag(source.head[layout.start :], layout.delimiter, rows)
+        cells = [tuple(split_line(line, layout.delimiter)) for line in tagged]
+        if cells:
+            ((width, _),) = Counter(map(len, cells)).most_common(1)
+            layout = replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
     kinds: dict[int, Kind] = {}
     times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
     for sensor in sensors:
@@ -487,18 +484,6 @@ def _reader(
         expected=expected,
         by_day=any(time.by_day for time in times),
     )
-
-
-def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
-    """Return the layout of some of the rows: tagged rows differ in width."""
-    if rows is None or rows == layout.tag:
-        return layout
-    lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
-    cells = [tuple(split_line(line, layout.delimiter)) for line in lines]
-    if not cells:
-        return layout
-    width = Counter(map(len, cells)).most_common(1)[0][0]
-    return replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
@@ -674,8 +659,9 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     ReadError
         If one of them can't be read.
     """
-    times = [path for path in paths if _is_time_file(path)]
-    tables = [path for path in paths if path not in times]
+    found = {path: times_of(path) for path in paths}
+    tables = [path for path in paths if found[path] is None]
+    times = [stamps for stamps in found.values() if stamps is not None]
     sensors = []
     for path in tables:
         try:
@@ -687,11 +673,10 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     one_each = len(sensors) == len(set(sensors)) == len(tables)
     if len(times) > 1 or not tables or not one_each:
         return None
-    stamps = _read_times(times[0]) if times else None
     parts = []
     for path in tables:
         with open_text(path, progress=options.progress) as source:
-            parts.append(read_table(source, options, stamps=stamps))
+            parts.append(read_table(source, options, stamps=next(iter(times), None)))
     return merge(parts, [path.name for path in tables], ", ".join(map(str, paths)))
 
 
@@ -703,7 +688,14 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    _refuse_other_times(path, names, parts)
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
     every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
@@ -720,32 +712,17 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
     )
 
 
-def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
-    clocks = [part.series[0].clock for part in parts]
-    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
-        msg = (
-            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
-            "read one file at a time"
-        )
-        raise ChoiceError(msg)
-
-
-def _is_time_file(path: Path) -> bool:
-    """Return whether a file is one column of times with a header."""
+def times_of(path: Path) -> ExternalTime | None:
+    """Return the times that a file of one column with a header holds; None of any other file."""
     try:
         with open_text(path) as source:
             lines = [line.strip() for line in source.head if line.strip()]
+            column = parse_column(lines[0], 0)
+            if len(lines) < 3 or column.role is not Role.TIME or not all(map(is_number, lines[1:])):
+                return None
+            cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
     except ImucalError:
-        return False
-    named = len(lines) > 2 and parse_column(lines[0], 0).role is Role.TIME
-    return named and all(map(is_number, lines[1:]))
-
-
-def _read_times(path: Path) -> ExternalTime:
-    with open_text(path) as source:
-        cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
-        column = parse_column(next(line for line in source.head if line.strip()), 0)
+        return None
     unit = parse_time_unit(column.unit) if column.unit else None
     choice = TimeChoice(
         kind="stamp",

@@ -27,7 +27,6 @@ from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.foreign_files import (
     HEAD,
     WIDEST,
-    Arrays,
     TypedColumn,
     hdf5_arrays,
     mat_arrays,
@@ -107,14 +106,29 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     except OSError as error:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
-    kind = _kind(path, head)
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
+    if not kind and path.suffix.lower() != ".mat":
+        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
+        raise ReadError(msg)
+    kind = kind or "MAT"
     if kind == "Parquet":
         columns = isolated(path, parquet_columns, "Parquet")(path)
         each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
         return TableFile(format="parquet", columns=tuple(each))
-    if kind in {"MAT", "HDF5"}:
-        found = _mat(path) if kind == "MAT" else _hdf5(path)
-        return _of_arrays(kind.lower(), found.arrays, found.objects)
+    # The packages read these whole; the arrays are there, on their way to this process, and here.
+    share = memory_limit() // _COPIES
+    if kind == "HDF5":
+        require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
+        return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
+    if kind == "MAT":
+        if unpacks_to_more(path, share):
+            msg = (
+                f"{path}: its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
+                "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
+                f"or let {MEMORY} be four times what they hold"
+            )
+            raise ReadError(msg)
+        return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
     try:
         if kind == "NPZ":
             most = column_limit() if limit is None else limit
@@ -125,34 +139,6 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         msg = f"{path}: not a readable {kind} file: {text}"
         raise ReadError(msg) from error
     return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
-
-
-def _kind(path: Path, head: bytes) -> str:
-    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), None)
-    if kind is not None:
-        return kind
-    if path.suffix.lower() == ".mat":
-        return "MAT"
-    msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
-    raise ReadError(msg)
-
-
-def _hdf5(path: Path) -> Arrays:
-    require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
-    return isolated(path, hdf5_arrays, "HDF5")(path, memory_limit() // _COPIES)
-
-
-def _mat(path: Path) -> Arrays:
-    # The package reads it whole; the arrays are there, on their way to this process, and here.
-    limit = memory_limit() // _COPIES
-    if unpacks_to_more(path, limit):
-        msg = (
-            f"{path}: its arrays unpack to more than {limit / 1e6:.4g} MB, and a MAT file is read whole; "
-            "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
-            f"or let {MEMORY} be four times what they hold"
-        )
-        raise ReadError(msg)
-    return isolated(path, mat_arrays, "MAT")(path)
 
 
 def _of_arrays(
@@ -312,21 +298,6 @@ def _heads(part: _Part) -> _Part:
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     """Choose the columns; of arrays of several lengths each length for itself."""
-    groups = _groups(path, table)
-    parts = []
-    for group in groups if len(groups) > 1 and options.columns is None else ():
-        with suppress(ChoiceError):
-            parts.append(_part(path, group, options, table.shapes))
-    if not parts:
-        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
-        widest = max(groups, key=lambda group: (len(group), group[0].size))
-        return [_only_part(path, table, widest, options)]
-    _refuse_doubles(path, parts)
-    return parts
-
-
-def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
-    """Return the columns by their lengths; a ReadError where there are none of samples."""
     lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
     if not lengths:
         found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
@@ -336,7 +307,25 @@ def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
         )
         msg = f"{path}: {why}"
         raise ReadError(msg)
-    return [tuple(column for column in table.columns if column.size == length) for length in lengths]
+    groups = [tuple(column for column in table.columns if column.size == length) for length in lengths]
+    parts: list[_Part] = []
+    for group in groups if len(groups) > 1 and options.columns is None else ():
+        with suppress(ChoiceError):
+            parts.append(_part(path, group, options, table.shapes))
+    if not parts:
+        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
+        widest = max(groups, key=lambda group: (len(group), group[0].size))
+        return [_only_part(path, table, widest, options)]
+    triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
+    for sensor in Sensor:
+        names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
+        if len(names) > 1:
+            msg = (
+                f"{path}: two tables hold a {sensor}: {' and '.join(names[:2])}; "
+                "expected one; give the columns"
+            )
+            raise ChoiceError(msg)
+    return parts
 
 
 def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
@@ -351,18 +340,6 @@ def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], opt
 
         asking = with_more(str(path), error, tried)
         raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
-
-
-def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
-    triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
-    for sensor in Sensor:
-        names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
-        if len(names) > 1:
-            msg = (
-                f"{path}: two tables hold a {sensor}: {' and '.join(names[:2])}; "
-                "expected one; give the columns"
-            )
-            raise ChoiceError(msg)
 
 
 def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shapes: Sequence[str]) -> _Part:
@@ -404,10 +381,10 @@ def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:
         values = column.values()
         if time is not None and time.kind == "text":
             found.append(parse_texts(list(map(str, values)), text_kind(column.cells), by_day=time.by_day))
-        elif values.dtype.kind == "M":
-            found.append(values.astype("datetime64[ns]").astype(np.int64))
-        elif values.dtype.kind in "iu":
-            found.append(values.astype(np.int64))
-        else:
-            found.append(np.asarray(values, dtype=np.float64))
+            continue
+        if values.dtype.kind == "M":
+            values = values.astype("datetime64[ns]")
+        # Stamps may be mended in place, so whole numbers are copied.
+        integers = values.dtype.kind in "iuM"
+        found.append(values.astype(np.int64) if integers else np.asarray(values, dtype=np.float64))
     return tuple(found)

@@ -8,7 +8,7 @@ import pytest
 
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.readers.tables.text_table import _is_time_file, _read_times, merge
+from imucal.readers.tables.text_table import merge, times_of
 from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
 
 
@@ -28,7 +28,7 @@ def test_a_file_of_times(content: str, times: bool, tmp_path: Path) -> None:  # 
     """One column named as a time, with two numbers or more."""
     path = tmp_path / "times.csv"
     path.write_text(content, encoding="utf-8")
-    assert _is_time_file(path) == times
+    assert (times_of(path) is not None) == times
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,8 @@ def test_the_unit_of_a_file_of_times(header: str, ns: int | None, source: str, t
     """The header is named as the source of the unit only where it has one."""
     path = tmp_path / "times.csv"
     path.write_text(f"{header}\n1\n2.5\n4\n", encoding="utf-8")
-    times = _read_times(path)
+    times = times_of(path)
+    assert times is not None
     assert (times.choice.name, times.choice.ns, times.choice.ns_source) == (header, ns, source)
     assert times.values.tolist() == [1.0, 2.5, 4.0]
 
