@@ -1,9 +1,12 @@
-"""What Parquet, HDF5, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
+"""Columns of Parquet, HDF5, MATLAB, NPZ and NPY files, a few bytes of which may unpack to very many.
 
 Parquet, HDF5 and MATLAB files are read by the packages that know them, in a child process: every result can
 be pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything
 is unpacked: arrays that are too large together go to temporary files, and where only their first values are
 wanted nothing else is unpacked. What a MATLAB file unpacks to is counted without keeping any of it.
+
+An array of three columns counts as ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; columns of others say
+nothing by their places.
 
 Source: MathWorks, MAT-File Format (version 5): a header of 128 bytes, then elements of a tag of 8 bytes (type
 and size) and their data; those of type 15 are zlib streams.
@@ -14,7 +17,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
@@ -23,14 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import release
+from imucal.errors import ReadError
+from imucal.readers.isolation import isolated, require
 from imucal.readers.store import allocated
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
+from imucal.resources import MEMORY, column_limit, memory_limit
 
 #: Parts of a list or a matrix that are shown as columns.
-WIDEST = 64
+_WIDEST = 64
 
 #: Rows that are looked at to choose columns.
-HEAD = 400
+_HEAD = 400
 
 #: What stands for an object of MATLAB in the package's arrays: its name, its system, its class, its numbers.
 _OBJECT = ("s0", "s1", "s2", "arr")
@@ -78,11 +84,11 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
             lengths = [dtype.shape[0]] if isinstance(dtype, pl.Array) else []
             if isinstance(dtype, pl.List):
                 lengths = (
-                    scan.head(HEAD).select(pl.col(name).list.len()).collect()[name].drop_nulls().to_list()
+                    scan.head(_HEAD).select(pl.col(name).list.len()).collect()[name].drop_nulls().to_list()
                 )
-            parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), WIDEST))}
+            parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), _WIDEST))}
         for label, part in parts.items():
-            head = scan.head(HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
+            head = scan.head(_HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
             columns.append(
                 TypedColumn(
                     name=label,
@@ -180,7 +186,11 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
                 found.objects[name.replace("/", ".")] = kind
             elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
                 sets[name.replace("/", ".")] = node
-            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
+            # An attribute that is a number may be the sampling rate.
+            for key, value in () if matlab else node.attrs.items():
+                number = np.asarray(value)
+                if number.size == 1 and number.dtype.kind in "iuf":
+                    found.arrays[f"{name}/{key}".strip("/").replace("/", ".")] = number
         took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
         if took > most:
             msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
@@ -188,12 +198,6 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
         # MATLAB writes columns where others write rows.
         found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
-
-
-def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
-    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
-    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.
@@ -280,7 +284,7 @@ def _head(header: _Header) -> list[slice]:
     outer, longest = math.prod(lengths[:at]), lengths[at] if lengths else 1
     inner = math.prod(lengths[at + 1 :])
     starts = range(0, outer * longest * inner, longest * inner) if outer <= _MOST_PIECES else ()
-    return [slice(start, start + min(HEAD, longest) * inner) for start in starts]
+    return [slice(start, start + min(_HEAD, longest) * inner) for start in starts]
 
 
 def _fill(stream: BinaryIO, target: NDArray[np.uint8]) -> None:
@@ -337,3 +341,184 @@ def _unpacked(file: BinaryIO, length: int, limit: int) -> int:
         pass
     file.seek(end)
     return total
+
+
+#: First bytes -> format.
+_FORMATS = {
+    b"PAR1": "Parquet",
+    b"\x93NUMPY": "NPY",
+    b"PK": "NPZ",
+    b"MATLAB 5.0": "MAT",
+    b"MATLAB 7.3": "HDF5",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+}
+
+#: Arrays whose shapes are kept for a message.
+_SHOWN = 12
+
+#: How often the arrays of a MAT or an HDF5 file are in memory while it is read.
+_COPIES = 4
+
+#: Class of an object of MATLAB -> what writes it as text there.
+_IN_MATLAB = {
+    "table": "writetable({0}, '{0}.csv')",
+    "timetable": "writetimetable({0}, '{0}.csv')",
+    "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
+}
+
+#: Names of a single number that is the sampling rate, in Hz.
+_RATES = frozenset(
+    {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
+)
+
+#: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
+_NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableFile:
+    """The columns of a file, its format, and the sampling rate where it states one.
+
+    `shapes` are its arrays as a message shows them, such as ``imu (600, 2, 3)``; those of which no columns
+    were made are among them. `way` says what to do with what can't be read.
+    """
+
+    format: str
+    columns: tuple[TypedColumn, ...]
+    rate_hz: float | None = None
+    shapes: tuple[str, ...] = ()
+    way: str = ""
+
+
+def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
+    """Return the columns of a file.
+
+    Parameters
+    ----------
+    limit
+        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.column_limit`.
+    heads_above
+        Bytes above which a file that is unpacked as it is opened is not: only the heads of its columns hold
+        values then.
+
+    Raises
+    ------
+    ReadError
+        If it can't be read, or is none of the formats.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        msg = f"{path}: can't be opened: {error.strerror or error}"
+        raise ReadError(msg) from error
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
+    if not kind and path.suffix.lower() != ".mat":
+        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
+        raise ReadError(msg)
+    kind = kind or "MAT"
+    if kind == "Parquet":
+        columns = isolated(path, parquet_columns, "Parquet")(path)
+        each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
+        return TableFile(format="parquet", columns=tuple(each))
+    # The packages read these whole; the arrays are there, on their way to this process, and here.
+    share = memory_limit() // _COPIES
+    if kind == "HDF5":
+        require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
+        return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
+    if kind == "MAT":
+        if unpacks_to_more(path, share):
+            msg = (
+                f"{path}: its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
+                "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
+                f"or let {MEMORY} be four times what they hold"
+            )
+            raise ReadError(msg)
+        return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
+    try:
+        if kind == "NPZ":
+            most = column_limit() if limit is None else limit
+            return _of_arrays("npz", npz_arrays(path, limit=most, heads_above=heads_above))
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:
+        text = str(error) or type(error).__name__
+        msg = f"{path}: not a readable {kind} file: {text}"
+        raise ReadError(msg) from error
+    return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
+
+
+def _of_arrays(
+    form: str, arrays: Mapping[str, NDArray[Any]], objects: Mapping[str, str] | None = None
+) -> TableFile:
+    """Return the columns of the arrays of a file; a single number may be its sampling rate."""
+    rate = None
+    columns: list[TypedColumn] = []
+    for name, array in arrays.items():
+        last = name.rpartition(".")[2].lower()
+        if array.size == 1 and array.dtype.kind in "iuf":
+            value = float(array.reshape(-1)[0])
+            if last in _RATES and np.isfinite(value) and value > 0:
+                rate = value
+            continue
+        label, unit = _NAVEGO.get(last, ("", None))
+        columns += _of_array(f"{name}.{label}" if label else name, array, unit)
+    shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
+    ways = [
+        f"{name} is a {kind} of MATLAB, which no other program reads; type there {way.format(name)}"
+        for name, kind in (objects or {}).items()
+        if (way := _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those"))
+    ]
+    return TableFile(
+        format=form,
+        columns=tuple(columns),
+        rate_hz=rate,
+        shapes=tuple(shapes[:_SHOWN]),
+        way="; ".join(ways[:_SHOWN]),
+    )
+
+
+def _shape(name: str, array: NDArray[Any]) -> str:
+    """Return an array as a message shows it: its name and its shape."""
+    return f"{name or 'array'} {array.shape}"
+
+
+def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
+    """Return the columns of an array: of a record, of a matrix, or itself; none of what is no table.
+
+    Of three dimensions or more the longest holds the samples; the others are columns ``name[0,2]``.
+    """
+    if array.dtype.names is not None:
+        parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
+        return [column for label, part in parts for column in _of_array(label, part)]
+    array = array.squeeze() if array.ndim > 2 else array
+    if not array.ndim:
+        return []
+    longest = int(np.argmax(array.shape))
+    # A matrix lies on its side where its rows are few enough to be columns.
+    samples = longest if array.ndim > 2 or array.shape[0] <= _WIDEST else 0
+    array = np.moveaxis(array, samples, 0)
+    width = math.prod(array.shape[1:])
+    if width > _WIDEST:
+        return []
+    return [_plain(_label(name, at, width), array[:, *at], unit) for at in np.ndindex(array.shape[1:])]
+
+
+def _label(name: str, at: tuple[int, ...], width: int) -> str:
+    """Return the name of a column of an array; three are x, y and z, of others no number tells an axis."""
+    if len(at) > 1:
+        return f"{name}[{','.join(map(str, at))}]"
+    if not at or not name or width == 1:
+        return name
+    return f"{name}[{at[0]}]" if width == 3 else f"{name}[:,{at[0]}]"
+
+
+def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:
+    head = array[:_HEAD]
+    return TypedColumn(
+        name=name,
+        size=array.size,
+        values=lambda: array,
+        head=head,
+        unit="ns" if array.dtype.kind == "M" else unit,
+        has_gaps=array.dtype.kind == "f" and bool(np.isnan(head).any()),
+    )

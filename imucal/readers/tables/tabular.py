@@ -103,7 +103,17 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     plan, sensor = columns.plan, columns.plan.triad.sensor
     if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
         return _counted_clock(work, columns)
-    _refuse_unit(work, plan.time, sensor)
+    unit = work.options.time_unit
+    if unit is not None and unit not in TIME_UNITS_NS:
+        known = ", ".join(TIME_UNITS_NS)
+        msg = f"{work.path}: {unit!r} is no time unit; expected one of {known}"
+        raise ChoiceError(msg)
+    if unit is not None and plan.time.kind not in {"stamp", "week", "steps", "counter"}:
+        msg = (
+            f"{work.path}: the time unit {unit} is given, but the {sensor} has the time "
+            f"{plan.time.name}, {_time_words(plan.time)}; expected no unit, or another time column"
+        )
+        raise ChoiceError(msg)
     source = f"column {plan.time.name}"
     stamps = _stamps(work, plan.time, columns.time, sensor)
     if stamps is None:
@@ -189,21 +199,6 @@ def _stamps(
             work.findings.append(Finding(level="info", code="wrapped", text=text))
     ns = _ns_per_count(work, time, values, sensor)
     return to_ns(values, ns, room) if ns else None
-
-
-def _refuse_unit(work: RecordingBuilder, time: TimeChoice, sensor: Sensor) -> None:
-    """Refuse a given unit of the time that is none, or of a time that has none, with a ChoiceError."""
-    given = work.options.time_unit
-    if given is not None and given not in TIME_UNITS_NS:
-        known = ", ".join(TIME_UNITS_NS)
-        msg = f"{work.path}: {given!r} is no time unit; expected one of {known}"
-        raise ChoiceError(msg)
-    if given is not None and time.kind not in {"stamp", "week", "steps", "counter"}:
-        msg = (
-            f"{work.path}: the time unit {given} is given, but the {sensor} has the time "
-            f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
-        )
-        raise ChoiceError(msg)
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:

@@ -11,8 +11,7 @@ import scipy.io
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
-from imucal.readers.tables.foreign_files import Arrays, _flatten
-from imucal.readers.tables.typed_table import _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.foreign_files import Arrays, _flatten, _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
