@@ -257,31 +257,24 @@ class BlockReader:
     def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
         """Return the wanted columns of the good rows of a block, row by row."""
         header = self._separator.join(self.layout.headers).replace(" ", "")
-        rows = []
+        found: dict[int, list[Any]] = {index: [] for index in self.kinds}
         for line in block.decode("utf-8", "replace").split("\n"):
             text = line.strip("\r\n")
             if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
                 continue
-            row = self._row(split_line(text, self._separator))
-            if row is None:
+            cells = split_line(text, self._separator)
+            missing = self.layout.width - len(cells)
+            cells += [""] * missing
+            bad = missing < 0 or not all(cells[index] for index in self.needed)
+            row = [None] if bad else [_number(cells[index], kind) for index, kind in self.kinds.items()]
+            if None in row:
                 self._note_bad(1, text)
-            else:
-                rows.append(row)
-        columns = list(zip(*rows, strict=True)) if rows else [()] * len(self.kinds)
-        return {index: self._array(columns[place], index) for place, index in enumerate(self.kinds)}
+                continue
+            for column, value in zip(found.values(), row, strict=True):
+                column.append(value)
+        return {index: self._array(values, self.kinds[index]) for index, values in found.items()}
 
-    def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
-        """Return the wanted cells of a row as numbers; None for a bad row."""
-        missing = self.layout.width - len(cells)
-        cells = [*cells, *[""] * missing]
-        if missing < 0 or any(not cells[index] for index in self.needed):
-            return None
-        row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
-        good = [value for value in row if value is not None]
-        return good if len(good) == len(row) else None
-
-    def _array(self, values: Sequence[Any], index: int) -> NDArray[Any]:
-        kind = self.kinds[index]
+    def _array(self, values: Sequence[Any], kind: Kind) -> NDArray[Any]:
         if kind in _TEXTS:
             return self._times(values, kind)
         whole = kind == "integer" and not any(isinstance(value, float) for value in values)
