@@ -186,11 +186,7 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
                 found.objects[name.replace("/", ".")] = kind
             elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
                 sets[name.replace("/", ".")] = node
-            # An attribute that is a number may be the sampling rate.
-            for key, value in () if matlab else node.attrs.items():
-                number = np.asarray(value)
-                if number.size == 1 and number.dtype.kind in "iuf":
-                    found.arrays[f"{name}/{key}".strip("/").replace("/", ".")] = number
+            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
         took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
         if took > most:
             msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
@@ -198,6 +194,12 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
         # MATLAB writes columns where others write rows.
         found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
+
+
+def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
+    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
+    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.
@@ -412,11 +414,7 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     except OSError as error:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
-    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
-    if not kind and path.suffix.lower() != ".mat":
-        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
-        raise ReadError(msg)
-    kind = kind or "MAT"
+    kind = _kind(path, head)
     if kind == "Parquet":
         columns = isolated(path, parquet_columns, "Parquet")(path)
         each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
@@ -427,13 +425,7 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
         return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
     if kind == "MAT":
-        if unpacks_to_more(path, share):
-            msg = (
-                f"{path}: its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
-                "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
-                f"or let {MEMORY} be four times what they hold"
-            )
-            raise ReadError(msg)
+        _refuse_large_mat(path, share)
         return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
     try:
         if kind == "NPZ":
@@ -445,6 +437,24 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         msg = f"{path}: not a readable {kind} file: {text}"
         raise ReadError(msg) from error
     return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
+
+
+def _kind(path: Path, head: bytes) -> str:
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
+    if not kind and path.suffix.lower() != ".mat":
+        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
+        raise ReadError(msg)
+    return kind or "MAT"
+
+
+def _refuse_large_mat(path: Path, limit: int) -> None:
+    if unpacks_to_more(path, limit):
+        msg = (
+            f"{path}: its arrays unpack to more than {limit / 1e6:.4g} MB, and a MAT file is read whole; "
+            "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
+            f"or let {MEMORY} be four times what they hold"
+        )
+        raise ReadError(msg)
 
 
 def _of_arrays(

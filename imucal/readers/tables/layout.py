@@ -153,18 +153,14 @@ def _layout(lines: Sequence[str], delimiter: str, *, narrow: bool) -> TextLayout
     """
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    # MATLAB's matrices end their rows with a semicolon that parts nothing.
-    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
-    bare = (line.rstrip("; \t") if ended else line for line in lines)
-    rows = [split_line(line, delimiter) if line.strip() else [] for line in bare]
+    rows, ended = _cells(lines, delimiter)
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
     if not fitting:
         return None
     if width == 1:
-        # A name with blanks is one name, such as "gz (deg/s)".
-        rows = [[" ".join(row)] if row else [] for row in rows]
+        rows = list(map(_one_cell, rows))
     start = _start(fitting, len(lines))
     chosen = [i for i in fitting if i >= start]
     table = TextLayout(
@@ -177,9 +173,21 @@ def _layout(lines: Sequence[str], delimiter: str, *, narrow: bool) -> TextLayout
         quoted=any('"' in lines[i] for i in chosen),
         prepare=_without_ends if ended else None,
     )
-    line, headers, units = _find_header(table, rows[:start])
+    return _with_header(table, lines, rows[:start])
+
+
+def _cells(lines: Sequence[str], delimiter: str) -> tuple[list[list[str]], bool]:
+    """Return the cells of lines, and whether a semicolon that parts none ends them, as MATLAB's matrices."""
+    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
+    bare = [line.rstrip("; \t") for line in lines] if ended else lines
+    return [split_line(line, delimiter) if line.strip() else [] for line in bare], ended
+
+
+def _with_header(table: TextLayout, lines: Sequence[str], above: Sequence[list[str]]) -> TextLayout:
+    """Return a layout with what stands before its rows, in `lines`, which are the rows `above` when cut."""
+    line, headers, units = _find_header(table, above)
     headers, mismatch = _fitted_names(headers, table)
-    preamble = tuple(text for text in lines[: start if line is None else line] if text.strip())
+    preamble = tuple(text for text in lines[: table.start if line is None else line] if text.strip())
     return replace(table, headers=tuple(headers), units=tuple(units), preamble=preamble, mismatch=mismatch)
 
 
@@ -188,6 +196,11 @@ def _stated_rate(lines: Sequence[str]) -> float | None:
     match = _RATE.search("\n".join(lines))
     rate = float(match["rate"] or match["plain"]) if match else 0.0
     return (rate * 1000 if match and (match["kilo"] or match["kilos"]) else rate) or None
+
+
+def _one_cell(row: Sequence[str]) -> list[str]:
+    """Return a row of one cell: a name with blanks is one name, such as "gz (deg/s)"."""
+    return [" ".join(row)] if row else []
 
 
 def _without_ends(block: bytes) -> bytes:

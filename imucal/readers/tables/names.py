@@ -139,10 +139,6 @@ _UNIT_TAILS = {
 }
 
 
-#: Units of a column that is a temperature where its name begins with t: T, T(°), Temp.
-_DEGREES = frozenset(("°", "º", "â°", "°c", "ºc", "degc", "c", "â°c"))
-
-
 def plain_name(header: str) -> str:
     """Return the name of a column as names are compared: in small letters, without marks around it."""
     return header.strip().strip("\"'\ufeff").lstrip("#%").strip().lower()
@@ -176,9 +172,8 @@ def parse_column(
         axis, words = "pqr".index(words[0]), ["rate"]
     omega = any("omega" in name for name in context)
     role, words, unit = _classify(words, axis, unit, place=place, omega=omega)
-    degrees = unit is not None and unit.strip().lower() in _DEGREES
-    if text == "T" or (role is Role.OTHER and degrees and text.lower().startswith("t")):
-        role = Role.TEMPERATURE
+    if role in {Role.TEMPERATURE, Role.OTHER} or text == "T":
+        role = _temperature(text, unit, role)
     return NamedColumn(
         index=index,
         header=shown,
@@ -315,6 +310,14 @@ def _is_time(words: list[str]) -> bool:
             for stem in stems
         )
     )
+
+
+def _temperature(text: str, unit: str | None, role: Role) -> Role:
+    """Return the role of a column that may be the temperature: T, T(°), Temp."""
+    degrees = unit is not None and unit.strip().lower() in {"°", "º", "â°", "°c", "ºc", "degc", "c", "â°c"}
+    if text == "T" or (degrees and text.lower().startswith("t")):
+        return Role.TEMPERATURE
+    return role
 
 
 def sensor_of_name(name: str) -> Sensor | None:

@@ -140,16 +140,7 @@ def _as_asked(table: NamedTable, text: str, options: ReadOptions) -> TablePlan:
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
-    given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
-    triads = find_triads(table, units_given=given)
-    gyro, accel = (_pick(table, triads, sensor) for sensor in Sensor)
-    reason = _BY_NAME
-    if not triads:
-        gyro, accel, reason = find_bare_triads(table, name)
-    if gyro is None and accel is None:
-        # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
-        gyro, accel = (_single_axes(table, sensor) for sensor in Sensor)
-        reason = _BY_NAME
+    gyro, accel, reason = _sensors(table, options, name)
     if gyro is None and accel is None:
         raise _nothing_found(table, shape)
     if reason == _BY_NAME:
@@ -187,25 +178,43 @@ def _stated_unit(triad: Triad, dialect: Dialect | None) -> UnitGuess | None:
     return UnitGuess(unit=usual, reason=f"as {dialect.name} logs it") if dialect and usual else None
 
 
+def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
+    """Return gyroscope and accelerometer, and how they were found."""
+    given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
+    triads = find_triads(table, units_given=given)
+    if triads:
+        return _pick(table, triads, Sensor.GYROSCOPE), _pick(table, triads, Sensor.ACCELEROMETER), _BY_NAME
+    bare = find_bare_triads(table, name)
+    if any(bare[:2]):
+        return bare
+    # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
+    gyro, accel = (_single_axes(table, sensor) for sensor in Sensor)
+    return gyro, accel, _BY_NAME
+
+
 def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorPlan:
     if options.time is not None and options.time not in _CLOCKS:
         return SensorPlan(triad=triad, time=named_time(table, options.time))
     times = choose_times(table, triad.sensor)
     stamps = [time for time in times if time.kind != "counter"]
     if options.time == "log":
-        if len(stamps) < 2:
-            msg = (
-                f"{table.path}: there is no log time beside the stamps; found times: "
-                f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
-            )
-            raise ChoiceError(msg)
-        return SensorPlan(triad=triad, time=stamps[1])
+        return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
         # Stamps that stand still are still the first choice: the clock says so and takes the log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
     return SensorPlan(triad=triad, time=next(iter(times), None))
+
+
+def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
+    if len(stamps) > 1:
+        return stamps[1]
+    msg = (
+        f"{table.path}: there is no log time beside the stamps; found times: "
+        f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
+    )
+    raise ChoiceError(msg)
 
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
@@ -297,6 +306,13 @@ def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad |
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return next(iter(found), None)
+    texts = [table.columns_text(*pair) for pair in _pairs(table, triads)]
+    problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
+    raise table.ask(problem, example=" or ".join(texts))
+
+
+def _pairs(table: NamedTable, triads: Sequence[Triad]) -> list[tuple[Triad, ...]]:
+    """Return a gyroscope and the accelerometer that goes with it: by the words they share, then by place."""
     gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
     accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
 
@@ -305,15 +321,12 @@ def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad |
         apart = abs(pair[0].indices[0] - pair[1].indices[0])
         return len(first & second) - len(first ^ second), -apart
 
-    # A gyroscope and the accelerometer that goes with it: by the words they share, then by place.
     pairs: list[tuple[Triad, ...]] = [(triad,) for triad in triads]
     if gyros and len(gyros) >= len(accels) > 0:
         pairs = [max(((gyro, accel) for accel in accels), key=likeness) for gyro in gyros]
     elif gyros and accels:
         pairs = [max(((gyro, accel) for gyro in gyros), key=likeness) for accel in accels]
-    texts = [table.columns_text(*pair) for pair in pairs[:_SHOWN]]
-    problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
-    raise table.ask(problem, example=" or ".join(texts))
+    return pairs[:_SHOWN]
 
 
 def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()) -> int | None:
@@ -337,13 +350,7 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
         tags = _tags({cell for cell in column.filled if not is_number(cell)})
         several = max(map(len, tags.values()))
         if several > 1:
-            texts = []
-            for k in range(several):
-                rows = {sensor: names[min(k, len(names) - 1)] for sensor, names in tags.items() if names}
-                parts = [both[sensor].text(f"@{tag}") for sensor, tag in rows.items()]
-                texts.append(",".join(filter(None, [table.columns_text(), *parts])))
-            problem = f"rows of several sensors: {', '.join(tag for names in tags.values() for tag in names)}"
-            raise table.ask(problem, example=" or ".join(texts))
+            raise _several_rows(table, both, tags)
         if several:
             gyros, accels = (
                 replace(both[sensor], rows=(column.index, names[0])) if names else None
@@ -356,6 +363,19 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
         raise table.ask(problem, example=f"{table.columns_text(gyro)} or {table.columns_text(accel)}")
     by_name = "by the name of the file"
     return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
+
+
+def _several_rows(
+    table: NamedTable, triads: dict[Sensor, Triad], tags: dict[Sensor, list[str]]
+) -> ColumnsError:
+    """Return the error for rows of several sensors of a kind, with a ready text for each."""
+    texts = []
+    for k in range(max(map(len, tags.values()))):
+        rows = {sensor: names[min(k, len(names) - 1)] for sensor, names in tags.items() if names}
+        parts = [triads[sensor].text(f"@{tag}") for sensor, tag in rows.items()]
+        texts.append(",".join(filter(None, [table.columns_text(), *parts])))
+    problem = f"rows of several sensors: {', '.join(tag for names in tags.values() for tag in names)}"
+    return table.ask(problem, example=" or ".join(texts))
 
 
 def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
@@ -377,34 +397,51 @@ def _rows_of_sensors(
     way round. Also returns how the rows were found; empty where all rows are of the sensors. A ChoiceError
     if rows of several sensors can't be told apart; the message says how to choose.
     """
-    for column in table.columns:
-        texts = [] if column.role is Role.TIME else sorted({*column.filled})
-        tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
-        if len(texts) <= _MOST_TAGS and any(tags.values()) and not any(map(is_number, texts)):
-            break
-    else:
+    found = _tag_column(table)
+    if found is None:
         _refuse_instances(table, gyro, accel)
         return gyro, accel, ""
-    header = column.header or column.index
+    column, tags = found
     both: list[Triad | None] = []
     for sensor, own, other in ((Sensor.GYROSCOPE, gyro, accel), (Sensor.ACCELEROMETER, accel, gyro)):
         names, triad = tags[sensor], own
         if triad is None and other is not None and names:
-            # The header names these columns for the other sensor, and not this one's unit; a comment may
-            # name the cells of tagged rows.
-            comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
-            plain = [f"column {column.index}" for column in table.columns]
-            cells = next((row for row in comments if row[0] == names[0] and len(row) >= len(plain)), plain)
+            # The header names these columns for the other sensor, and not this one's unit.
+            cells = _names_of_rows(table, names[0])
             triad = triad_of(sensor, [parse_column(cells[at], at) for at in other.indices])
         if triad is not None and len(names) != 1:
-            others = [text for text in texts if not any(text in named for named in tags.values())]
-            rows = (names or others or texts)[:_SHOWN]
-            examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows]
-            found = f"{len(names)} of them name" if names else "none of them names"
-            problem = f"column {header} says whose a row is ({', '.join(texts)}); {found} the {sensor}"
-            raise table.ask(problem, example=" or ".join(examples))
+            raise _unclear(table, column, triad, tags)
         both.append(replace(triad, rows=(column.index, names[0])) if triad is not None else None)
-    return both[0], both[1], f"in the rows that column {header} names"
+    return both[0], both[1], f"in the rows that column {column.header or column.index} names"
+
+
+def _tag_column(table: NamedTable) -> tuple[NamedColumn, dict[Sensor, list[str]]] | None:
+    """Return the column of text that names the sensors of rows, and which text names which."""
+    for column in table.columns:
+        texts = [] if column.role is Role.TIME else sorted({*column.filled})
+        tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
+        if len(texts) <= _MOST_TAGS and any(tags.values()) and not any(map(is_number, texts)):
+            return column, tags
+    return None
+
+
+def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
+    """Return the names that a comment gives the cells of tagged rows, or ``column 3`` and the like."""
+    comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
+    plain = [f"column {column.index}" for column in table.columns]
+    return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
+
+
+def _unclear(
+    table: NamedTable, column: NamedColumn, triad: Triad, tags: dict[Sensor, list[str]]
+) -> ColumnsError:
+    """Return the error for rows of which none, or several kinds, are the sensor's."""
+    names, texts = tags[triad.sensor], sorted({*column.filled})
+    rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
+    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
+    found = f"{len(names)} of them name" if names else "none of them names"
+    said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
+    return table.ask(f"{said}; {found} the {triad.sensor}", example=" or ".join(examples))
 
 
 def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> None:

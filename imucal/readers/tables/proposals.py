@@ -74,24 +74,19 @@ def _likeliest(
     """Return the columns of a sensor that most speaks for, beside those of another that is known."""
     used = {*taken, *(index for triad in others for index in triad.indices)}
     free = [c for c in table.columns if c.index not in used and may_be_samples(c)]
-
-    def score(axes: Mapping[int, NamedColumn]) -> int:
-        said = _name_score(axes, sensor)
-        if said or len(axes) != len(AXES):
-            return said
-        columns = [axes[at] for at in range(len(AXES))]
-        unsaid = (_TAGGED if tagged else 0) + _unknown(columns)
-        if others:
-            return unsaid + _beside(table, columns, others[0])
-        told = sensor is Sensor.ACCELEROMETER and len(free) <= _NARROW and _is_gravity(columns)
-        return unsaid + (_GRAVITY if told else 0)
-
+    several = len(free) > _NARROW
+    scored = [
+        (
+            _name_score(axes, sensor) or _score(table, axes, sensor, others, tagged=tagged, several=several),
+            axes,
+        )
+        for axes in _sets(free)
+    ]
     # Of equal ones the accelerometer is the last, as people write them.
-    sets = _sets(free) if sensor is Sensor.GYROSCOPE else _sets(free)[::-1]
-    scored = ((score(axes), axes) for axes in sets)
-    best, axes = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
-    whole = len(axes) == len(AXES) or best >= _NAMED
-    return triad_of_axes(sensor, axes) if best >= _THRESHOLD and whole else None
+    scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
+    score, best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
+    whole = len(best) == len(AXES) or score >= _NAMED
+    return triad_of_axes(sensor, best) if score >= _THRESHOLD and whole else None
 
 
 def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
@@ -109,13 +104,18 @@ def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
     whole = [axes for axes in counted.values() if sorted(axes) in ([0, 1, 2], [1, 2, 3])]
     sets += [{number - min(axes): column for number, column in axes.items()} for axes in whole]
     named = {column.index for axes in sets if len(axes) == len(AXES) for column in axes.values()}
-    plain = [column for column in free if column.index not in named]
+    return sets + _threes([column for column in free if column.index not in named])
+
+
+def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
+    """Return columns three by three where they stand side by side."""
+    found = []
     while plain:
         run = [column for at, column in enumerate(plain[:3]) if column.index == plain[0].index + at]
         if len(run) == len(AXES):
-            sets.append(dict(enumerate(run)))
+            found.append(dict(enumerate(run)))
         plain = plain[len(run) :]
-    return sets
+    return found
 
 
 def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
@@ -130,6 +130,26 @@ def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
     # A group's name may stand above the first of its columns alone.
     own = [name for name in names if not _HINTS[sensor].search(name)]
     return _HINTED if len(own) < len(names) and not any(own) and names[0] else 0
+
+
+def _score(
+    table: NamedTable,
+    axes: Mapping[int, NamedColumn],
+    sensor: Sensor,
+    others: Sequence[Triad],
+    *,
+    tagged: bool,
+    several: bool,
+) -> int:
+    """Return what speaks for a sensor in columns whose names don't; gravity tells of no `several`."""
+    if len(axes) != len(AXES):
+        return 0
+    columns = [axes[at] for at in range(len(AXES))]
+    score = (_TAGGED if tagged else 0) + _unknown(columns)
+    if others:
+        return score + _beside(table, columns, others[0])
+    told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
+    return score + (_GRAVITY if told else 0)
 
 
 def _beside(table: NamedTable, columns: Sequence[NamedColumn], other: Triad) -> int:

@@ -435,7 +435,11 @@ def _score(column: NamedColumn, sensor: Sensor) -> float:
         score += 30
     elif any(word.startswith(_OTHER_OWNERS) for word in words):
         score -= 35
-    filled = column.filled
+    return _with_cells(score, column.filled)
+
+
+def _with_cells(score: float, filled: Sequence[str]) -> float:
+    """Return a score that the filled cells of a time change; those that stand still make it a last choice."""
     if not filled:
         return score
     # Dates are worse than numbers, ns since 1970 better.
@@ -444,7 +448,6 @@ def _score(column: NamedColumn, sensor: Sensor) -> float:
     # One that counts more coarsely than the samples come is worse than another.
     score -= 20 if 2 * len(set(filled)) < len(filled) else 0
     score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
-    # One that stands still is a last choice.
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
 
@@ -456,17 +459,12 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
     for column in (column for column in table.columns if column.role is Role.TIME):
-        counts, cells = column.counts, column.filled
+        counts = column.counts
         stem = tuple(word for word in column.words if parse_time_unit(word) is None)
         ns = _spelled_ns(column.unit or "", *column.words)
         if counts and (ns or _SECOND) * max(*counts, 1) < _SECOND:
             fractions.setdefault(stem, column)
-        # Whole seconds are counts of that unit or size, or texts, many the same.
-        elif (
-            ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
-            if counts
-            else 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
-        ):
+        elif _is_whole(column.filled, counts, ns):
             seconds.setdefault(stem, column)
     if len(seconds) == 1:
         seconds[()] = next(iter(seconds.values()))
@@ -476,6 +474,13 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
         for stem, fine in fractions.items()
         if stem in seconds
     ]
+
+
+def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
+    """Return whether cells are whole seconds: counts of that unit or size, or texts, many the same."""
+    if counts:
+        return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
+    return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
 
 
 def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:

@@ -257,24 +257,31 @@ class BlockReader:
     def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
         """Return the wanted columns of the good rows of a block, row by row."""
         header = self._separator.join(self.layout.headers).replace(" ", "")
-        found: dict[int, list[Any]] = {index: [] for index in self.kinds}
+        rows = []
         for line in block.decode("utf-8", "replace").split("\n"):
             text = line.strip("\r\n")
             if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
                 continue
-            cells = split_line(text, self._separator)
-            missing = self.layout.width - len(cells)
-            cells += [""] * missing
-            bad = missing < 0 or not all(cells[index] for index in self.needed)
-            row = [None] if bad else [_number(cells[index], kind) for index, kind in self.kinds.items()]
-            if None in row:
+            row = self._row(split_line(text, self._separator))
+            if row is None:
                 self._note_bad(1, text)
-                continue
-            for column, value in zip(found.values(), row, strict=True):
-                column.append(value)
-        return {index: self._array(values, self.kinds[index]) for index, values in found.items()}
+            else:
+                rows.append(row)
+        columns = list(zip(*rows, strict=True)) if rows else [()] * len(self.kinds)
+        return {index: self._array(columns[place], index) for place, index in enumerate(self.kinds)}
 
-    def _array(self, values: Sequence[Any], kind: Kind) -> NDArray[Any]:
+    def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
+        """Return the wanted cells of a row as numbers; None for a bad row."""
+        missing = self.layout.width - len(cells)
+        cells = [*cells, *[""] * missing]
+        if missing < 0 or any(not cells[index] for index in self.needed):
+            return None
+        row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
+        good = [value for value in row if value is not None]
+        return good if len(good) == len(row) else None
+
+    def _array(self, values: Sequence[Any], index: int) -> NDArray[Any]:
+        kind = self.kinds[index]
         if kind in _TEXTS:
             return self._times(values, kind)
         whole = kind == "integer" and not any(isinstance(value, float) for value in values)
@@ -377,15 +384,10 @@ def read_table(
             return read_table(source, replace(options, columns=columns), name=name, head=True)
 
         raise with_more(source.name, error, tried) from error
-    # Sensors whose samples stand in the same rows are read together.
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
+    groups = _by_rows(plan, stamps)
     expected = 0 if head else source.expected_rows
     readers = [
-        _reader(source, layout, group, plan.temperature, options, expected=expected)
-        for group in groups.values()
+        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
     ]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
@@ -394,7 +396,7 @@ def read_table(
         raise ReadError(msg)
     findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
-    for reader, group in zip(readers, groups.values(), strict=True):
+    for reader, group in zip(readers, groups, strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
         if stamps is not None:
             if reader.bad or reader.good != stamps.values.size:
@@ -418,6 +420,15 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, plan.topics)
+
+
+def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
+    """Return the sensors in groups that are read from the same rows; `stamps` are the times of all."""
+    groups: dict[Rows, list[SensorPlan]] = {}
+    for sensor in plan.sensors:
+        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
+        groups.setdefault(sensor.triad.rows, []).append(timed)
+    return list(groups.values())
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -448,13 +459,7 @@ def _reader(
     expected: int,
 ) -> BlockReader:
     rows = sensors[0].triad.rows or layout.tag
-    if rows is not None and rows != layout.tag:
-        # Tagged rows differ in width.
-        tagged = rows_of_tag(source.head[layout.start :], layout.delimiter, rows)
-        cells = [tuple(split_line(line, layout.delimiter)) for line in tagged]
-        if cells:
-            ((width, _),) = Counter(map(len, cells)).most_common(1)
-            layout = replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
+    layout = _of_rows(source.head, layout, rows)
     kinds: dict[int, Kind] = {}
     times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
     for sensor in sensors:
@@ -477,6 +482,18 @@ def _reader(
         expected=expected,
         by_day=any(time.by_day for time in times),
     )
+
+
+def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
+    """Return the layout of some of the rows: tagged rows differ in width."""
+    if rows is None or rows == layout.tag:
+        return layout
+    lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
+    cells = [tuple(split_line(line, layout.delimiter)) for line in lines]
+    if not cells:
+        return layout
+    width = Counter(map(len, cells)).most_common(1)[0][0]
+    return replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
@@ -681,14 +698,7 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    clocks = [part.series[0].clock for part in parts]
-    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
-        msg = (
-            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
-            "read one file at a time"
-        )
-        raise ChoiceError(msg)
+    _refuse_other_times(path, names, parts)
     every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
@@ -703,6 +713,17 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
         findings=tuple(dict.fromkeys(findings)),
     )
+
+
+def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
 
 
 def times_of(path: Path) -> ExternalTime | None:
