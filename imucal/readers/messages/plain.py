@@ -301,8 +301,7 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     head = _head_size(alike, times, batch.log_at or 0, end)
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end or (times and times[0].dtype[1] == "f"):
         return None
-    vectors = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
-    plain = {vector.sensor: places[vector.paths[0]] for vector in vectors}
+    plain = _plain(imu, places)
     return Template(
         guards=batch.guards,
         alike=Alike(alike, head),
@@ -313,6 +312,12 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         plain=tuple(plain.items()),
         others=tuple(vector for vector in imu.vectors if vector.sensor not in plain),
     )
+
+
+def _plain(imu: ImuFields, places: dict[str, Place]) -> dict[Sensor, Place]:
+    """Return where the vectors begin whose numbers lie side by side as they are."""
+    vectors = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
+    return {vector.sensor: places[vector.paths[0]] for vector in vectors}
 
 
 def _head_size(alike: Sequence[Guard], times: Sequence[Place], log_at: int, end: int) -> int:
