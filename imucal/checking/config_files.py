@@ -215,8 +215,9 @@ class _File:
                     continue
                 same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
                 instead = "" if same else setting.with_number(real(rate_hz))
-                found = f"{setting.numbers[0]:g} Hz"
-                text = f"{self.place('log', setting)} is {found}, and the log's {rate_hz:g} Hz"
+                text = (
+                    f"{self.place('log', setting)} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
+                )
                 if instead:
                     text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
                 verdict: Verdict = "undecided" if instead else "pass"
