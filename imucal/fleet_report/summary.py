@@ -243,7 +243,7 @@ def load_fleet(
     tests, findings = unit_tests(answers, units, groups) if unit_logs else ({}, ())
     terms = _terms(answers, groups, tests, (content, confidence))
     names = sorted({own for own, _ in units.values() if model in {None, own}})
-    models = [_model(name, logs.values(), [t for of, t in terms if of == name]) for name in names]
+    models = [_model(name, logs.values(), terms) for name in names]
     loose = _loose(results, logs)
     return Fleet(
         folder=Path(folder),
@@ -291,7 +291,8 @@ def labels_to_type(paths: Sequence[str]) -> str:
     return unit + (suffixes.pop() if len(suffixes) == 1 else "")
 
 
-def _model(name: str, every: Iterable[FleetLog], terms: Sequence[FleetTerm]) -> SensorModel:
+def _model(name: str, every: Iterable[FleetLog], terms: Iterable[tuple[str, FleetTerm]]) -> SensorModel:
+    own = [term for model, term in terms if model == name]
     logs = tuple(log for log in every if log.model == name and log.unit is not None)
     rates = sorted(log.rate_hz for log in logs if log.rate_hz)
     order = {name: place for place, name in enumerate((*Sensor, *TERMS))}
@@ -300,7 +301,7 @@ def _model(name: str, every: Iterable[FleetLog], terms: Sequence[FleetTerm]) -> 
         units=tuple(sorted({log.unit for log in logs if log.unit and log.counts})),
         logs=logs,
         rate_hz=rates[len(rates) // 2] if rates else math.nan,
-        terms=tuple(sorted(terms, key=lambda t: (order[t.sensor], order[t.symbol], t.term, t.axis))),
+        terms=tuple(sorted(own, key=lambda t: (order[t.sensor], order[t.symbol], t.term, t.axis))),
     )
 
 

@@ -136,14 +136,9 @@ def run_fleet(
     )
     if not fresh:
         store.mend()
-    several = () if logs is None else (logs,) if isinstance(logs, str | Path) else tuple(logs)
-    if logs is not None and not several and manifest is None:
-        # A pattern that matched nothing, say: it must not become all that the folder has.
-        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
-        raise ValueError(msg)
     asked, _ = asked_logs(
         store,
-        [str(log) for log in several],
+        _names(logs, needed=logs is not None and manifest is None),
         manifest=None if manifest is None else Path(manifest),
         labels=None if labels is None else LabelPattern(labels),
     )
@@ -181,6 +176,15 @@ def _refuse_shard(shard: tuple[int, int] | None, scheduler: str | None) -> None:
     if shard and scheduler:
         msg = "a shard works without a cluster; expected shard or scheduler, not both"
         raise ValueError(msg)
+
+
+def _names(logs: str | Path | Iterable[str | Path] | None, *, needed: bool) -> list[str]:
+    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
+    if needed and not names:
+        # A pattern that matched nothing, say: it must not become all that the folder has.
+        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
+        raise ValueError(msg)
+    return names
 
 
 def _memory(asked: int | str | None) -> int | None:
