@@ -34,16 +34,13 @@ def _entries(
     quiet: bool,
 ) -> list["LogTask"]:
     """Return the logs asked for; those of the store's manifest where none is named."""
-    from imucal.fleet_run.plan import asked_logs, stored_logs
+    from imucal.fleet_run.plan import asked_logs
 
-    if logs or manifest is not None:
-        listed = sys.stdin if "-" in logs else ()
-        asked, unlike = asked_logs(logs, listed=listed, manifest=manifest, labels=labels)
-    elif store.exists:
-        asked, unlike = stored_logs(store.manifest(), labels)
-    else:
+    if not (logs or manifest is not None or store.exists):
         msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
         raise click.UsageError(msg)
+    listed = sys.stdin if "-" in logs else ()
+    asked, unlike = asked_logs(store, logs, listed=listed, manifest=manifest, labels=labels)
     if unlike and labels is not None:
         say(f"{unlike} of {len(asked)} logs do not fit {labels.pattern}", quiet=quiet)
     return asked
