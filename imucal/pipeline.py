@@ -29,8 +29,8 @@ from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
 from imucal.screening import screen_values, worst_first
 
-#: Samples looked at at once.
-_BLOCK = 1 << 20
+#: Samples looked at at once, and so many that they stay in the cache.
+_BLOCK, _PART = 1 << 20, 1 << 15
 #: Bytes that the analysis of an axis takes for each of its samples and besides, and those that all axes may
 #: take that are worked on at a time unless a number is wanted.
 _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
@@ -46,8 +46,6 @@ _DOCUMENTED = (
 
 #: Fewest measured temperatures that say how an axis follows it.
 _FEWEST_DEGREES = 16
-#: Samples worked on at a time, which stay in the cache.
-_PART = 1 << 15
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -143,11 +141,9 @@ def characterize(
 def _load_libraries() -> None:
     """Load what every axis needs of SciPy, once, by the process that others are forked from.
 
-    SciPy looks at all that NumPy offers; the largest part of that, its tools for Fortran, is loaded when
-    somebody uses it.
+    SciPy asks NumPy for all of its parts; the tools for Fortran, the largest, wait until they are used.
     """
-    spec = None if _FORTRAN in sys.modules else find_spec(_FORTRAN)
-    if spec and spec.loader:
+    if _FORTRAN not in sys.modules and (spec := find_spec(_FORTRAN)) and spec.loader:
         spec.loader = LazyLoader(spec.loader)
         np.f2py = sys.modules[_FORTRAN] = module_from_spec(spec)
         spec.loader.exec_module(np.f2py)
@@ -201,10 +197,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
-    """Return how many axes to work on at a time: as many as wanted, or as the machine has processors for.
-
-    So many as the memory holds; those that nobody asked for keep to little.
-    """
+    """Return how many axes to work on at a time: as wanted or as there are processors, and memory holds."""
     if wanted is not None and wanted < 1:
         msg = f"workers must be at least 1, got {wanted}"
         raise ValueError(msg)

@@ -144,8 +144,6 @@ _OPTIONS = (
     (r"parts of one recording$", "--join"),
 )  # fmt: skip
 
-#: So many objects are made before they are looked through for circles that nobody needs.
-_MADE = 200_000
 #: What writing to a full disk, or to a place that takes no more, ends with.
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
@@ -182,8 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and end the process with its exit code."""
     _fill_streams()
     single_matrix_thread()
-    # What a command makes is needed to its end: to look through it for circles takes a tenth of the time.
-    gc.set_threshold(_MADE)
+    # What a command makes is needed to its end; to look through it for circles takes a tenth of the time.
+    gc.set_threshold(200_000)
     sys.exit(_run(arguments))
 
 

@@ -23,10 +23,8 @@ _EVERY = 1_000_000
 _THOROUGH, _QUICK = ((25, _EVERY), (25, 40)), ((12, _EVERY), (38, 16))
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96
-#: Keeps logarithms and squares of inverses finite.
-_TINY = 1e-140
-#: The same in single precision.
-_SINGLE = np.float32(1e-15)
+#: Keeps logarithms and squares of inverses finite, in double and in single precision.
+_TINY, _SINGLE = 1e-140, np.float32(1e-15)
 
 
 def time_grid(ordinates: Ordinates, shortest: float) -> FloatArray:
@@ -167,7 +165,7 @@ def _mix(
     seen = dictionary / level
     largest = seen.max(axis=1)
     single = (seen / largest[:, None]).astype(np.float32)
-    plenty = np.ascontiguousarray((single * ordinates.size.astype(np.float32)).T)
+    plenty = (single * ordinates.size.astype(np.float32)).T.copy()
     share = (weights * largest).astype(np.float32)
     for _ in range(rounds):
         inverse = 1 / (share @ single + _SINGLE)
