@@ -2,40 +2,24 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 from imucal.atomic import replacing
 from imucal.errors import WriteError
-from imucal.prediction.filter_numbers import CAMERA_HORIZON_S, HORIZON_S, STEP_S
+from imucal.prediction.filter_numbers import STEP_S
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, Choices, Unidentified
-from imucal.report.exports.target import Target, name_key
+from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
 __all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Basis", "Unidentified", "export", "find_target", "render"]
 
-#: The modules of this folder that hold formats, in the order of the list that users see.
-_MODULES = (
-    "visual",
-    "gtsam",
-    "lidar",
-    "ros",
-    "autopilots",
-    "simulators",
-    "kf_gins",
-    "matlab",
+#: Families of formats, each a file of the folder ``formats``, in the order of the list that users see.
+_FAMILIES = (
+    *("visual", "gtsam", "lidar", "ros", "autopilots", "simulators", "kf_gins", "matlab"),
     "own_program",
 )
-_HORIZON_S = {"visual": CAMERA_HORIZON_S, "lidar": CAMERA_HORIZON_S}
-_FOUND: list[Target] = [
-    replace(target, horizon_s=_HORIZON_S.get(module, HORIZON_S))
-    for module in _MODULES
-    for target in import_module(f"{__name__}.{module}").TARGETS
-]
-
 #: Name of a downstream format -> how its file is written.
-TARGETS: dict[str, Target] = {target.name: target for target in _FOUND}
+TARGETS: dict[str, Target] = {target.name: target for target in read_targets(_FAMILIES)}
 
 #: Programs that a slip of the pen does not turn into one of ours -> what to say of them.
 _OTHERS = {

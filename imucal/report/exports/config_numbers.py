@@ -363,6 +363,20 @@ class Numbers:
         )
         return min(tried, key=lambda pairs: math.prod(pair.price for pair in pairs))
 
+    def forgetful(self, sensor: str) -> dict[str, float]:
+        """Return N, K and T of a sensor's white noise and bias that cover; nothing for the fit's own."""
+        if not self.covers or sensor not in self.sensors:
+            return {}
+        (pair,) = self.timed([self.chosen(Sensor(sensor))])
+        time = pair.correlation_time_s or NOMINAL_TIME_S
+        factor = self.choices.factor
+        return {"N": pair.white * factor("N"), "K": pair.walk * factor("K"), "T": time}
+
+    def times(self, sensor: str) -> list[tuple[float, str]]:
+        """Return T of each axis's slowest Gauss-Markov term, with the name of the axis."""
+        axes = self.axes(Sensor(sensor)) if sensor in self.sensors else ()
+        return [(term[1], axis.name) for axis in axes if (term := self.gauss_markov(axis))]
+
     def _fitted_bias(self, axis: AxisReport) -> WithBias:
         """Return N and the process that best stands for what is slower.
 
