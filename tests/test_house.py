@@ -11,7 +11,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(14484, 104305, 53),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
-    "fitting": Size(9686, 72574, 33),  # slow terms speak for K, floors by the likelihood, starts in half the digits
+    "fitting": Size(9634, 72017, 33),  # slow terms speak for K, cycles by chance, floors by the likelihood
     "report": Size(5807, 42102, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4454, 24278, 24),  # SciPy's way to Fortran unloaded, short axes screened unforked
     "cli": Size(4091, 25601, 25),  # --open, --figure, errors as JSON, defaults; fewer looks for circles
