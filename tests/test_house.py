@@ -12,7 +12,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 BUDGET = {
     "readers": Size(14615, 105108, 57),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
     "fitting": Size(9634, 72017, 33),  # slow terms speak for K, cycles by chance, floors by the likelihood
-    "report": Size(5807, 42102, 21),  # one view for page, table and notebook; pictures for papers
+    "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4446, 24171, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(4087, 25593, 25),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2407, 16422, 7),  # answers that are kept, so that 5 000 logs load in seconds
