@@ -12,7 +12,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 BUDGET = {
     "readers": Size(14481, 104254, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
     "fitting": Size(9634, 72017, 33),  # slow terms speak for K, cycles by chance, floors by the likelihood
-    "report": Size(5807, 42102, 21),  # one view for page, table and notebook; pictures for papers
+    "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4446, 24171, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(4087, 25593, 25),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2367, 16510, 7),  # the law of the next log in a tenth of the time

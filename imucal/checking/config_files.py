@@ -169,9 +169,7 @@ def _names(key: Key) -> tuple[str, ...]:
 def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     """Return the formats with most of their keys in a file: one, or several of the same keys."""
     counts = {
-        target.name: sum(
-            setting.is_called(name) for setting in settings for key in target.keys for name in _names(key)
-        )
+        target.name: sum(s.is_called(name) for s in settings for key in target.keys for name in _names(key))
         for target in TARGETS.values()
         if target.read_back
     }

@@ -7,7 +7,7 @@ fit alone leave out its flicker, and a filter with them trusts itself too much.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, TypedDict, get_args
 
 import numpy as np
 
@@ -85,6 +85,18 @@ class Choices:
     def factor(self, symbol: str) -> float:
         """Return the factor on a term's coefficient; 1 where nothing was asked."""
         return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
+
+
+class Options(TypedDict, total=False):
+    """The attributes of `Choices`, each with a usual value where it is not given."""
+
+    axis_policy: AxisPolicy
+    inflate: Mapping[str, float]
+    unidentified: Unidentified
+    topic: str | None
+    numbers: Basis
+    horizon_s: float | None
+    step_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
