@@ -168,11 +168,6 @@ def name_of_log(log: str) -> str:
     return name_of(shown(log)) if is_url(log) else Path(log).resolve().name
 
 
-force_option = click.option(
-    "--force", is_flag=True, help="Continue although the log is not at rest (else exit code 4)."
-)
-
-
 def refuse(
     verdict: NoiseVerdict,
     where: str,

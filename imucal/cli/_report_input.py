@@ -1,72 +1,26 @@
 """REPORT of a command: a report.json, its folder, a log, which is characterised first, or a model."""
 
-import functools
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import click
 
+from imucal.cli._declared import option, together
 from imucal.cli._printing import as_typed, name_of_log, say
-from imucal.cli.parameters import LogRequest, Text, log_options
+from imucal.cli.parameters import LOG, LogRequest, Text
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.report.result import Report
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
 #: What a REPORT is, for the help of an option that takes no log.
 REPORT = "report.json or its folder"
 
 
-def report_or_log(command: Command) -> Callable[..., Any]:
-    """Add REPORT, the options of reading a log, and those of models; the command gets them as `request`."""
-
-    @model_options
-    @functools.wraps(command)
-    def wrapper(*, request: LogRequest, models: dict[Sensor, str], **values: Any) -> object:  # noqa: ANN401
-        given = next((log for log in request.logs if is_model(log)), None)
-        if given is not None and len(request.logs) > 1:
-            msg = f"{given!r} is a model; give one model, one report, or logs only"
-            raise click.UsageError(msg)
-        if given is not None or not request.logs or models:
-            models = with_model(given or next(iter(request.logs), None), models)
-            # Messages name what was given where a log's path would stand.
-            request = replace(request, logs=tuple(models.values())[:1], models=models)
-        return command(request=request, **values)
-
-    decorated = log_options(wrapper)
-    for parameter in decorated.__click_params__:  # type: ignore[attr-defined]
-        if isinstance(parameter, click.Argument):
-            parameter.metavar, parameter.required = "REPORT", False
-            parameter.type = click.Path()  # the shell completes it
-        elif parameter.name == "strict":
-            parameter.help = "Log: Refuse a damaged log."
-        elif parameter.name == "rate_hz":
-            parameter.help = f"Log, model: {parameter.help} A model has none of its own."
-        elif parameter.name not in ("quiet", "verbose", *Sensor):
-            parameter.help = f"Log: {parameter.help}"
-    return decorated
-
-
-def model_options(command: Command) -> Callable[..., Any]:
-    """Add the options of models in place of a report; the command gets them as `models`."""
-
-    @click.option("--gyro", "gyroscope", type=_model(Sensor.GYROSCOPE), metavar="MODEL", help=_HELP)
-    @click.option("--accel", "accelerometer", type=_model(Sensor.ACCELEROMETER), metavar="MODEL", help=_HELP)
-    @functools.wraps(command)
-    def wrapper(*, gyroscope: str | None, accelerometer: str | None, **values: Any) -> object:  # noqa: ANN401
-        both = {Sensor.GYROSCOPE: gyroscope, Sensor.ACCELEROMETER: accelerometer}
-        return command(models={sensor: text for sensor, text in both.items() if text}, **values)
-
-    return wrapper
-
-
-_HELP = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
+_MODEL = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
 
 
 def _model(sensor: Sensor) -> Text[str]:
@@ -79,6 +33,51 @@ def _model(sensor: Sensor) -> Text[str]:
         return text
 
     return Text("model", checked)
+
+
+def _models(**texts: str | None) -> dict[Sensor, str]:
+    return {Sensor(name): text for name, text in texts.items() if text}
+
+
+#: The options of models in place of a report, which make a model for each sensor that has one.
+MODELS = together(
+    _models,
+    {
+        Sensor.GYROSCOPE.value: option("--gyro", _MODEL, _model(Sensor.GYROSCOPE), "MODEL"),
+        Sensor.ACCELEROMETER.value: option("--accel", _MODEL, _model(Sensor.ACCELEROMETER), "MODEL"),
+    },
+)
+
+
+def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
+    given = next((log for log in request.logs if is_model(log)), None)
+    if given is not None and len(request.logs) > 1:
+        msg = f"{given!r} is a model; give one model, one report, or logs only"
+        raise click.UsageError(msg)
+    if given is None and request.logs and not models:
+        return request
+    models = with_model(given or next(iter(request.logs), None), models)
+    # Messages name what was given where a log's path would stand.
+    return replace(request, logs=tuple(models.values())[:1], models=models)
+
+
+def _of_a_log(parameter: click.Parameter) -> None:
+    """Let LOG be a REPORT, and the help of each option of reading say that it is about a log."""
+    if isinstance(parameter, click.Argument):
+        parameter.metavar, parameter.required = "REPORT", False
+        parameter.type = click.Path()  # the shell completes it
+    elif not isinstance(parameter, click.Option) or parameter.name in ("quiet", "verbose"):
+        return
+    elif parameter.name == "strict":
+        parameter.help = "Log: Refuse a damaged log."
+    elif parameter.name == "rate_hz":
+        parameter.help = f"Log, model: {parameter.help} A model has none of its own."
+    else:
+        parameter.help = f"Log: {parameter.help}"
+
+
+#: REPORT, the options of reading a log, and those of models, which make a `LogRequest`.
+REPORT_OR_LOG = together(_request, {"request": replace(LOG, change=_of_a_log), "models": MODELS})
 
 
 def is_model(text: str) -> bool:

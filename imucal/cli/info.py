@@ -1,13 +1,10 @@
 """``imucal info``: what is in a log, from its index; gaps and clocks where the log is small."""
 
-from typing import Any
-
-import click
-
+from imucal.cli._declared import declared, flag, option
 from imucal.cli._info import SCHEMA, lines_of_log, log_document, read_topics
 from imucal.cli._printing import echo, print_json, wrapped
 from imucal.cli._progress import download_progress
-from imucal.cli.parameters import json_option, reading_options
+from imucal.cli.parameters import READING, Asked
 from imucal.readers import LogContents, describe, logs_of
 from imucal.readers.read_options import options_of
 from imucal.readers.tables.text_source import STANDARD_INPUT
@@ -24,7 +21,7 @@ _SMALL_REMOTE = 1 << 20
 _MANY = 4_000_000
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal info log.mcap
@@ -36,20 +33,19 @@ Examples:
 \b
 Exit codes: 0 done, 2 usage, 3 a log can't be read."""
 )
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
-@json_option("Print JSON on standard output.")
-@click.option(
-    "--gaps/--no-gaps",
-    default=None,
-    help="Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
-)
-@reading_options
-@click.option("-v", "--verbose", is_flag=True, help="List the fields of messages too.")
 def command(
-    logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, verbose: bool, reading: dict[str, Any]
+    *,
+    as_json: bool = flag("--json", "Print JSON on standard output."),
+    gaps: bool | None = option(
+        "--gaps/--no-gaps",
+        "Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
+        default=None,
+    ),
+    asked: Asked = READING,
+    verbose: bool = flag("-v --verbose", "List the fields of messages too."),
 ) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
-    entries = []
+    entries, (logs, reading) = [], asked
     folders = {named: parts for named in logs if len(parts := logs_of(named)) > 1}
     for log in (log for named in logs for log in folders.get(named, [named])):
         with download_progress(quiet=not is_url(log)) as progress:
