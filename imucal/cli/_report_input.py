@@ -9,7 +9,7 @@ import click
 
 from imucal.cli._declared import option, together
 from imucal.cli._printing import as_typed, name_of_log, say
-from imucal.cli.parameters import LOG, LogRequest, Text
+from imucal.cli.parameters import LOG, LogRequest, model_of
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
@@ -23,18 +23,6 @@ REPORT = "report.json or its folder"
 _MODEL = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
 
 
-def _model(sensor: Sensor) -> Text[str]:
-    """Return the type of an option that holds a model of a sensor: the text, once it is understood."""
-
-    def checked(text: str) -> str:
-        from imucal.noise.model import NoiseModel
-
-        NoiseModel.parse(text, sensor)
-        return text
-
-    return Text("model", checked)
-
-
 def _models(**texts: str | None) -> dict[Sensor, str]:
     return {Sensor(name): text for name, text in texts.items() if text}
 
@@ -43,8 +31,8 @@ def _models(**texts: str | None) -> dict[Sensor, str]:
 MODELS = together(
     _models,
     {
-        Sensor.GYROSCOPE.value: option("--gyro", _MODEL, _model(Sensor.GYROSCOPE), "MODEL"),
-        Sensor.ACCELEROMETER.value: option("--accel", _MODEL, _model(Sensor.ACCELEROMETER), "MODEL"),
+        Sensor.GYROSCOPE.value: option("--gyro", _MODEL, model_of(Sensor.GYROSCOPE), "MODEL"),
+        Sensor.ACCELEROMETER.value: option("--accel", _MODEL, model_of(Sensor.ACCELEROMETER), "MODEL"),
     },
 )
 

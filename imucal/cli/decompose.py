@@ -9,7 +9,7 @@ import click
 from imucal._version import __version__
 from imucal.cli._declared import declared, flag, option, shown
 from imucal.cli._printing import echo, print_findings, print_json, refuse, say
-from imucal.cli._progress import axes_progress, smoothing_progress
+from imucal.cli._progress import FITTING, progress
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, FORCE, LOG, PATH, PICTURES, STRUCTURE, LogRequest
 from imucal.errors import DataError
@@ -79,8 +79,8 @@ def command(
     check_folder(folder)
     recording = _only(request.read(), axes)
     settings = Settings(model=model, clean=not no_clean, second_opinion=False, reading=request.settings())
-    with axes_progress(quiet=request.quiet) as progress:
-        report = characterize(recording, settings, progress=progress)
+    with progress(*FITTING, quiet=request.quiet) as update:
+        report = characterize(recording, settings, progress=update)
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     path = recording.source.path
     described, failed = [], False
@@ -139,8 +139,8 @@ def _decompose_axis(
         named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
         text = f"the fit took out {' and '.join(named)}; here it is in the bias, as far as the model follows"
         say(f"{series.name}: {text}", quiet=quiet)
-    with smoothing_progress(series.name, quiet=quiet) as progress:
-        parts = decompose(series, fit, clean=clean, progress=progress)
+    with progress(f"decomposing {series.name}", "TaskProgressColumn", quiet=quiet) as update:
+        parts = decompose(series, fit, clean=clean, progress=update)
     paths = write_decomposition(parts, folder, **asked)
     for path in paths:
         say(path, quiet=quiet)

@@ -6,7 +6,7 @@ Among these are the options of how to read a log, where it doesn't say itself, a
 import functools
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ import click
 
 from imucal.cli._declared import argument, flag, option, shown, together
 from imucal.cli._printing import say
-from imucal.cli._progress import axes_progress, download_progress, reading_progress
+from imucal.cli._progress import BYTES, FITTING, progress
 from imucal.clock import seconds_of
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
@@ -142,6 +142,18 @@ def structure_of(text: str) -> str:
     return text if text == "auto" else structure_text(parse_structure(text))
 
 
+def model_of(sensor: Sensor) -> Text[str]:
+    """Return the type of a model of a sensor: the text, once it is understood."""
+
+    def checked(text: str) -> str:
+        from imucal.noise.model import NoiseModel
+
+        NoiseModel.parse(text, sensor)
+        return text
+
+    return Text("model", checked)
+
+
 #: Hz: no IMU is slower or faster, and no product of these overflows.
 RATE = Number(1e-6, 1e9, unit="Hz")
 #: Beyond these levels an interval is a point or everything.
@@ -233,6 +245,18 @@ READING = together(
 )
 
 
+@contextmanager
+def lent(logs: Sequence[str], *, quiet: bool = False) -> Iterator["LocalLogs"]:
+    """Lend logs as files of this machine, those by URL with a progress bar where a person watches."""
+    from imucal.readers.remote_logs import local_logs
+    from imucal.remote import is_url
+
+    with ExitStack() as stack:
+        with progress("downloading", *BYTES, quiet=quiet or not any(map(is_url, logs))) as update:
+            local = stack.enter_context(local_logs(logs, progress=update))
+        yield local
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogRequest:
     """What the user asked to read; `reading` holds arguments of `imucal.read`.
@@ -252,13 +276,7 @@ class LogRequest:
     @contextmanager
     def local(self) -> Iterator["LocalLogs"]:
         """Lend the logs as files of this machine, those by URL with a progress bar where a person watches."""
-        from imucal.readers.remote_logs import local_logs
-        from imucal.remote import is_url
-
-        with ExitStack() as stack:
-            quiet = self.quiet or not any(map(is_url, self.logs))
-            with download_progress(quiet=quiet) as progress:
-                logs = stack.enter_context(local_logs(self.logs, progress=progress))
+        with lent(self.logs, quiet=self.quiet) as logs:
             yield logs
 
     def read(self) -> Recording:
@@ -269,8 +287,8 @@ class LogRequest:
     def _read(self, logs: "LocalLogs") -> Recording:
         from imucal.readers import read
 
-        with reading_progress(quiet=self.quiet) as progress:
-            recording = read(*logs.paths, **self.reading, strict=self.strict, progress=progress)
+        with progress("reading", *BYTES, quiet=self.quiet) as update:
+            recording = read(*logs.paths, **self.reading, strict=self.strict, progress=update)
         if self.skip_s or self.take_s is not None:
             end = math.inf if self.take_s is None else self.skip_s + self.take_s
             recording = recording.between(self.skip_s, end)
@@ -291,8 +309,8 @@ class LogRequest:
                 from imucal.rests import at_rest
 
                 recording = at_rest(recording)
-            with axes_progress(quiet=self.quiet) as progress:
-                report = characterize(recording, settings, progress=progress, workers=workers)
+            with progress(*FITTING, quiet=self.quiet) as update:
+                report = characterize(recording, settings, progress=update, workers=workers)
             files = (*report.source.files, *logs.named_files(checksums.files()))
             return replace(report, source=replace(report.source, files=files))
 

@@ -6,7 +6,7 @@ import click
 
 from imucal.cli._declared import argument, declared, flag, option, shown
 from imucal.cli._printing import echo, picked, print_json, say
-from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text
+from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
 from imucal.recording import Sensor
@@ -14,12 +14,6 @@ from imucal.units import G0
 
 #: Samples of the longest log: six axes of them are 48 GB.
 _MOST = 1e9
-
-
-def _of_the_gyroscope(text: str) -> str:
-    """Return the text of a model of a gyroscope."""
-    NoiseModel.parse(text)
-    return text
 
 
 _LSB = Number(min=0)
@@ -54,7 +48,7 @@ Examples:
 )
 def command(
     *,
-    model: str = argument(None, Text("model", _of_the_gyroscope)),
+    model: str = argument(None, model_of(Sensor.GYROSCOPE)),
     accel: str | None = option(
         "--accel", "Model of the accelerometer; MODEL's numbers where not given.", metavar="MODEL"
     ),
