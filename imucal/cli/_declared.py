@@ -4,11 +4,11 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-__all__ = ["argument", "declared", "flag", "option", "shown", "together"]
+__all__ = ["argument", "declared", "flag", "misuse", "option", "shown", "together"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,3 +90,8 @@ def together(make: Callable[..., Any], declared: dict[str, Any]) -> Any:  # noqa
 def argument(metavar: str | None, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
     """Declare an argument of a command."""
     return _Declared(click.Argument, "", {"metavar": metavar, "type": kind, **more})
+
+
+def misuse(text: object) -> NoReturn:
+    """Raise what ends a command with exit code 2: what was typed can't be meant."""
+    raise click.UsageError(str(text))

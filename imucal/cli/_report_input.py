@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import option, together
+from imucal.cli._declared import misuse, option, together
 from imucal.cli._printing import as_typed, name_of_log, say
 from imucal.cli.parameters import LOG, LogRequest, model_of
 from imucal.errors import ReadError
@@ -40,8 +40,7 @@ MODELS = together(
 def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
     given = next((log for log in request.logs if is_model(log)), None)
     if given is not None and len(request.logs) > 1:
-        msg = f"{given!r} is a model; give one model, one report, or logs only"
-        raise click.UsageError(msg)
+        misuse(f"{given!r} is a model; give one model, one report, or logs only")
     if given is None and request.logs and not models:
         return request
     models = with_model(given or next(iter(request.logs), None), models)
@@ -88,16 +87,13 @@ def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "RE
             raise click.MissingParameter(param_hint=f"'{name}'", param_type="argument")
         return dict(models)
     if not is_model(source):
-        msg = f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other"
-        raise click.UsageError(msg)
+        misuse(f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other")
     if Sensor.GYROSCOPE in models:
-        msg = f"{source!r} is a model of the gyroscope, and so is --gyro; give one of them"
-        raise click.UsageError(msg)
+        misuse(f"{source!r} is a model of the gyroscope, and so is --gyro; give one of them")
     try:
         NoiseModel.parse(source)
     except ValueError as error:
-        msg = f"{source!r} is no file or folder, nor a model of a gyroscope: {error}"
-        raise click.UsageError(msg) from error
+        misuse(f"{source!r} is no file or folder, nor a model of a gyroscope: {error}")
     return {Sensor.GYROSCOPE: source, **models}
 
 
@@ -106,8 +102,7 @@ def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
     from imucal.report.given import model_as_report
 
     if rate_hz is None:
-        msg = "a model has no sampling rate of its own; give one, such as --rate 200"
-        raise click.UsageError(msg)
+        misuse("a model has no sampling rate of its own; give one, such as --rate 200")
     return model_as_report(models, rate_hz=rate_hz)
 
 
@@ -131,8 +126,7 @@ def load_report(request: LogRequest) -> Report:
     if first is None:
         return _characterise(request)
     if len(request.logs) > 1:
-        msg = f"{shown(first)} is a report; give one report, or logs only"
-        raise click.UsageError(msg)
+        misuse(f"{shown(first)} is a report; give one report, or logs only")
     _refuse_reading(asked, f"{shown(first)} is a report")
     return read_report(first)
 
@@ -140,8 +134,7 @@ def load_report(request: LogRequest) -> Report:
 def _refuse_reading(asked: list[str], what: str) -> None:
     if asked:
         names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
-        msg = f"{what}, but {names} is about reading a log; run 'imucal fit' on the log with it"
-        raise click.UsageError(msg)
+        misuse(f"{what}, but {names} is about reading a log; run 'imucal fit' on the log with it")
 
 
 def read_report(report: str | Path) -> Report:

@@ -8,7 +8,7 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
-from imucal.cli._declared import declared, flag, option
+from imucal.cli._declared import declared, flag, misuse, option
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import FULL, echo, print_json, say, width
 from imucal.cli._report_input import REPORT, REPORT_OR_LOG, load_report, read_report
@@ -140,23 +140,20 @@ def _limits(
     from imucal.checking import read_limits
 
     if fleet is None and model is not None:
-        msg = "--fleet-model is about a fleet; give --fleet FLEET too"
-        raise click.UsageError(msg)
+        misuse("--fleet-model is about a fleet; give --fleet FLEET too")
     if fleet is not None and not is_fleet(fleet):
         expected = "expected the folder of a fleet that imucal fleet run writes"
         msg = f"{fleet}: found no manifest.parquet, {expected}"
         raise ReadError(msg)
     if fleet is None and limits_file is None and baseline is None and config is None:
-        msg = (
+        misuse(
             "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"
         )
-        raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:
         limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=Path(baseline)))
     elif limits.baseline is not None and limits.baseline.report is None:
-        msg = f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT'
-        raise click.UsageError(msg)
+        misuse(f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT')
     return limits
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import argument, declared, flag, shown
+from imucal.cli._declared import argument, declared, flag, misuse, shown
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import FULL, as_typed, picked, print_json, say, width
 from imucal.cli._report_input import MODELS, given_report, is_model, read_report, with_model
@@ -82,19 +82,17 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
     """Return two reports: of logs, of models, or the median units of two fleets."""
     fleets = [path is not None and is_fleet(path) for path in (a, b)]
     if fleet is not None and not any(fleets):
-        msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
-        raise click.UsageError(msg)
+        misuse(f"{shown_address(a)} is no fleet, but --fleet-model is about one")
     if b is None or models or is_model(a) or is_model(b):
         return _with_models(a, b, models)
     if not any(fleets):
         return read_report(a), read_report(b)
     if not all(fleets):
         folder, other = (a, b) if fleets[0] else (b, a)
-        msg = (
+        misuse(
             f"{folder} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
             f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(folder)}"
         )
-        raise click.UsageError(msg)
     from imucal.fleet_report.as_report import fleet_as_report
 
     one, other_one = (fleet_as_report(read_fleet(path, fleet), value="median") for path in (a, b))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import declared, flag, option, shown
+from imucal.cli._declared import declared, flag, misuse, option, shown
 from imucal.cli._printing import FULL, echo, fitted, picked, print_json, refuse, say, width
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, FORMATS, PATH, LogRequest, Text
@@ -61,7 +61,7 @@ def command(
     try:
         found = drift(report, times, rest_s=rest, each_axis=all_axes)
     except ValueError as error:
-        raise click.UsageError(str(error)) from error
+        misuse(error)
     if as_json:
         print_json(to_document(found))
     else:

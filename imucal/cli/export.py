@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._declared import declared, option, shown, together
+from imucal.cli._declared import declared, misuse, option, shown, together
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import echo, refuse, say
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
@@ -189,14 +189,14 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
     folder = request.logs[0]
     if is_fleet(folder):
         if len(request.logs) > 1 or request.settings():
-            msg = f"{folder} is a fleet; give it alone, without options of reading a log"
-            raise click.UsageError(msg)
+            misuse(f"{folder} is a fleet; give it alone, without options of reading a log")
         from imucal.fleet_report.as_report import fleet_as_report
 
         return fleet_as_report(read_fleet(folder, model), value=value or "tolerance")
     if value or model is not None:
-        msg = f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
-        raise click.UsageError(msg)
+        misuse(
+            f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
+        )
     return load_report(request)
 
 

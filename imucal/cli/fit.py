@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucal.cli._declared import declared, flag, option, shown, together
+from imucal.cli._declared import declared, flag, misuse, option, shown, together
 from imucal.cli._printing import as_typed, echo, kept_part, name_of_log, print_findings, refuse, say, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
@@ -101,7 +101,7 @@ def command(
         reading = request.settings() | ({"rests": True} if rests else {})
         settings = Settings(clean=not no_clean, verify=verify, bins=bins, reading=reading, **choices)
     except ValueError as error:
-        raise click.UsageError(str(error)) from error
+        misuse(error)
     if curve or is_curve_table(request):
         fit_curves(request, settings, as_json=as_json)
         return

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._declared import declared, flag, option, shown, together
+from imucal.cli._declared import declared, flag, misuse, option, shown, together
 from imucal.cli._fleet import FIXED_STRUCTURE, LABELS, PATIENCE, SHARD, SIZE, conclude, print_plan, say_plan
 from imucal.cli._printing import say
 from imucal.cli._progress import fleet_progress
@@ -44,8 +44,7 @@ def _entries(
     elif store.exists:
         asked, unlike = stored_logs(store.manifest(), labels)
     else:
-        msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
-        raise click.UsageError(msg)
+        misuse("Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet")
     if unlike and labels is not None:
         say(f"{unlike} of {len(asked)} logs do not fit {labels.pattern}", quiet=quiet)
     return asked
@@ -135,8 +134,7 @@ def command(
     from imucal.fleet_run.running import asking, run_plan
 
     if shard and scheduler:
-        msg = "--shard works without a cluster; give --shard or --scheduler, not both"
-        raise click.UsageError(msg)
+        misuse("--shard works without a cluster; give --shard or --scheduler, not both")
     ctx, store = click.get_current_context(), FleetStore(out.absolute())
     workers = 1 if shard else jobs or threads()
     try:
@@ -152,8 +150,7 @@ def command(
             shard=shard,
         )
     except ValueError as error:
-        msg = f"{error}; choose another folder with -o, or start anew with --fresh"
-        raise click.UsageError(msg) from error
+        misuse(f"{error}; choose another folder with -o, or start anew with --fresh")
     if not fresh:
         _mend(store, dry_run=dry_run, quiet=quiet)
     entries = _entries(store, asked.logs, manifest, labels, quiet=quiet)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import argument, declared, flag, option, shown
+from imucal.cli._declared import argument, declared, flag, misuse, option, shown
 from imucal.cli._printing import echo, picked, print_json, say
 from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
@@ -81,8 +81,7 @@ def command(
     from imucal.simulation import SensorTruth, simulate_recording
 
     if not 1 <= duration * rate <= _MOST:
-        msg = f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}"
-        raise click.UsageError(msg)
+        misuse(f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}")
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:
@@ -99,7 +98,7 @@ def command(
             gaps_s=gaps,
         )
     except ValueError as error:
-        raise click.UsageError(str(error)) from error
+        misuse(error)
     write_log(recording, out)
     if not as_json:
         echo(str(out))
