@@ -37,10 +37,11 @@ def test_a_folder_is_one_line_and_a_second_run_says_that_it_replaces(tmp_path: P
 
 
 def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path) -> None:
-    """The options that the finding gives do it."""
+    """The options that the finding gives do it; what was printed as JSON stays one document."""
     _write(tmp_path / "carried.csv", 120, carried_s=10.0)
-    done = run("fit", "carried.csv", "--no-report", *_QUICK[:4], cwd=tmp_path)
+    done = run("fit", "carried.csv", "--no-report", "--json", *_QUICK[:4], cwd=tmp_path)
     assert done.returncode == 4
+    assert json.loads(done.stdout)["verdict"] == "not-noise"
     said = " ".join(done.stderr.split())
     assert said.count("error [") == 1
     assert "--force" not in said
@@ -68,14 +69,6 @@ def test_errors_are_json_where_json_was_asked_for(
     assert (document["error"]["type"], document["error"]["exit_code"]) == (kind, code)
     assert done.returncode == code
     assert document["error"]["message"] in done.stderr
-
-
-def test_results_that_were_printed_stay_one_document(tmp_path: Path) -> None:
-    """A log that is not noise has its report on standard output, and the error on standard error alone."""
-    _write(tmp_path / "carried.csv", 120, carried_s=10.0)
-    done = run("fit", "carried.csv", "--no-report", "--json", *_QUICK[:4], cwd=tmp_path)
-    assert done.returncode == 4
-    assert json.loads(done.stdout)["verdict"] == "not-noise"
 
 
 @pytest.mark.parametrize(

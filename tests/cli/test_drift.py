@@ -113,8 +113,8 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
         assert done.returncode == code, done.stderr
         assert said in done.stderr
     rng = np.random.default_rng(4303)
-    moved = rng.standard_normal((4000, 3)) * 1e-3 + np.sin(np.arange(4000) / 300)[:, None]
-    table = np.column_stack([np.arange(4000) / 100, moved])
+    moved = rng.standard_normal((2000, 3)) * 1e-3 + np.sin(np.arange(2000) / 300)[:, None]
+    table = np.column_stack([np.arange(2000) / 100, moved])
     np.savetxt(tmp_path / "moved.csv", table, delimiter=",", header="t,gx,gy,gz", comments="")
     moving = ("drift", "moved.csv", "--gyro-unit", "rad/s", "--times", "1s", "--rest", "1s", "-q")
     done = run(*moving, cwd=tmp_path)

@@ -658,7 +658,8 @@ def test_a_kill_between_files_leaves_a_report_that_is_known_as_incomplete(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moved: int
 ) -> None:
     """``fleet.json`` goes first and comes last; the next report is whole."""
-    imucal.write_fleet(fleet, tmp_path, pictures=False)
+    few = replace(fleet, models=(replace(fleet.model(), terms=fleet.model().terms[:2]),))
+    imucal.write_fleet(few, tmp_path, pictures=False)
     count = iter(range(100))
 
     def dying(self: Path, target: Path) -> None:
@@ -669,9 +670,9 @@ def test_a_kill_between_files_leaves_a_report_that_is_known_as_incomplete(
     with monkeypatch.context() as context:
         context.setattr(Path, "replace", dying)
         with pytest.raises(KeyboardInterrupt):
-            imucal.write_fleet(fleet, tmp_path, pictures=False)
+            imucal.write_fleet(few, tmp_path, pictures=False)
     assert not (tmp_path / "fleet.json").exists()
-    imucal.write_fleet(fleet, tmp_path, pictures=False)
+    imucal.write_fleet(few, tmp_path, pictures=False)
     assert json.loads((tmp_path / "fleet.json").read_bytes())["logs"]
 
 

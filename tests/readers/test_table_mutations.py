@@ -23,8 +23,8 @@ from tests.readers.tables.hdf5_logs import write_hdf5, write_matlab
 from tests.readers.ulog.ardupilot_logs import write_dataflash, write_telemetry
 from tests.readers.ulog.test_ulog import two_sensors
 
-#: Cases of each format by each change; 2720 in all.
-CASES = 40
+#: Cases of each format by each change; 1088 in all.
+CASES = 16
 #: No case may take longer, in s; the usual one takes 10 ms, the first of a child one second.
 PATIENCE = 20.0
 
