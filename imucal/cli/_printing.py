@@ -17,9 +17,9 @@ from imucal.grading import NoiseVerdict
 from imucal.printable import printable, printable_json
 
 
-def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
+def echo(text: str, *, err: bool = False) -> None:
     """Print text for people, signs that steer a terminal escaped."""
-    click.echo(printable(text), err=err, nl=nl)
+    click.echo(printable(text), err=err)
 
 
 def print_json(document: object, *, indent: int = 2, ascii_only: bool = True) -> None:

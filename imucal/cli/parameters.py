@@ -62,15 +62,12 @@ class Number(click.FloatRange):
 
     def __init__(
         self,
-        min: float | None = None,  # noqa: A002 - as click calls them
-        max: float | None = None,  # noqa: A002
-        *,
-        min_open: bool = False,
-        max_open: bool = False,
+        *limits: float,
         unit: str = "",
         percent: bool = False,
+        **attributes: Any,  # noqa: ANN401
     ) -> None:
-        super().__init__(min, max, min_open=min_open, max_open=max_open)
+        super().__init__(*limits, **attributes)
         self.unit, self.percent = unit, percent
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
