@@ -14,7 +14,7 @@ BUDGET = {
     "fitting": Size(9634, 72017, 33),  # slow terms speak for K, cycles by chance, floors by the likelihood
     "report": Size(7003, 47717, 29),  # one view for page, table and notebook; pictures for papers
     "top": Size(4379, 24044, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
-    "cli": Size(3873, 25095, 24),  # --open, --figure, errors as JSON, defaults from a file
+    "cli": Size(3870, 25059, 24),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2407, 16422, 7),  # answers that are kept, so that 5 000 logs load in seconds
     "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2187, 15416, 9),  # seals of a store's files

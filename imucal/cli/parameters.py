@@ -62,7 +62,7 @@ class Number(click.FloatRange):
 
     def __init__(
         self,
-        *limits: float,
+        *limits: Any,  # noqa: ANN401
         unit: str = "",
         percent: bool = False,
         **attributes: Any,  # noqa: ANN401
