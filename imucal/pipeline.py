@@ -1,10 +1,8 @@
 """characterize: Recording -> Report, axis by axis. No input, no output."""
 
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from importlib.util import LazyLoader, find_spec, module_from_spec
 from itertools import chain
 from typing import TypeAlias
 
@@ -37,7 +35,7 @@ _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
 #: Shorter axes are screened in less time than a process is forked.
 _LONG = 500_000
 #: What every axis needs of libraries that are loaded when they are used.
-_LIBRARIES, _FORTRAN = ("scipy.fft", "scipy.special"), "numpy.f2py"
+_LIBRARIES = ("scipy.fft", "scipy.special")
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
@@ -139,14 +137,7 @@ def characterize(
 
 
 def _load_libraries() -> None:
-    """Load what every axis needs of SciPy, once, by the process that others are forked from.
-
-    SciPy asks NumPy for all of its parts; the tools for Fortran, the largest, wait until they are used.
-    """
-    if _FORTRAN not in sys.modules and (spec := find_spec(_FORTRAN)) and spec.loader:
-        spec.loader = LazyLoader(spec.loader)
-        np.f2py = sys.modules[_FORTRAN] = module_from_spec(spec)
-        spec.loader.exec_module(np.f2py)
+    """Load what every axis needs of SciPy, once, by the process that others are forked from."""
     for name in _LIBRARIES:
         import_module(name)
 
