@@ -1,19 +1,6 @@
 """Every error imucal raises on purpose, and the exit code each one ends a command with.
 
-::
-
-    ImucalError
-    ├── ReadError      3  the log can't be read: missing, corrupt, unknown format, no such topic
-    │   └── ChoiceError   several topics, sensors or columns fit, or none does; lists what was found
-    ├── DataError      4  the data can't be analysed: no IMU samples, too short, not finite
-    ├── WriteError     5  the output can't be written
-    ├── SettingError   2  an environment variable of imucal's is wrong
-    ├── LimitsError    2  a check's limits or config can't be read (2 is usage, as for a wrong option)
-    ├── ManifestError  2  the manifest of a fleet is wrong
-    ├── StoreError     5  a file in the folder of a fleet is damaged
-    ├── ArgumentError 2  an argument says what can't be meant; a `ValueError` too
-    ├── MissingError  2  there is no axis or term of that name; a `KeyError` too
-    └── EngineError    5  the workers of a fleet, or who hands out their work, are gone
+Codes: 2 usage, 3 reading, 4 the data, 5 writing.
 
 A message reads *where: what was found, what was expected, what to do*.
 A caller's mistake (an argument out of range) is a `ValueError`; of what people type in notebooks, an

@@ -27,11 +27,13 @@ from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
 from imucal.screening import screen_values, worst_first
 
-#: Samples looked at at once.
-_BLOCK = 1 << 20
+#: Samples looked at at once, and so many that they stay in the cache.
+_BLOCK, _PART = 1 << 20, 1 << 15
 #: Bytes that the analysis of an axis takes for each of its samples and besides, and those that all axes may
 #: take that are worked on at a time unless a number is wanted.
 _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
+#: Shorter axes are screened in less time than a process is forked.
+_LONG = 500_000
 #: What every axis needs of libraries that are loaded when they are used.
 _LIBRARIES = ("scipy.fft", "scipy.special")
 #: The settings in the order of report.json; `reading` comes last.
@@ -42,8 +44,6 @@ _DOCUMENTED = (
 
 #: Fewest measured temperatures that say how an axis follows it.
 _FEWEST_DEGREES = 16
-#: Samples worked on at a time, which stay in the cache.
-_PART = 1 << 15
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -104,13 +104,11 @@ def characterize(
     """
     settings = settings or Settings()
     workers = _workers(recording, workers)
-    if workers > 1:
-        # Once, by the process that the others are forked from.
-        for name in _LIBRARIES:
-            import_module(name)
+    _load_libraries()
     # What is not noise, a fit by maximum likelihood finds and says itself.
     look = screen_values if settings.method == "mle" else screen
-    findings = recording.findings + look(recording, workers=workers)
+    long = max((series.n for series in recording.series), default=0) >= _LONG
+    findings = recording.findings + look(recording, workers=workers if long else 1)
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
@@ -136,6 +134,12 @@ def characterize(
         version=__version__,
         findings=(*_of_no_result(findings, axes, failures), *failures),
     )
+
+
+def _load_libraries() -> None:
+    """Load what every axis needs of SciPy, once, by the process that others are forked from."""
+    for name in _LIBRARIES:
+        import_module(name)
 
 
 def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]) -> Finding:
@@ -184,10 +188,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
-    """Return how many axes to work on at a time: as many as wanted, or as the machine has processors for.
-
-    So many as the memory holds; those that nobody asked for keep to little.
-    """
+    """Return how many axes to work on at a time: as wanted or as there are processors, and memory holds."""
     if wanted is not None and wanted < 1:
         msg = f"workers must be at least 1, got {wanted}"
         raise ValueError(msg)

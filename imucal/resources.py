@@ -85,8 +85,7 @@ def parse_size(text: str, *, least: int = 1) -> int:
 def column_limit() -> int:
     """Return how many bytes of samples may be held before a temporary file takes them.
 
-    It is ``IMUCAL_MEMORY`` where that is set; else half a gigabyte, or what one step may take where that is
-    less.
+    It is ``IMUCAL_MEMORY`` where that is set; else half a gigabyte, or what one step may take if less.
 
     Raises
     ------
@@ -100,8 +99,7 @@ def column_limit() -> int:
 def threads() -> int:
     """Return how many threads may work: ``IMUCAL_THREADS``, or the processors that this process may use.
 
-    Those are the ones it may run on, or as many as its control group (a container) has time of, if that
-    is less.
+    Those are the ones it may run on, or as many as its control group (a container) has time of, if fewer.
 
     Raises
     ------

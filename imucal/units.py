@@ -63,46 +63,41 @@ _WORDS = (
     (r"\s+per\s+", "/"),
 )
 
+
+def _words(text: str) -> list[str]:
+    return text.split()
+
+
 #: Plain spelling without blanks, underscores and brackets -> name in `SAMPLE_UNITS`.
-_SAMPLE_SPELLINGS: dict[str, str] = {
-    **dict.fromkeys(("rad/s", "rads^-1", "rads-1", "rads", "radps", "radpers"), "rad/s"),
-    **dict.fromkeys(("mrad/s", "mradps", "mrads^-1", "mrads"), "mrad/s"),
-    **dict.fromkeys(("deg/s", "degs^-1", "degs-1", "degs", "degps", "dps", "d/s"), "deg/s"),
-    **dict.fromkeys(("mdeg/s", "mdegs^-1", "mdegs", "mdegps", "mdps"), "mdeg/s"),
-    **dict.fromkeys(("deg/h", "degh^-1", "degph", "dph", "deg/hr"), "deg/h"),
-    **dict.fromkeys(
-        ("m/s^2", "m/s2", "m/s/s", "ms^-2", "ms-2", "m/ss", "ms2", "mps2", "mps^2", "mss", "mpss", "m/s^-2"),
-        "m/s^2",
-    ),
-    **dict.fromkeys(("g", "gs", "g0", "gn", "gee"), "g"),
-    **dict.fromkeys(("mg", "mgs", "mg0"), "mg"),
-    **dict.fromkeys(("ug", "ugs"), "ug"),
+_SAMPLE_SPELLINGS = {
+    spelling: name
+    for name, spellings in {
+        "rad/s": "rad/s rads^-1 rads-1 rads radps radpers",
+        "mrad/s": "mrad/s mradps mrads^-1 mrads",
+        "deg/s": "deg/s degs^-1 degs-1 degs degps dps d/s",
+        "mdeg/s": "mdeg/s mdegs^-1 mdegs mdegps mdps",
+        "deg/h": "deg/h degh^-1 degph dph deg/hr",
+        "m/s^2": "m/s^2 m/s2 m/s/s ms^-2 ms-2 m/ss ms2 mps2 mps^2 mss mpss m/s^-2",
+        "g": "g gs g0 gn gee",
+        "mg": "mg mgs mg0",
+        "ug": "ug ugs",
+    }.items()
+    for spelling in _words(spellings)
 }
 
-_TIME_SPELLINGS: dict[str, str] = {
-    spelling: unit
+_TIME_SPELLINGS = {
+    start + end: unit
     for unit, stem in (("ns", "nano"), ("us", "micro"), ("ms", "milli"), ("s", ""))
-    for spelling in (
-        unit,
-        f"{unit}ec",
-        f"{unit}ecs",
-        f"{stem}s",
-        f"{stem}sec",
-        f"{stem}secs",
-        f"{stem}second",
-        f"{stem}seconds",
-    )
+    for start, ends in ((unit, ("", "ec", "ecs")), (stem, ("s", "sec", "secs", "second", "seconds")))
+    for end in ends
 }
-
-
-def _spellings(text: str) -> frozenset[str]:
-    return frozenset(text.split())
-
 
 #: Units of other columns: they show that a text is a unit, no more.
-_OTHER_UNITS = _spellings(
-    "degc c degf k ut mt nt t gauss mgauss ga mga pa hpa kpa mbar v mv deg rad m m/s km/h hz % "
-    "nounits localflux n/a -"
+_OTHER_UNITS = frozenset(
+    _words(
+        "degc c degf k ut mt nt t gauss mgauss ga mga pa hpa kpa mbar v mv deg rad m m/s km/h hz % "
+        "nounits localflux n/a -"
+    )
 )
 
 

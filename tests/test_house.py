@@ -10,15 +10,15 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: Lines, tokens and modules that each room may have. Numbers go down with the room; one goes up only
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
-    "readers": Size(14531, 104352, 57),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
-    "fitting": Size(9634, 72017, 33),  # slow terms speak for K, cycles by chance, floors by the likelihood
-    "report": Size(7003, 47717, 29),  # one view for page, table and notebook; pictures for papers
-    "top": Size(4446, 24171, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
-    "cli": Size(4087, 25593, 25),  # --open, --figure, errors as JSON, defaults from a file
-    "fleet": Size(2407, 16422, 7),  # answers that are kept, so that 5 000 logs load in seconds
+    "readers": Size(14397, 103498, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
+    "fitting": Size(9688, 72584, 33),  # slow terms speak for K, cycles by chance, floors by the likelihood
+    "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
+    "top": Size(4378, 24079, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
+    "cli": Size(3871, 25053, 24),  # --open, --figure, errors as JSON, defaults from a file
+    "fleet": Size(2367, 16510, 7),  # the law of the next log in a tenth of the time
     "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
-    "fleet_report": Size(2187, 15416, 9),  # seals of a store's files
-    "fleet_run": Size(1768, 10253, 6),  # two runs into one folder take turns
+    "fleet_report": Size(2076, 15107, 9),  # seals of a store's files
+    "fleet_run": Size(1680, 10101, 6),  # two runs into one folder take turns
     "checking": Size(1269, 8596, 5),  # configs of filters read back
     "noise": Size(1249, 7843, 6),  # models with units
     "screening": Size(1161, 8488, 4),  # g only where the mean vector agrees
@@ -26,7 +26,7 @@ BUDGET = {
     "prediction": Size(1044, 6898, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(54_359, 371_015, 221)
+IN_ALL = Size(52_472, 363_657, 207)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
 

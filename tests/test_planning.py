@@ -141,18 +141,17 @@ def test_what_is_planned_is_found() -> None:
     """Records of the planned length show K about as precisely as planned, most of them; of a tenth few do."""
     model = NoiseModel.parse("N=1e-4 + K=1e-5")
     needed_s = plan(model, rate_hz=10, precision=0.12).needed_s
-
-    def widths(duration_s: float) -> list[float]:
-        rng = np.random.default_rng(7301)
+    rng = np.random.default_rng(7301)
+    for duration_s in (needed_s, needed_s / 10):
         fits = [fit(_series(model.simulate(round(10 * duration_s), rate_hz=10, rng=rng))) for _ in range(12)]
-        return [(f["K"].high - f["K"].low) / 2 / 1.96 / 1e-5 for f in fits if f["K"].value]
-
-    long, short = widths(needed_s), widths(needed_s / 10)
-    # Ten are expected: two standard errors less.
-    assert len(long) >= 8
-    assert np.median(long) == pytest.approx(0.12, rel=0.25)
-    # The plan's share of records that show K was measured at a price of ln n; by chance's somewhat more do.
-    assert len(short) <= 6
+        widths = [(f["K"].high - f["K"].low) / 2 / 1.96 / 1e-5 for f in fits if f["K"].value]
+        (axis,) = plan(model, rate_hz=10, duration_s=duration_s).axes
+        share = next(need.shown for need in axis.needs if need.name == "K")
+        assert share is not None
+        # Two standard errors of twelve records.
+        assert len(widths) == pytest.approx(12 * share, abs=2 * math.sqrt(12 * share * (1 - share)))
+        if duration_s == needed_s:
+            assert np.median(widths) == pytest.approx(0.12, rel=0.25)
 
 
 def test_what_no_record_tells_is_infinite() -> None:

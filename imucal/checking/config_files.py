@@ -169,17 +169,16 @@ def _names(key: Key) -> tuple[str, ...]:
 def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     """Return the formats with most of their keys in a file: one, or several of the same keys."""
     counts = {
-        target.name: sum(
-            setting.is_called(name) for setting in settings for key in target.keys for name in _names(key)
-        )
+        target.name: sum(s.is_called(name) for s in settings for key in target.keys for name in _names(key))
         for target in TARGETS.values()
+        if target.read_back
     }
     most = max(counts.values())
     if not most:
-        known = ", ".join(target.name for target in TARGETS.values() if target.keys)
+        known = ", ".join(name for name in counts if TARGETS[name].keys)
         msg = f"{path}: found no key of a noise parameter, expected the file of one of {known}"
         raise LimitsError(msg)
-    return [target for target in TARGETS.values() if counts[target.name] == most]
+    return [TARGETS[name] for name, count in counts.items() if count == most]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,8 +213,9 @@ class _File:
                     continue
                 same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
                 instead = "" if same else setting.with_number(real(rate_hz))
-                found = f"{setting.numbers[0]:g} Hz"
-                text = f"{self.place('log', setting)} is {found}, and the log's {rate_hz:g} Hz"
+                text = (
+                    f"{self.place('log', setting)} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
+                )
                 if instead:
                     text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
                 verdict: Verdict = "undecided" if instead else "pass"

@@ -2,6 +2,7 @@
 
 import difflib
 import errno
+import gc
 import importlib
 import io
 import json
@@ -11,7 +12,6 @@ import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -32,7 +32,7 @@ class LazyGroup(click.Group):
     Parameters
     ----------
     table
-        Command -> module that holds it, and the line that --help prints.
+        Command -> module of `imucal.cli` that has it, as `command` or ``module:name``, and its line of help.
     of_a_log
         What was meant where a log stands in place of a command, and the command that does it.
     attributes
@@ -55,8 +55,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in self.table:
             return None
-        module = importlib.import_module(self.table[cmd_name][0])
-        command: click.Command = module.command
+        module, _, name = self.table[cmd_name][0].partition(":")
+        command: click.Command = getattr(importlib.import_module(f"imucal.cli.{module}"), name or "command")
         return command
 
     def resolve_command(
@@ -113,18 +113,18 @@ def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None
 
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
 COMMANDS: dict[str, tuple[str, str]] = {
-    "fit": ("imucal.cli.fit", "Fit a noise model to every axis of a log and write a report."),
-    "info": ("imucal.cli.info", "Say what is in a log: topics, rates, duration, units, gaps."),
-    "decompose": ("imucal.cli.decompose", "Draw what the bias of every axis did: its smoothed parts."),
-    "adev": ("imucal.cli.adev", "Print the Allan deviations of every axis as CSV or JSON."),
-    "simulate": ("imucal.cli.simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
-    "plan": ("imucal.cli.plan", "Say how long to record for a wanted precision."),
-    "drift": ("imucal.cli.drift", "Say how far dead reckoning drifts after a rest, with limits."),
-    "check": ("imucal.cli.check", "Pass or fail a report or a log against limits (the CI gate)."),
-    "compare": ("imucal.cli.compare", "Say which terms of two reports differ significantly."),
-    "export": ("imucal.cli.export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
-    "fleet": ("imucal.cli.fleet", "Characterise many logs of many units: run, status, report."),
-    "completion": ("imucal.cli.completion", "Print the shell's completion script (bash, zsh, fish)."),
+    "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
+    "info": ("info", "Say what is in a log: topics, rates, duration, units, gaps."),
+    "decompose": ("decompose", "Draw what the bias of every axis did: its smoothed parts."),
+    "adev": ("adev", "Print the Allan deviations of every axis as CSV or JSON."),
+    "simulate": ("simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
+    "plan": ("plan", "Say how long to record for a wanted precision."),
+    "drift": ("drift", "Say how far dead reckoning drifts after a rest, with limits."),
+    "check": ("check", "Pass or fail a report or a log against limits (the CI gate)."),
+    "compare": ("compare", "Say which terms of two reports differ significantly."),
+    "export": ("export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
+    "fleet": ("fleet", "Characterise many logs of many units: run, status, report."),
+    "completion": ("completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
 
 #: What a message of the library asks for, which knows no options -> the option that says it.
@@ -180,6 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and end the process with its exit code."""
     _fill_streams()
     single_matrix_thread()
+    # What a command makes is needed to its end; to look through it for circles takes a tenth of the time.
+    gc.set_threshold(200_000)
     sys.exit(_run(arguments))
 
 
@@ -286,6 +288,8 @@ OURS, OTHER = "imucal-noise", "imucal"
 
 def _version_lines() -> str:
     """Return this version, where it stands and what runs it; and a warning where files may be mixed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     folder = Path(__file__).resolve().parent.parent
     lines = [f"imucal {__version__} ({OURS}) in {folder}, Python {platform.python_version()}"]
     try:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imucal.cli._declared import option
 from imucal.cli._printing import echo, fitted, print_findings, say, width
 from imucal.cli.parameters import Text, structure_of
 from imucal.clock import seconds_of
@@ -222,9 +223,7 @@ def _fixed_structure(text: str) -> str:
 SIZE, PATIENCE, SHARD = Text("size", _size), Text("duration", _patience), Text("shard", _shard)
 LABELS, FIXED_STRUCTURE = Text("labels", _labels), Text("structure", _fixed_structure)
 #: Option of commands that take a fleet.
-fleet_model_option = click.option(
-    "--fleet-model", metavar="NAME", help="Fleet: which sensor model, where it has several."
-)
+FLEET_MODEL = option("--fleet-model", "Fleet: which sensor model, where it has several.", metavar="NAME")
 
 
 def is_fleet(path: str | Path) -> bool:

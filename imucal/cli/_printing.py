@@ -17,9 +17,9 @@ from imucal.grading import NoiseVerdict
 from imucal.printable import printable, printable_json
 
 
-def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
+def echo(text: str, *, err: bool = False) -> None:
     """Print text for people, signs that steer a terminal escaped."""
-    click.echo(printable(text), err=err, nl=nl)
+    click.echo(printable(text), err=err)
 
 
 def print_json(document: object, *, indent: int = 2, ascii_only: bool = True) -> None:
@@ -166,11 +166,6 @@ def name_of_log(log: str) -> str:
     if log == "-":
         return "stdin"
     return name_of(shown(log)) if is_url(log) else Path(log).resolve().name
-
-
-force_option = click.option(
-    "--force", is_flag=True, help="Continue although the log is not at rest (else exit code 4)."
-)
 
 
 def refuse(

@@ -1,84 +1,70 @@
 """REPORT of a command: a report.json, its folder, a log, which is characterised first, or a model."""
 
-import functools
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import click
 
+from imucal.cli._declared import misuse, option, together
 from imucal.cli._printing import as_typed, name_of_log, say
-from imucal.cli.parameters import LogRequest, Text, log_options
+from imucal.cli.parameters import LOG, LogRequest, model_of
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.report.result import Report
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
 #: What a REPORT is, for the help of an option that takes no log.
 REPORT = "report.json or its folder"
 
 
-def report_or_log(command: Command) -> Callable[..., Any]:
-    """Add REPORT, the options of reading a log, and those of models; the command gets them as `request`."""
-
-    @model_options
-    @functools.wraps(command)
-    def wrapper(*, request: LogRequest, models: dict[Sensor, str], **values: Any) -> object:  # noqa: ANN401
-        given = next((log for log in request.logs if is_model(log)), None)
-        if given is not None and len(request.logs) > 1:
-            msg = f"{given!r} is a model; give one model, one report, or logs only"
-            raise click.UsageError(msg)
-        if given is not None or not request.logs or models:
-            models = with_model(given or next(iter(request.logs), None), models)
-            # Messages name what was given where a log's path would stand.
-            request = replace(request, logs=tuple(models.values())[:1], models=models)
-        return command(request=request, **values)
-
-    decorated = log_options(wrapper)
-    for parameter in decorated.__click_params__:  # type: ignore[attr-defined]
-        if isinstance(parameter, click.Argument):
-            parameter.metavar, parameter.required = "REPORT", False
-            parameter.type = click.Path()  # the shell completes it
-        elif parameter.name == "strict":
-            parameter.help = "Log: Refuse a damaged log."
-        elif parameter.name == "rate_hz":
-            parameter.help = f"Log, model: {parameter.help} A model has none of its own."
-        elif parameter.name not in ("quiet", "verbose", *Sensor):
-            parameter.help = f"Log: {parameter.help}"
-    return decorated
+_MODEL = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
 
 
-def model_options(command: Command) -> Callable[..., Any]:
-    """Add the options of models in place of a report; the command gets them as `models`."""
-
-    @click.option("--gyro", "gyroscope", type=_model(Sensor.GYROSCOPE), metavar="MODEL", help=_HELP)
-    @click.option("--accel", "accelerometer", type=_model(Sensor.ACCELEROMETER), metavar="MODEL", help=_HELP)
-    @functools.wraps(command)
-    def wrapper(*, gyroscope: str | None, accelerometer: str | None, **values: Any) -> object:  # noqa: ANN401
-        both = {Sensor.GYROSCOPE: gyroscope, Sensor.ACCELEROMETER: accelerometer}
-        return command(models={sensor: text for sensor, text in both.items() if text}, **values)
-
-    return wrapper
+def _models(**texts: str | None) -> dict[Sensor, str]:
+    return {Sensor(name): text for name, text in texts.items() if text}
 
 
-_HELP = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
+#: The options of models in place of a report, which make a model for each sensor that has one.
+MODELS = together(
+    _models,
+    {
+        Sensor.GYROSCOPE.value: option("--gyro", _MODEL, model_of(Sensor.GYROSCOPE), "MODEL"),
+        Sensor.ACCELEROMETER.value: option("--accel", _MODEL, model_of(Sensor.ACCELEROMETER), "MODEL"),
+    },
+)
 
 
-def _model(sensor: Sensor) -> Text[str]:
-    """Return the type of an option that holds a model of a sensor: the text, once it is understood."""
+def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
+    given = next((log for log in request.logs if is_model(log)), None)
+    if given is not None and len(request.logs) > 1:
+        misuse(f"{given!r} is a model; give one model, one report, or logs only")
+    if given is None and request.logs and not models:
+        return request
+    models = with_model(given or next(iter(request.logs), None), models)
+    # Messages name what was given where a log's path would stand.
+    return replace(request, logs=tuple(models.values())[:1], models=models)
 
-    def checked(text: str) -> str:
-        from imucal.noise.model import NoiseModel
 
-        NoiseModel.parse(text, sensor)
-        return text
+def _of_a_log(parameter: click.Parameter) -> None:
+    """Let LOG be a REPORT, and the help of each option of reading say that it is about a log."""
+    if isinstance(parameter, click.Argument):
+        parameter.metavar, parameter.required = "REPORT", False
+        parameter.type = click.Path()  # the shell completes it
+    elif not isinstance(parameter, click.Option) or parameter.name in ("quiet", "verbose"):
+        return
+    elif parameter.name == "strict":
+        parameter.help = "Log: Refuse a damaged log."
+    elif parameter.name == "rate_hz":
+        parameter.help = f"Log, model: {parameter.help} A model has none of its own."
+    else:
+        parameter.help = f"Log: {parameter.help}"
 
-    return Text("model", checked)
+
+#: REPORT, the options of reading a log, and those of models, which make a `LogRequest`.
+REPORT_OR_LOG = together(_request, {"request": replace(LOG, change=_of_a_log), "models": MODELS})
 
 
 def is_model(text: str) -> bool:
@@ -101,16 +87,13 @@ def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "RE
             raise click.MissingParameter(param_hint=f"'{name}'", param_type="argument")
         return dict(models)
     if not is_model(source):
-        msg = f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other"
-        raise click.UsageError(msg)
+        misuse(f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other")
     if Sensor.GYROSCOPE in models:
-        msg = f"{source!r} is a model of the gyroscope, and so is --gyro; give one of them"
-        raise click.UsageError(msg)
+        misuse(f"{source!r} is a model of the gyroscope, and so is --gyro; give one of them")
     try:
         NoiseModel.parse(source)
     except ValueError as error:
-        msg = f"{source!r} is no file or folder, nor a model of a gyroscope: {error}"
-        raise click.UsageError(msg) from error
+        misuse(f"{source!r} is no file or folder, nor a model of a gyroscope: {error}")
     return {Sensor.GYROSCOPE: source, **models}
 
 
@@ -119,8 +102,7 @@ def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
     from imucal.report.given import model_as_report
 
     if rate_hz is None:
-        msg = "a model has no sampling rate of its own; give one, such as --rate 200"
-        raise click.UsageError(msg)
+        misuse("a model has no sampling rate of its own; give one, such as --rate 200")
     return model_as_report(models, rate_hz=rate_hz)
 
 
@@ -144,8 +126,7 @@ def load_report(request: LogRequest) -> Report:
     if first is None:
         return _characterise(request)
     if len(request.logs) > 1:
-        msg = f"{shown(first)} is a report; give one report, or logs only"
-        raise click.UsageError(msg)
+        misuse(f"{shown(first)} is a report; give one report, or logs only")
     _refuse_reading(asked, f"{shown(first)} is a report")
     return read_report(first)
 
@@ -153,8 +134,7 @@ def load_report(request: LogRequest) -> Report:
 def _refuse_reading(asked: list[str], what: str) -> None:
     if asked:
         names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
-        msg = f"{what}, but {names} is about reading a log; run 'imucal fit' on the log with it"
-        raise click.UsageError(msg)
+        misuse(f"{what}, but {names} is about reading a log; run 'imucal fit' on the log with it")
 
 
 def read_report(report: str | Path) -> Report:

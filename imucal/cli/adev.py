@@ -8,15 +8,16 @@ import click
 from imucal._version import __version__
 from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
-from imucal.cli._printing import echo, force_option, picked, print_findings, print_json, refuse, say
-from imucal.cli.parameters import LEVEL, TAUS, LogRequest, json_option, log_options, shown
+from imucal.cli._declared import declared, flag, shown
+from imucal.cli._printing import echo, picked, print_findings, print_json, refuse, say
+from imucal.cli.parameters import FORCE, LEVEL, LOG, TAUS, LogRequest
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal adev log.mcap > curves.csv
@@ -27,33 +28,20 @@ Examples:
 Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
 analysed or are not noise at rest (with --strict: or a warning was found)."""
 )
-@log_options
-@shown(
-    "--taus",
-    type=TAUS,
-    default="octave",
-    metavar="SET",
-    help="octave, decade, decade:20, all, or times such as 0.1,1,10min.",
-)
-@shown("--estimator", type=click.Choice(list(ESTIMATORS)), default="overlapping", help="Which deviation.")
-@shown(
-    "--edf",
-    type=click.Choice(list(EDF_METHODS)),
-    default="hybrid",
-    help="Degrees of freedom of the intervals.",
-)
-@shown("--level", type=LEVEL, default=0.95, help="Confidence level of the intervals.")
-@json_option("Print JSON, with the spectrum of each axis, not CSV.")
-@force_option
 def command(
     *,
-    request: LogRequest,
-    taus: str | tuple[float, ...],
-    estimator: str,
-    edf: str,
-    level: float,
-    as_json: bool,
-    force: bool,
+    request: LogRequest = LOG,
+    taus: str | tuple[float, ...] = shown(
+        *("--taus", "octave", "octave, decade, decade:20, all, or times such as 0.1,1,10min."),
+        *(TAUS, "SET"),
+    ),
+    estimator: str = shown("--estimator", "overlapping", "Which deviation.", click.Choice(list(ESTIMATORS))),
+    edf: str = shown(
+        "--edf", "hybrid", "Degrees of freedom of the intervals.", click.Choice(list(EDF_METHODS))
+    ),
+    level: float = shown("--level", 0.95, "Confidence level of the intervals.", LEVEL),
+    as_json: bool = flag("--json", "Print JSON, with the spectrum of each axis, not CSV."),
+    force: bool = FORCE,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 

@@ -8,10 +8,11 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
-from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
+from imucal.cli._declared import declared, flag, misuse, option
+from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import FULL, echo, print_json, say, width
-from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
-from imucal.cli.parameters import LogRequest, json_option
+from imucal.cli._report_input import REPORT, REPORT_OR_LOG, load_report, read_report
+from imucal.cli.parameters import FILE, PATH, LogRequest
 from imucal.errors import ReadError
 from imucal.printable import printable
 from imucal.report.result import Report
@@ -19,7 +20,7 @@ from imucal.report.result import Report
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
 
-@click.command(
+@declared(
     epilog="""\b
 Limits (TOML):
   undecided = "pass"       # what an interval that holds the limit means
@@ -46,55 +47,29 @@ Examples:
 Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
 file, 3 the report or log can't be read, 4 the data can't be analysed."""
 )
-@click.option(
-    "--limits",
-    "limits_file",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="What is allowed, in TOML.",
-)
-@click.option(
-    "--baseline",
-    type=click.Path(),
-    metavar="REPORT",
-    help=f"Older report ({REPORT}); alone it allows 20 % more N, B and K.",
-)
-@click.option(
-    "--fleet",
-    type=click.Path(path_type=Path),
-    metavar="FLEET",
-    help="Folder of a fleet: is this unit one of them?",
-)
-@click.option(
-    "--config",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Config of a filter: are its noise parameters right for this sensor?",
-)
-@fleet_model_option
-@click.option(
-    "--undecided",
-    type=click.Choice(["pass", "fail"]),
-    help="What an interval that holds the limit means. [default: the limits file's, else pass]",
-)
-@json_option("Print the verdicts as JSON.")
-@click.option(
-    "--junit", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write JUnit XML too."
-)
-@click.option("--github", is_flag=True, help="Print GitHub annotations too (on standard error with --json).")
-@report_or_log
 def command(
     *,
-    request: LogRequest,
-    limits_file: Path | None,
-    baseline: str | None,
-    fleet: Path | None,
-    config: Path | None,
-    fleet_model: str | None,
-    undecided: str | None,
-    as_json: bool,
-    junit: Path | None,
-    github: bool,
+    limits_file: Path | None = option("--limits", "What is allowed, in TOML.", FILE, "FILE"),
+    baseline: str | None = option(
+        *("--baseline", f"Older report ({REPORT}); alone it allows 20 % more N, B and K."),
+        *(click.Path(), "REPORT"),
+    ),
+    fleet: Path | None = option("--fleet", "Folder of a fleet: is this unit one of them?", PATH, "FLEET"),
+    config: Path | None = option(
+        "--config", "Config of a filter: are its noise parameters right for this sensor?", FILE, "FILE"
+    ),
+    fleet_model: str | None = FLEET_MODEL,
+    undecided: str | None = option(
+        "--undecided",
+        "What an interval that holds the limit means. [default: the limits file's, else pass]",
+        click.Choice(["pass", "fail"]),
+    ),
+    as_json: bool = flag("--json", "Print the verdicts as JSON."),
+    junit: Path | None = option(
+        "--junit", "Write JUnit XML too.", click.Path(dir_okay=False, path_type=Path), "FILE"
+    ),
+    github: bool = flag("--github", "Print GitHub annotations too (on standard error with --json)."),
+    request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Pass or fail a report, or a log, against limits.
 
@@ -165,23 +140,20 @@ def _limits(
     from imucal.checking import read_limits
 
     if fleet is None and model is not None:
-        msg = "--fleet-model is about a fleet; give --fleet FLEET too"
-        raise click.UsageError(msg)
+        misuse("--fleet-model is about a fleet; give --fleet FLEET too")
     if fleet is not None and not is_fleet(fleet):
         expected = "expected the folder of a fleet that imucal fleet run writes"
         msg = f"{fleet}: found no manifest.parquet, {expected}"
         raise ReadError(msg)
     if fleet is None and limits_file is None and baseline is None and config is None:
-        msg = (
+        misuse(
             "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"
         )
-        raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:
         limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=Path(baseline)))
     elif limits.baseline is not None and limits.baseline.report is None:
-        msg = f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT'
-        raise click.UsageError(msg)
+        misuse(f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT')
     return limits
 
 

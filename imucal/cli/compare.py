@@ -5,10 +5,11 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
+from imucal.cli._declared import argument, declared, flag, misuse, shown
+from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import FULL, as_typed, picked, print_json, say, width
-from imucal.cli._report_input import given_report, is_model, model_options, read_report, with_model
-from imucal.cli.parameters import Number, datasheet_option, json_option, quiet_option, shown
+from imucal.cli._report_input import MODELS, given_report, is_model, read_report, with_model
+from imucal.cli.parameters import DATASHEET, QUIET, Number
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
@@ -21,7 +22,7 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/comparison/1"
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal compare monday-imucal tuesday-imucal
@@ -34,39 +35,24 @@ Examples:
 Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 2 usage, 3 a report can't be read, 4 the reports have no axis in common."""
 )
-@click.argument("a", type=click.Path(), metavar="A")
-@click.argument("b", type=click.Path(), metavar="B", required=False)
-@model_options
-@shown(
-    "--alpha",
-    type=Number(0, 1, min_open=True, max_open=True),
-    default=0.05,
-    help="Probability of calling any term different when none is.",
-)
-@shown(
-    "--tolerance",
-    type=Number(min=0),
-    default=0.0,
-    metavar="FRACTION",
-    help="Relative difference that doesn't count, such as 0.05.",
-)
-@click.option("--no-fail", is_flag=True, help="End with exit code 0 even if a term differs.")
-@fleet_model_option
-@datasheet_option()
-@json_option("Print the comparison as JSON (SI).")
-@quiet_option
 def command(
     *,
-    a: str,
-    b: str | None,
-    models: dict[Sensor, str],
-    alpha: float,
-    tolerance: float,
-    no_fail: bool,
-    fleet_model: str | None,
-    datasheet: bool,
-    as_json: bool,
-    quiet: bool,
+    a: str = argument("A", click.Path()),
+    b: str | None = argument("B", click.Path(), required=False),
+    models: dict[Sensor, str] = MODELS,
+    alpha: float = shown(
+        *("--alpha", 0.05, "Probability of calling any term different when none is."),
+        Number(0, 1, min_open=True, max_open=True),
+    ),
+    tolerance: float = shown(
+        *("--tolerance", 0.0, "Relative difference that doesn't count, such as 0.05."),
+        *(Number(min=0), "FRACTION"),
+    ),
+    no_fail: bool = flag("--no-fail", "End with exit code 0 even if a term differs."),
+    fleet_model: str | None = FLEET_MODEL,
+    datasheet: bool = DATASHEET,
+    as_json: bool = flag("--json", "Print the comparison as JSON (SI)."),
+    quiet: bool = QUIET,
 ) -> None:
     """Say which noise terms of two reports differ significantly.
 
@@ -96,19 +82,17 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
     """Return two reports: of logs, of models, or the median units of two fleets."""
     fleets = [path is not None and is_fleet(path) for path in (a, b)]
     if fleet is not None and not any(fleets):
-        msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
-        raise click.UsageError(msg)
+        misuse(f"{shown_address(a)} is no fleet, but --fleet-model is about one")
     if b is None or models or is_model(a) or is_model(b):
         return _with_models(a, b, models)
     if not any(fleets):
         return read_report(a), read_report(b)
     if not all(fleets):
         folder, other = (a, b) if fleets[0] else (b, a)
-        msg = (
+        misuse(
             f"{folder} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
             f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(folder)}"
         )
-        raise click.UsageError(msg)
     from imucal.fleet_report.as_report import fleet_as_report
 
     one, other_one = (fleet_as_report(read_fleet(path, fleet), value="median") for path in (a, b))

@@ -7,18 +7,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._printing import echo, force_option, print_findings, print_json, refuse, say
-from imucal.cli._progress import axes_progress, smoothing_progress
+from imucal.cli._declared import declared, flag, option, shown
+from imucal.cli._printing import echo, print_findings, print_json, refuse, say
+from imucal.cli._progress import FITTING, progress
 from imucal.cli.fit import report_folder
-from imucal.cli.parameters import (
-    DURATION,
-    LogRequest,
-    json_option,
-    log_options,
-    model_option,
-    out_option,
-    pictures_option,
-)
+from imucal.cli.parameters import DURATION, FORCE, LOG, PATH, PICTURES, STRUCTURE, LogRequest
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Recording, Sensor
 
@@ -37,7 +30,7 @@ _SHAPES = {
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal decompose log.mcap
@@ -50,35 +43,24 @@ Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
 analysed (with --strict: or a warning was found), 5 the files can't be
 written, 130 interrupted."""
 )
-@log_options
-@out_option("DIR", "Folder of the files. [default: NAME-decomposed]")
-@click.option(
-    "--axis", "axes", type=click.Choice(_AXES), multiple=True, help="Only this axis; may be repeated."
-)
-@model_option('Terms to fit, such as "N + B + K" or "N + 2*GM".')
-@click.option(
-    "--every",
-    type=DURATION,
-    metavar="TIME",
-    help="Time between rows of the CSV. [default: at most 10000 rows]",
-)
-@click.option("--npz", is_flag=True, help="Write NAME.npz too: everything at the samples' rate.")
-@pictures_option
-@click.option("--no-clean", is_flag=True, help="Take spikes for samples, instead of leaving them out.")
-@json_option("Print decomposition.json on standard output.")
-@force_option
 def command(
     *,
-    request: LogRequest,
-    out: Path | None,
-    axes: tuple[str, ...],
-    model: str,
-    every: float | None,
-    npz: bool,
-    formats: tuple[str, ...],
-    no_clean: bool,
-    as_json: bool,
-    force: bool,
+    request: LogRequest = LOG,
+    out: Path | None = option("-o --out", "Folder of the files. [default: NAME-decomposed]", PATH, "DIR"),
+    axes: tuple[str, ...] = option(
+        "--axis", "Only this axis; may be repeated.", click.Choice(_AXES), multiple=True
+    ),
+    model: str = shown(
+        "--model", "auto", 'Terms to fit, such as "N + B + K" or "N + 2*GM".', STRUCTURE, "TEXT"
+    ),
+    every: float | None = option(
+        "--every", "Time between rows of the CSV. [default: at most 10000 rows]", DURATION, "TIME"
+    ),
+    npz: bool = flag("--npz", "Write NAME.npz too: everything at the samples' rate."),
+    formats: tuple[str, ...] = PICTURES,
+    no_clean: bool = flag("--no-clean", "Take spikes for samples, instead of leaving them out."),
+    as_json: bool = flag("--json", "Print decomposition.json on standard output."),
+    force: bool = FORCE,
 ) -> None:
     """Draw what the bias of every axis of LOG did.
 
@@ -97,8 +79,8 @@ def command(
     check_folder(folder)
     recording = _only(request.read(), axes)
     settings = Settings(model=model, clean=not no_clean, second_opinion=False, reading=request.settings())
-    with axes_progress(quiet=request.quiet) as progress:
-        report = characterize(recording, settings, progress=progress)
+    with progress(*FITTING, quiet=request.quiet) as update:
+        report = characterize(recording, settings, progress=update)
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     path = recording.source.path
     described, failed = [], False
@@ -157,8 +139,8 @@ def _decompose_axis(
         named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
         text = f"the fit took out {' and '.join(named)}; here it is in the bias, as far as the model follows"
         say(f"{series.name}: {text}", quiet=quiet)
-    with smoothing_progress(series.name, quiet=quiet) as progress:
-        parts = decompose(series, fit, clean=clean, progress=progress)
+    with progress(f"decomposing {series.name}", "TaskProgressColumn", quiet=quiet) as update:
+        parts = decompose(series, fit, clean=clean, progress=update)
     paths = write_decomposition(parts, folder, **asked)
     for path in paths:
         say(path, quiet=quiet)

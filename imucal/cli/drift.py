@@ -4,17 +4,10 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._printing import FULL, echo, fitted, force_option, picked, print_json, refuse, say, width
-from imucal.cli._report_input import load_report, report_or_log
-from imucal.cli.parameters import (
-    DURATION,
-    FORMATS,
-    LogRequest,
-    Text,
-    json_option,
-    out_option,
-    shown,
-)
+from imucal.cli._declared import declared, flag, misuse, option, shown
+from imucal.cli._printing import FULL, echo, fitted, picked, print_json, refuse, say, width
+from imucal.cli._report_input import REPORT_OR_LOG, load_report
+from imucal.cli.parameters import DURATION, FORCE, FORMATS, PATH, LogRequest, Text
 from imucal.clock import seconds_of
 from imucal.prediction import Drift, drift
 from imucal.prediction.drift import STRETCHES
@@ -29,10 +22,7 @@ def _times(text: str) -> tuple[float, ...]:
     return tuple(sorted({seconds_of(part) for part in text.split(",")}))
 
 
-_TIMES = Text("times", _times)
-
-
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal drift still-imucal
@@ -43,24 +33,17 @@ Examples:
 Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
 are not noise at rest, 5 the picture can't be written."""
 )
-@shown("--rest", type=DURATION, default="60s", metavar="TIME", help="How long the bias is averaged before.")
-@shown(
-    "--times", type=_TIMES, default="1s,10s,60s,5min", metavar="LIST", help="How long nothing aids it then."
-)
-@click.option("--all-axes", is_flag=True, help="Each axis by itself, instead of each sensor's worst.")
-@out_option("FILE", "Draw a picture too: .png, .svg or .pdf.")
-@json_option("Print JSON (SI).")
-@force_option
-@report_or_log
 def command(
     *,
-    request: LogRequest,
-    rest: float,
-    times: tuple[float, ...],
-    all_axes: bool,
-    out: Path | None,
-    as_json: bool,
-    force: bool,
+    rest: float = shown("--rest", "60s", "How long the bias is averaged before.", DURATION, "TIME"),
+    times: tuple[float, ...] = shown(
+        *("--times", "1s,10s,60s,5min", "How long nothing aids it then.", Text("times", _times), "LIST")
+    ),
+    all_axes: bool = flag("--all-axes", "Each axis by itself, instead of each sensor's worst."),
+    out: Path | None = option("-o --out", "Draw a picture too: .png, .svg or .pdf.", PATH, "FILE"),
+    as_json: bool = flag("--json", "Print JSON (SI)."),
+    force: bool = FORCE,
+    request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Say how far dead reckoning drifts after a rest.
 
@@ -78,7 +61,7 @@ def command(
     try:
         found = drift(report, times, rest_s=rest, each_axis=all_axes)
     except ValueError as error:
-        raise click.UsageError(str(error)) from error
+        misuse(error)
     if as_json:
         print_json(to_document(found))
     else:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
-from imucal.cli._printing import echo, force_option, refuse, say
-from imucal.cli._report_input import load_report, report_or_log
-from imucal.cli.parameters import DURATION, LogRequest, Text, shown
+from imucal.cli._declared import declared, misuse, option, shown, together
+from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
+from imucal.cli._printing import echo, refuse, say
+from imucal.cli._report_input import REPORT_OR_LOG, load_report
+from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
 from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
@@ -72,7 +73,7 @@ def _factors(text: str) -> dict[str, float]:
 _LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
 
 
-@click.command(
+@declared(
     epilog=f"""\b
 Formats:
 {_LISTED}
@@ -92,79 +93,68 @@ Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
 are not noise at rest or a number that the format needs is missing, 5 the
 file can't be written."""
 )
-@click.option(
-    "--to",
-    "targets",
-    type=Text("target", _target_name),
-    shell_complete=_complete_target,
-    multiple=True,
-    required=True,
-    metavar="NAME",
-    help="Format, from the list below, or all; may be repeated.",
-)
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, allow_dash=True),
-    metavar="PATH",
-    help="File, or folder, or - for standard output. [default: the format's own name here; for several "
-    f"the folder {_FOLDER}]",
-)
-@shown(
-    "--axis-policy",
-    type=click.Choice(get_args(AxisPolicy)),
-    default="worst",
-    help="For formats with one number a sensor: the largest of the axes, the root of their mean variance, "
-    "or one axis.",
-)
-@click.option(
-    "--inflate",
-    type=Text("inflation", _factors),
-    default={},
-    metavar="FACTORS",
-    help="Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; said in the file.",
-)
-@shown(
-    "--unidentified",
-    type=click.Choice(get_args(Unidentified)),
-    default="bound",
-    help="A term that the data don't show: write its upper bound, or refuse.",
-)
-@shown(
-    "--numbers",
-    type=click.Choice(get_args(Basis)),
-    default="covered",
-    help="For formats with white noise and a walk: the least that cover the fitted spectrum, flicker "
-    "and bounds included, or N and K of the fit.",
-)
-@click.option(
-    "--horizon",
-    "horizon_s",
-    type=DURATION,
-    metavar="TIME",
-    help="How long the filter may coast. [default: 60s with cameras and lidars, else 300s]",
-)
-@shown("--step", "step_s", type=DURATION, default="1s", metavar="TIME", help="How often the filter is aided.")
-@click.option(
-    "--value",
-    type=click.Choice(["tolerance", "median"]),
-    help="Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
-    "[default: tolerance]",
-)
-@fleet_model_option
-@click.option("--rostopic", metavar="NAME", help="IMU topic to write. [default: the log's]")
-@force_option
-@report_or_log
 def command(
     *,
-    request: LogRequest,
-    targets: tuple[str, ...],
-    out: Path | None,
-    value: "FleetValue | None",
-    fleet_model: str | None,
-    rostopic: str | None,
-    force: bool,
-    **options: Any,  # noqa: ANN401 - the other options of `render` and of `imucal.export`
+    targets: tuple[str, ...] = option(
+        *("--to", "Format, from the list below, or all; may be repeated."),
+        *(Text("target", _target_name), "NAME"),
+        shell_complete=_complete_target,
+        multiple=True,
+        required=True,
+    ),
+    out: Path | None = option(
+        "-o --out",
+        "File, or folder, or - for standard output. [default: the format's own name here; for several "
+        f"the folder {_FOLDER}]",
+        click.Path(path_type=Path, allow_dash=True),
+        "PATH",
+    ),
+    options: dict[str, Any] = together(
+        dict,
+        {
+            "axis_policy": shown(
+                *("--axis-policy", "worst"),
+                "For formats with one number a sensor: the largest of the axes, the root of their mean "
+                "variance, or one axis.",
+                click.Choice(get_args(AxisPolicy)),
+            ),
+            "inflate": option(
+                "--inflate",
+                "Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; said in the file.",
+                Text("inflation", _factors),
+                "FACTORS",
+                default={},
+            ),
+            "unidentified": shown(
+                *("--unidentified", "bound"),
+                "A term that the data don't show: write its upper bound, or refuse.",
+                click.Choice(get_args(Unidentified)),
+            ),
+            "numbers": shown(
+                *("--numbers", "covered"),
+                "For formats with white noise and a walk: the least that cover the fitted spectrum, flicker "
+                "and bounds included, or N and K of the fit.",
+                click.Choice(get_args(Basis)),
+            ),
+            "horizon_s": option(
+                "--horizon",
+                "How long the filter may coast. [default: 60s with cameras and lidars, else 300s]",
+                DURATION,
+                "TIME",
+            ),
+            "step_s": shown("--step", "1s", "How often the filter is aided.", DURATION, "TIME"),
+        },
+    ),
+    value: "FleetValue | None" = option(
+        "--value",
+        "Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
+        "[default: tolerance]",
+        click.Choice(["tolerance", "median"]),
+    ),
+    fleet_model: str | None = FLEET_MODEL,
+    rostopic: str | None = option("--rostopic", "IMU topic to write. [default: the log's]", metavar="NAME"),
+    force: bool = FORCE,
+    request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Write the config files that filters and simulators read.
 
@@ -199,14 +189,14 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
     folder = request.logs[0]
     if is_fleet(folder):
         if len(request.logs) > 1 or request.settings():
-            msg = f"{folder} is a fleet; give it alone, without options of reading a log"
-            raise click.UsageError(msg)
+            misuse(f"{folder} is a fleet; give it alone, without options of reading a log")
         from imucal.fleet_report.as_report import fleet_as_report
 
         return fleet_as_report(read_fleet(folder, model), value=value or "tolerance")
     if value or model is not None:
-        msg = f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
-        raise click.UsageError(msg)
+        misuse(
+            f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
+        )
     return load_report(request)
 
 

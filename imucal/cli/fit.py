@@ -6,29 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucal.cli._printing import (
-    as_typed,
-    echo,
-    force_option,
-    kept_part,
-    name_of_log,
-    print_findings,
-    refuse,
-    say,
-    width,
-)
-from imucal.cli.parameters import (
-    LEVEL,
-    TAU_SET,
-    LogRequest,
-    datasheet_option,
-    json_option,
-    log_options,
-    model_option,
-    out_option,
-    pictures_option,
-    shown,
-)
+from imucal.cli._declared import declared, flag, misuse, option, shown, together
+from imucal.cli._printing import as_typed, echo, kept_part, name_of_log, print_findings, refuse, say, width
+from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
 from imucal.printable import printable_json
@@ -41,7 +21,7 @@ if TYPE_CHECKING:
 _REST_S = 30.0
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal fit log.mcap
@@ -57,70 +37,52 @@ Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
 analysed or are not noise at rest (with --strict: or a warning was found),
 5 the report can't be written, 130 interrupted."""
 )
-@log_options
-@out_option("DIR", "Folder of the report. [default: NAME-imucal]")
-@click.option(
-    "--rests", is_flag=True, help="LOG is a drive with several rests: fit those together, each by itself."
-)
-@model_option('Terms, such as "N + B + K" or "N + 2*GM".')
-@shown("--method", type=click.Choice(METHODS), default="mle", help="Estimator.")
-@shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
-@shown("--ic", "criterion", type=click.Choice(CRITERIA), default="chance", help="What chooses the model.")
-@shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
-@shown(
-    "--segments",
-    type=click.IntRange(1, MOST_SEGMENTS),
-    default=8,
-    metavar="N",
-    help="Parts whose noise is compared; 1 for none.",
-)
-@shown("--taus", type=TAU_SET, default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
-@shown(
-    "--edf",
-    type=click.Choice(["hybrid", "model", "greenhall"]),
-    default="hybrid",
-    help="Degrees of freedom of the curve's intervals.",
-)
-@click.option("--no-clean", is_flag=True, help="Fit spikes too, instead of leaving them out.")
-@click.option("--verify", is_flag=True, help="Check the fit against the exact likelihood (slower).")
-@datasheet_option()
-@pictures_option
-@shown(
-    "--figure",
-    type=click.Choice(["report", "paper"]),
-    default="report",
-    help="paper: curves for one column of a paper too (NAME-paper.pdf; --format svg for SVG).",
-)
-@click.option("--no-html", is_flag=True, help="Write no HTML page.")
-@click.option("--open", "opened", is_flag=True, help="Show the page in the browser when it is written.")
-@click.option("--no-report", is_flag=True, help="Write no files at all.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(1),
-    metavar="N",
-    help="Axes fitted at a time, each in a process of its own. [default: as many as there are processors]",
-)
-@click.option("--bins", is_flag=True, help="Put each axis's binned spectrum into report.json, to pool logs.")
-@json_option("Print report.json on standard output.")
-@click.option("--curve", is_flag=True, help="LOG is a table of tau and Allan deviations, without headings.")
-@force_option
 def command(
     *,
-    request: LogRequest,
-    out: Path | None,
-    rests: bool,
-    no_clean: bool,
-    datasheet: bool,
-    formats: tuple[str, ...],
-    figure: str,
-    no_html: bool,
-    opened: bool,
-    no_report: bool,
-    jobs: int | None,
-    as_json: bool,
-    curve: bool,
-    force: bool,
-    **choices: Any,  # noqa: ANN401 - what else `Settings` takes, checked by the types of the options
+    request: LogRequest = LOG,
+    out: Path | None = option("-o --out", "Folder of the report. [default: NAME-imucal]", PATH, "DIR"),
+    rests: bool = flag("--rests", "LOG is a drive with several rests: fit those together, each by itself."),
+    choices: dict[str, Any] = together(
+        dict,
+        {
+            "model": shown("--model", "auto", 'Terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE, "TEXT"),
+            "method": shown("--method", "mle", "Estimator.", click.Choice(METHODS)),
+            "level": shown("--level", 0.95, "Confidence level of every interval.", LEVEL),
+            "criterion": shown("--ic", "chance", "What chooses the model.", click.Choice(CRITERIA)),
+            "weights": shown("--weights", "full", "Weights of gmwm.", click.Choice(WEIGHTS)),
+            "segments": shown(
+                *("--segments", 8, "Parts whose noise is compared; 1 for none."),
+                *(click.IntRange(1, MOST_SEGMENTS), "N"),
+            ),
+            "taus": shown("--taus", "octave", "octave, decade, decade:20 or all.", TAU_SET, "SET"),
+            "edf": shown(
+                *("--edf", "hybrid", "Degrees of freedom of the curve's intervals."),
+                click.Choice(["hybrid", "model", "greenhall"]),
+            ),
+        },
+    ),
+    no_clean: bool = flag("--no-clean", "Fit spikes too, instead of leaving them out."),
+    verify: bool = flag("--verify", "Check the fit against the exact likelihood (slower)."),
+    datasheet: bool = DATASHEET,
+    formats: tuple[str, ...] = PICTURES,
+    figure: str = shown(
+        *("--figure", "report"),
+        "paper: curves for one column of a paper too (NAME-paper.pdf; --format svg for SVG).",
+        click.Choice(["report", "paper"]),
+    ),
+    no_html: bool = flag("--no-html", "Write no HTML page."),
+    opened: bool = flag("--open", "Show the page in the browser when it is written."),
+    no_report: bool = flag("--no-report", "Write no files at all."),
+    jobs: int | None = option(
+        "--jobs",
+        "Axes fitted at a time, each in a process of its own. [default: as many as there are processors]",
+        click.IntRange(1),
+        "N",
+    ),
+    bins: bool = flag("--bins", "Put each axis's binned spectrum into report.json, to pool logs."),
+    as_json: bool = flag("--json", "Print report.json on standard output."),
+    curve: bool = flag("--curve", "LOG is a table of tau and Allan deviations, without headings."),
+    force: bool = FORCE,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
@@ -137,9 +99,9 @@ def command(
 
     try:
         reading = request.settings() | ({"rests": True} if rests else {})
-        settings = Settings(clean=not no_clean, reading=reading, **choices)
+        settings = Settings(clean=not no_clean, verify=verify, bins=bins, reading=reading, **choices)
     except ValueError as error:
-        raise click.UsageError(str(error)) from error
+        misuse(error)
     if curve or is_curve_table(request):
         fit_curves(request, settings, as_json=as_json)
         return

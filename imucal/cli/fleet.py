@@ -6,12 +6,9 @@ from imucal.cli import LazyGroup
 
 #: Command -> module that holds it, and the line that --help prints.
 FLEET_COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("imucal.cli.fleet_running", "Fit one noise model to many logs, on this machine or a cluster."),
-    "report": (
-        "imucal.cli.fleet_report_files",
-        "Say what the units of each sensor model are like: page, JSON, CSV.",
-    ),
-    "status": ("imucal.cli.fleet_status", "Say what of a fleet is done, what failed and why, what is left."),
+    "run": ("fleet_running", "Fit one noise model to many logs, on this machine or a cluster."),
+    "report": ("fleet_files:report", "Say what the units of each sensor model are like: page, JSON, CSV."),
+    "status": ("fleet_files:status", "Say what of a fleet is done, what failed and why, what is left."),
 }
 
 

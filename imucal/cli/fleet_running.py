@@ -4,15 +4,17 @@ import contextlib
 import shlex
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from imucal.cli._declared import declared, flag, misuse, option, shown, together
 from imucal.cli._fleet import FIXED_STRUCTURE, LABELS, PATIENCE, SHARD, SIZE, conclude, print_plan, say_plan
 from imucal.cli._printing import say
 from imucal.cli._progress import fleet_progress
-from imucal.cli.parameters import DURATION, LEVEL, Number, quiet_option, reading_options, shown, topic_option
+from imucal.cli.parameters import DURATION, FILE, LEVEL, PATH, QUIET, READING, TOPIC, Asked, Number
 from imucal.errors import ImucalError
 from imucal.resources import threads
 
@@ -34,22 +36,24 @@ def _entries(
     quiet: bool,
 ) -> list["LogTask"]:
     """Return the logs asked for; those of the store's manifest where none is named."""
-    from imucal.fleet_run.plan import asked_logs, stored_logs
+    from imucal.fleet_run.plan import asked_logs
 
-    if logs or manifest is not None:
-        listed = sys.stdin if "-" in logs else ()
-        asked, unlike = asked_logs(logs, listed=listed, manifest=manifest, labels=labels)
-    elif store.exists:
-        asked, unlike = stored_logs(store.manifest(), labels)
-    else:
-        msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
-        raise click.UsageError(msg)
+    if not (logs or manifest is not None or store.exists):
+        misuse("Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet")
+    listed = sys.stdin if "-" in logs else ()
+    asked, unlike = asked_logs(store, logs, listed=listed, manifest=manifest, labels=labels)
     if unlike and labels is not None:
         say(f"{unlike} of {len(asked)} logs do not fit {labels.pattern}", quiet=quiet)
     return asked
 
 
-@click.command(
+def _any_number(parameter: click.Parameter) -> None:
+    """Let the LOG argument be one for many logs, or none."""
+    if isinstance(parameter, click.Argument):
+        parameter.metavar, parameter.required = "LOGS...", False
+
+
+@declared(
     epilog="""\b
 Examples:
   imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
@@ -64,80 +68,53 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
 --max-failed, 5 the store can't be written or the workers are gone,
 130 interrupted. Run it again to go on: what is done stays done."""
 )
-@click.argument("logs", metavar="LOGS...", nargs=-1, type=click.Path(allow_dash=True, readable=False))
-@shown(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("fleet"),
-    metavar="DIR",
-    help="Folder of the fleet; what it has is not done again.",
-)
-@click.option(
-    "--manifest",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    metavar="CSV",
-    help="Table with a column path; model, unit, temperature_c, started; arguments of imucal.read.",
-)
-@click.option(
-    "--labels", type=LABELS, metavar="TEXT", help="Labels in paths, such as '{model}/{unit}/*.mcap'."
-)
-@click.option(
-    "--model", type=FIXED_STRUCTURE, metavar="TEXT", help=f"Terms, for every log. [default: {_MODEL}]"
-)
-@click.option("--level", type=LEVEL, help=f"Confidence level of every interval. [default: {_LEVEL}]")
-@click.option(
-    "--jobs", type=click.IntRange(1, 4096), metavar="N", help="Logs at a time. [default: all processors]"
-)
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, such as tcp://head:8786.")
-@click.option("--shard", type=SHARD, metavar="I/N", help="Do part I of N, log by log.")
-@click.option("--memory", type=SIZE, metavar="SIZE", help="Memory of each log, such as 2GB.")
-@shown("--timeout", type=PATIENCE, default="auto", metavar="TIME", help="Time of each log, such as 10min.")
-@shown("--reports", type=click.Choice(["none", "failed", "all"]), default="failed", help="Reports of logs.")
-@shown(
-    "--max-failed",
-    type=Number(0, 1, percent=True),
-    default="5%",
-    metavar="SHARE",
-    help="Share of logs that may fail before the exit code is 4.",
-)
-@click.option("--fresh", is_flag=True, help="Forget what the folder has, and do every log anew.")
-@click.option("--dry-run", is_flag=True, help="Print what would be done; write nothing.")
-@topic_option
-@reading_options
-@click.option(
-    "--skip", "skip_s", type=DURATION, default=0.0, metavar="TIME", help="Leave out the start of each log."
-)
-@click.option(
-    "--take", "take_s", type=DURATION, metavar="TIME", help="Use only so much of each log, such as 2h."
-)
-@click.option("--strict", is_flag=True, help="Refuse damaged logs.")
-@quiet_option
-@click.pass_context
 def command(
-    ctx: click.Context,
     *,
-    logs: tuple[str, ...],
-    out: Path,
-    manifest: Path | None,
-    labels: "LabelPattern | None",
-    model: str | None,
-    level: float | None,
-    jobs: int | None,
-    scheduler: str | None,
-    shard: tuple[int, int] | None,
-    memory: int | None,
-    timeout: float,
-    reports: str,
-    max_failed: float,
-    fresh: bool,
-    dry_run: bool,
-    topic: tuple[str, ...],
-    reading: dict[str, object],
-    skip_s: float,
-    take_s: float | None,
-    strict: bool,
-    quiet: bool,
+    out: Path = shown(
+        "-o --out", Path("fleet"), "Folder of the fleet; what it has is not done again.", PATH, "DIR"
+    ),
+    manifest: Path | None = option(
+        "--manifest",
+        "Table with a column path; model, unit, temperature_c, started; arguments of imucal.read.",
+        FILE,
+        "CSV",
+    ),
+    labels: "LabelPattern | None" = option(
+        "--labels", "Labels in paths, such as '{model}/{unit}/*.mcap'.", LABELS, "TEXT"
+    ),
+    model: str | None = option(
+        "--model", f"Terms, for every log. [default: {_MODEL}]", FIXED_STRUCTURE, "TEXT"
+    ),
+    level: float | None = option(
+        "--level", f"Confidence level of every interval. [default: {_LEVEL}]", LEVEL
+    ),
+    jobs: int | None = option(
+        "--jobs", "Logs at a time. [default: all processors]", click.IntRange(1, 4096), "N"
+    ),
+    scheduler: str | None = option(
+        "--scheduler", "Dask scheduler of a cluster, such as tcp://head:8786.", metavar="ADDRESS"
+    ),
+    shard: tuple[int, int] | None = option("--shard", "Do part I of N, log by log.", SHARD, "I/N"),
+    memory: int | None = option("--memory", "Memory of each log, such as 2GB.", SIZE, "SIZE"),
+    timeout: float = shown("--timeout", "auto", "Time of each log, such as 10min.", PATIENCE, "TIME"),
+    reports: str = shown("--reports", "failed", "Reports of logs.", click.Choice(["none", "failed", "all"])),
+    max_failed: float = shown(
+        *("--max-failed", "5%", "Share of logs that may fail before the exit code is 4."),
+        *(Number(0, 1, percent=True), "SHARE"),
+    ),
+    fresh: bool = flag("--fresh", "Forget what the folder has, and do every log anew."),
+    dry_run: bool = flag("--dry-run", "Print what would be done; write nothing."),
+    topic: tuple[str, ...] = TOPIC,
+    asked: Asked = replace(READING, change=_any_number),
+    part: dict[str, object] = together(
+        dict,
+        {
+            "skip_s": option("--skip", "Leave out the start of each log.", DURATION, "TIME", default=0.0),
+            "take_s": option("--take", "Use only so much of each log, such as 2h.", DURATION, "TIME"),
+            "strict": flag("--strict", "Refuse damaged logs."),
+        },
+    ),
+    quiet: bool = QUIET,
 ) -> None:
     """Fit the same noise model to every one of many LOGS, and keep the results in a folder.
 
@@ -154,9 +131,8 @@ def command(
     from imucal.fleet_run.running import asking, run_plan
 
     if shard and scheduler:
-        msg = "--shard works without a cluster; give --shard or --scheduler, not both"
-        raise click.UsageError(msg)
-    store = FleetStore(out.absolute())
+        misuse("--shard works without a cluster; give --shard or --scheduler, not both")
+    ctx, store = click.get_current_context(), FleetStore(out.absolute())
     workers = 1 if shard else jobs or threads()
     try:
         settings = fleet_settings(
@@ -171,13 +147,12 @@ def command(
             shard=shard,
         )
     except ValueError as error:
-        msg = f"{error}; choose another folder with -o, or start anew with --fresh"
-        raise click.UsageError(msg) from error
+        misuse(f"{error}; choose another folder with -o, or start anew with --fresh")
     if not fresh:
         _mend(store, dry_run=dry_run, quiet=quiet)
-    entries = _entries(store, logs, manifest, labels, quiet=quiet)
-    options = {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict}
-    plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
+    entries = _entries(store, asked.logs, manifest, labels, quiet=quiet)
+    options = as_json({**asked.options, "topic": topic, **part})
+    plan = plan_fleet(entries, settings, None if fresh else store, reading=options)
     plan = plan.shard(*shard) if shard else plan
     if dry_run:
         print_plan(plan, workers)

@@ -1,19 +1,30 @@
 """``imucal info``: what is in a log, from its index; gaps and clocks where the log is small."""
 
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from typing import Any, TypeAlias
 
-import click
-
-from imucal.cli._info import SCHEMA, lines_of_log, log_document, read_topics
-from imucal.cli._printing import echo, print_json, wrapped
-from imucal.cli._progress import download_progress
-from imucal.cli.parameters import json_option, reading_options
-from imucal.readers import LogContents, describe, logs_of
+from imucal.cli import options_for
+from imucal.cli._declared import declared, flag, option
+from imucal.cli._printing import FULL, Words, echo, picked, print_json, said_of, width, words, wrapped
+from imucal.cli._progress import BYTES, progress
+from imucal.cli.parameters import READING, Asked, lent
+from imucal.errors import ImucalError
+from imucal.findings import Finding
+from imucal.printable import printable
+from imucal.readers import LogContents, TopicContents, describe, logs_of, read
 from imucal.readers.read_options import options_of
 from imucal.readers.tables.text_source import STANDARD_INPUT
+from imucal.recording import Recording
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
+from imucal.screening import screen_units, worst_first
+from imucal.units import data_size, duration
 
+#: What ``--json`` prints follows this.
+SCHEMA = "imucal/info/1"
+#: What reading a topic gave: its recording, or why there is none; None of a topic that was not read.
+Reading: TypeAlias = Recording | str | None
 #: When several logs are read as one.
 _JOINED_WHERE = "Together they are read only where each goes on where the one before ends, or with --join."
 #: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
@@ -24,7 +35,7 @@ _SMALL_REMOTE = 1 << 20
 _MANY = 4_000_000
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal info log.mcap
@@ -36,32 +47,31 @@ Examples:
 \b
 Exit codes: 0 done, 2 usage, 3 a log can't be read."""
 )
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
-@json_option("Print JSON on standard output.")
-@click.option(
-    "--gaps/--no-gaps",
-    default=None,
-    help="Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
-)
-@reading_options
-@click.option("-v", "--verbose", is_flag=True, help="List the fields of messages too.")
 def command(
-    logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, verbose: bool, reading: dict[str, Any]
+    *,
+    as_json: bool = flag("--json", "Print JSON on standard output."),
+    gaps: bool | None = option(
+        "--gaps/--no-gaps",
+        "Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
+        default=None,
+    ),
+    asked: Asked = READING,
+    verbose: bool = flag("-v --verbose", "List the fields of messages too."),
 ) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
-    entries = []
+    entries, (logs, reading) = [], asked
     folders = {named: parts for named in logs if len(parts := logs_of(named)) > 1}
     for log in (log for named in logs for log in folders.get(named, [named])):
-        with download_progress(quiet=not is_url(log)) as progress:
-            contents = describe(log, options_of(progress=progress, **reading))
+        with progress("downloading", *BYTES, quiet=not is_url(log)) as update:
+            contents = describe(log, options_of(progress=update, **reading))
         small = contents.size_bytes is not None and _is_small(contents, remote=is_url(log))
         # Standard input is gone once it was described.
         wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
-        found = read_topics(log, contents, reading) if wanted else {}
+        found = _read_topics(log, contents, reading) if wanted else {}
         if as_json:
-            entries.append(log_document(contents, found))
+            entries.append(_log_document(contents, found))
         else:
-            echo("\n".join(lines_of_log(contents, found, looked=wanted, verbose=verbose)))
+            echo("\n".join(_lines_of_log(contents, found, looked=wanted, verbose=verbose)))
     for folder, parts in folders.items() if not as_json else ():
         text = f"{shown(folder)}: {len(parts)} logs without a metadata.yaml that says they are one recording."
         echo("\n".join([*wrapped(f"{text} {_JOINED_WHERE}"), ""]))
@@ -75,3 +85,228 @@ def _is_small(contents: LogContents, *, remote: bool) -> bool:
     samples = sum(topic.count or 0 for topic in contents.imu_topics)
     size = max(contents.size_bytes or 0, contents.unpacked_bytes or 0)
     return size <= most and samples <= _MANY
+
+
+def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> dict[str, Reading]:
+    """Read every topic that carries IMU samples; a table is read as a whole."""
+    found: dict[str, Reading] = {}
+    with lent([log]) as logs:
+        for topic in contents.imu_topics:
+            named = topic.name if len(contents.topics) > 1 else None
+            try:
+                found[topic.name] = logs.named(read(*logs.paths, topic=named, **reading))
+            except ImucalError as error:
+                found[topic.name] = logs.said(str(error))
+    return found
+
+
+def _log_document(contents: LogContents, found: dict[str, Reading]) -> dict[str, object]:
+    """Return a log's entry: what it holds, and of the topics that were read their clocks and findings."""
+    return {
+        **picked(contents, "path", "format", "compression", "unpacked_bytes", "size_bytes", "start_ns"),
+        "duration_s": contents.duration_s,
+        "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
+        "findings": [_finding_json(finding) for finding in contents.findings],
+    }
+
+
+def _topic_json(topic: TopicContents, found: Reading) -> dict[str, object]:
+    entry: dict[str, object] = {**asdict(topic), "sensors": list(map(str, topic.sensors))}
+    if isinstance(found, str):
+        entry["error"] = found
+    elif found is not None:
+        clocks = {series.sensor: series.clock for series in found.series}
+        entry["clocks"] = {
+            str(sensor): {
+                "source": clock.source,
+                "rate_hz": clock.rate_hz,
+                "samples": clock.n,
+                "jitter_s": clock.jitter_s,
+                "missing": clock.missing,
+                "gaps": [asdict(gap) for gap in clock.gaps],
+            }
+            for sensor, clock in clocks.items()
+        }
+        entry["decisions"] = found.source.decisions
+        entry["findings"] = [_finding_json(finding) for finding in _findings(found)]
+    return entry
+
+
+def _findings(found: Recording) -> tuple[Finding, ...]:
+    """Return the findings of a log that was read, and what `fit` would say of its accelerometer's unit."""
+    return (*found.findings, *worst_first(found, screen_units(found)))
+
+
+def _finding_json(finding: Finding) -> dict[str, object]:
+    return picked(finding, "level", "code", "axis", "text", "advice")
+
+
+def _without_repeated_note(topic: TopicContents, found: Reading) -> TopicContents:
+    """Return a topic without a note that only repeats how its samples were read."""
+    decisions = found.source.decisions if isinstance(found, Recording) else ()
+    repeated = topic.note == "; ".join(
+        f"{question} {answer}" for question, answer in decisions if "unit" in question
+    )
+    return replace(topic, note="") if repeated else topic
+
+
+def _topic_table(topics: list[TopicContents]) -> Iterator[str]:
+    """Yield a line a topic, and a second one for a note or for a name that does not fit."""
+    if width() < FULL:
+        for topic in topics:
+            yield from _topic_lines(topic)
+        return
+    rows = [(_one_line(topic.name), _one_line(topic.type), *_figures(topic)) for topic in topics]
+    heads = ("topic", "type", "messages", "rate", "duration", "sensors")
+    widths = [max(len(heads[i]), *(len(row[i]) for row in rows)) for i in range(6)]
+    spare = width() - 2 - 2 * 5 - sum(widths[2:])
+    widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
+    widths[0] = min(widths[0], max(spare - widths[1], 8))
+    yield _row(heads, widths)
+    for topic, row in zip(topics, rows, strict=True):
+        names = list(zip(row[:2], widths[:2], strict=True))
+        yield _row((*(_fit(text, most) for text, most in names), *row[2:]), widths)
+        for text in (*(text for text, most in names if len(text) > most), topic.note):
+            if text:
+                yield from wrapped(text, indent=6)
+
+
+def _one_line(text: str) -> str:
+    return printable(text).replace("\n", "\\n")
+
+
+def _topic_lines(topic: TopicContents) -> Iterator[str]:
+    """Yield a topic's lines for a narrow terminal."""
+    count, rate, length, sensors = _figures(topic)
+    figures = ", ".join(filter(None, (f"{count} messages", rate, length, sensors)))
+    for text, indent in ((topic.name, 2), (topic.type, 4), (figures, 4), (topic.note, 6)):
+        if text:
+            yield from wrapped(_one_line(text), indent=indent)
+
+
+def _row(cells: tuple[str, ...], widths: list[int]) -> str:
+    """Return a line: names on the left of their columns, figures on the right."""
+    padded = [f"{text:{side}{most}}" for text, side, most in zip(cells, "<<>>><", widths, strict=True)]
+    return f"  {'  '.join(padded)}".rstrip()
+
+
+def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
+    count = "?" if topic.count is None else str(topic.count)
+    rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
+    length = "" if topic.duration_s is None else duration(topic.duration_s)
+    return count, rate, length, ", ".join(sensor.short for sensor in topic.sensors)
+
+
+def _fit(text: str, most: int) -> str:
+    """Return a text that is cut in its middle where it is too long."""
+    left = (most - 1) // 2
+    return text if len(text) <= most else f"{text[:left]}…{text[len(text) - (most - 1 - left) :]}"
+
+
+#: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
+_NO_DATE = 315_532_800_000_000_000
+
+
+def _lines_of_log(
+    contents: LogContents, found: dict[str, Reading], *, looked: bool, verbose: bool
+) -> Iterator[str]:
+    """Yield the lines of a log: its table of topics, and of those that were read what was found."""
+    yield from wrapped(contents.path)
+    yield from wrapped(", ".join(_head(contents)), indent=2)
+    topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]
+    if topics:
+        yield ""
+        yield from _topic_table([_without_repeated_note(topic, found.get(topic.name)) for topic in topics])
+    for topic in (topic for topic in topics if verbose and topic.fields):
+        yield ""
+        yield from wrapped(f"{topic.name} has the fields")
+        yield from wrapped(", ".join(topic.fields), indent=2)
+    said = set(map(words, contents.findings))
+    for topic in contents.imu_topics:
+        yield from _what_was_read(topic, found.get(topic.name), said)
+    if contents.imu_topics and not looked:
+        yield ""
+        yield from wrapped(f"Gaps are not looked for {_why_not(contents.path)}.")
+    if not contents.imu_topics:
+        yield ""
+        yield from _what_to_give(contents)
+    for finding in contents.findings:
+        yield from wrapped(f"{finding.level} {said_of((), words(finding))}", indent=2)
+    yield ""
+
+
+def _what_to_give(contents: LogContents) -> Iterator[str]:
+    """Yield what would read a log of which nothing can be read as it is."""
+    hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
+    if hints:
+        yield from wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
+    else:
+        yield "No gyroscope or accelerometer was found."
+
+
+def _why_not(log: str) -> str:
+    """Return why samples are not read, and what would read them."""
+    if log == STANDARD_INPUT:
+        return "on standard input"
+    return (
+        "behind a URL; --gaps downloads the log"
+        if is_url(log)
+        else "in a large log; --gaps reads all samples"
+    )
+
+
+def _head(contents: LogContents) -> Iterator[str]:
+    yield contents.format
+    if contents.compression:
+        yield f"compression {contents.compression}"
+    if contents.size_bytes is not None:
+        yield data_size(contents.size_bytes)
+    if contents.duration_s is not None:
+        yield duration(contents.duration_s)
+    if contents.start_ns is not None and contents.start_ns > _NO_DATE:
+        yield f"from {_date(contents.start_ns)}"
+
+
+def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> Iterator[str]:
+    """Yield rate, gaps, units and findings of a topic that was read; not those said of the whole log."""
+    if found is None:
+        return
+    yield ""
+    if isinstance(found, str):
+        yield from wrapped(f"{topic.name}: {found}")
+        return
+    for clock in {id(series.clock): series.clock for series in found.series}.values():
+        jitter = "" if clock.jitter_s is None else f", {_jitter(clock.jitter_s)}"
+        count = f"{len(clock.gaps)} gap{'s' if len(clock.gaps) > 1 else ''}"
+        gaps = f"{count}, {clock.missing} missing" if clock.gaps else "no gaps"
+        text = f"{topic.name}: {clock.rate_hz:.6g} Hz by {clock.source}, {clock.n} samples, {gaps}{jitter}"
+        yield from wrapped(text)
+    for question, answer in found.source.decisions:
+        # Each topic is read by its name here, which says nothing about what fit would choose.
+        if question not in {"topic", "topics"}:
+            yield from wrapped(f"{question}: {answer}", indent=2)
+    about: dict[Words, list[str]] = {}
+    for finding in _findings(found):
+        about.setdefault(words(finding), []).extend([finding.axis] if finding.axis else [])
+    for own, axes in about.items():
+        if own not in said:
+            yield from wrapped(f"{own[0]} {said_of(axes, own)}", indent=2)
+
+
+def _jitter(seconds: float) -> str:
+    """Return ``jitter 72 ns``; a stamp is a whole number of ns, so that less is none."""
+    if seconds < 1e-9:
+        return "no jitter"
+    unit, size = next(
+        pair for pair in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if seconds >= pair[1]
+    )
+    return f"jitter {seconds / size:.3g} {unit}"
+
+
+def _date(ns: int) -> str:
+    from datetime import UTC, datetime
+
+    try:
+        return datetime.fromtimestamp(ns / 1e9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (ValueError, OverflowError, OSError):
+        return f"{ns / 1e9:.6g} s"

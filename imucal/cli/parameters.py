@@ -6,16 +6,17 @@ Among these are the options of how to read a log, where it doesn't say itself, a
 import functools
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import click
 
+from imucal.cli._declared import argument, flag, option, shown, together
 from imucal.cli._printing import say
-from imucal.cli._progress import axes_progress, download_progress, reading_progress
+from imucal.cli._progress import BYTES, FITTING, progress
 from imucal.clock import seconds_of
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
@@ -36,7 +37,6 @@ else:
 
 
 Value = TypeVar("Value")
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Text(ParamType[Value]):
@@ -62,15 +62,12 @@ class Number(click.FloatRange):
 
     def __init__(
         self,
-        min: float | None = None,  # noqa: A002 - as click calls them
-        max: float | None = None,  # noqa: A002
-        *,
-        min_open: bool = False,
-        max_open: bool = False,
+        *limits: Any,  # noqa: ANN401
         unit: str = "",
         percent: bool = False,
+        **attributes: Any,  # noqa: ANN401
     ) -> None:
-        super().__init__(min, max, min_open=min_open, max_open=max_open)
+        super().__init__(*limits, **attributes)
         self.unit, self.percent = unit, percent
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
@@ -142,6 +139,18 @@ def structure_of(text: str) -> str:
     return text if text == "auto" else structure_text(parse_structure(text))
 
 
+def model_of(sensor: Sensor) -> Text[str]:
+    """Return the type of a model of a sensor: the text, once it is understood."""
+
+    def checked(text: str) -> str:
+        from imucal.noise.model import NoiseModel
+
+        NoiseModel.parse(text, sensor)
+        return text
+
+    return Text("model", checked)
+
+
 #: Hz: no IMU is slower or faster, and no product of these overflows.
 RATE = Number(1e-6, 1e9, unit="Hz")
 #: Beyond these levels an interval is a point or everything.
@@ -151,113 +160,98 @@ SHARE = Number(0, 1, min_open=True, max_open=True, percent=True)
 _SCALE = Number(min=0, min_open=True)
 #: Seconds, or a number with s, min, m, h or d.
 DURATION = Text("duration", seconds_of)
+#: The terms of a model.
+STRUCTURE = Text("structure", structure_of)
 #: Averaging times: a set by its name; the same, or a list of durations.
 TAU_SET, TAUS = Text("taus", _tau_set), Text("taus", _taus)
 
-#: An option whose default stands in its help.
-shown = functools.partial(click.option, show_default=True)
+
+PATH, FILE = click.Path(path_type=Path), click.Path(exists=True, dir_okay=False, path_type=Path)
 #: Formats of pictures that can be written.
 FORMATS = ("png", "svg", "pdf")
 
-topic_option = click.option(
-    "--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."
-)
-quiet_option = click.option(
-    "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."
-)
-pictures_option = shown(
-    "--format",
-    "formats",
-    type=click.Choice(FORMATS),
-    multiple=True,
-    default=("png",),
-    help="Pictures; may be repeated.",
-)
-
-
-def datasheet_option(text: str = "Units of the table.") -> Callable[[Command], Command]:
-    """Return the option ``--datasheet/--si`` with its help."""
-    return shown("--datasheet/--si", default=True, help=text)
-
-
-def out_option(metavar: str, text: str) -> Callable[[Command], Command]:
-    """Return the option ``-o``, a path, with its help."""
-    return click.option("-o", "--out", type=click.Path(path_type=Path), metavar=metavar, help=text)
-
-
-def model_option(text: str) -> Callable[[Command], Command]:
-    """Return the option ``--model``, the terms to fit, with its help."""
-    return shown("--model", type=Text("structure", structure_of), default="auto", metavar="TEXT", help=text)
-
-
-def json_option(text: str) -> Callable[[Command], Command]:
-    """Return the flag ``--json``, given as `as_json`, with its help."""
-    return click.option("--json", "as_json", is_flag=True, help=text)
-
+TOPIC = option("--topic", "Topic to read; twice for one a sensor.", metavar="NAME", multiple=True)
+QUIET = flag("-q --quiet", "Print results only: no progress, findings or paths.")
+FORCE = flag("--force", "Continue although the log is not at rest (else exit code 4).")
+PICTURES = option(
+    "--format", "Pictures; may be repeated.", click.Choice(FORMATS), multiple=True, default=("png",),
+    show_default=True,
+)  # fmt: skip
+DATASHEET = shown("--datasheet/--si", default=True, text="Units of the table.")
 
 #: What a fields text starts with.
 _FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
-#: Options of how to read a log, in the order that a report keeps.
-_READING = (
-    *("time", "time_unit", "rate_hz", "gyro_unit", "accel_unit", "gyro_scale", "accel_scale"),
-    *("columns", "message_definition", "fields"),
+
+
+class Asked(NamedTuple):
+    """Logs as they were named, and the arguments of `imucal.read` in the order that a report keeps."""
+
+    logs: tuple[str, ...]
+    options: dict[str, Any]
+
+
+def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: object) -> Asked:
+    # What stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, is no log.
+    more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
+    options["fields"] = (*fields, *more)
+    return Asked(tuple(log for log in logs if log not in more), options)
+
+
+def _sample_unit(sensor: Sensor) -> Text[str]:
+    return Text("unit", functools.partial(_unit_of, sensor))
+
+
+#: The LOG argument and the options of reading one, which make an `Asked`.
+READING = together(
+    _asked,
+    {
+        # Whether a log can be read is for its reader to say, with the exit code of that.
+        "logs": argument("LOG...", click.Path(allow_dash=True, readable=False), nargs=-1, required=True),
+        "time": option("--time", "'header' or 'log' stamps; a table's time column.", metavar="CLOCK"),
+        "time_unit": option(
+            "--time-unit",
+            "Unit of the time, where the log doesn't say.",
+            click.Choice(["s", "ms", "us", "ns"]),
+        ),
+        "rate_hz": option("--rate", "Sampling rate, where the log's own is missing or wrong.", RATE, "HZ"),
+        "gyro_unit": option(
+            *("--gyro-unit", "rad/s, deg/s, mdeg/s, …, where the log doesn't say."),
+            *(_sample_unit(Sensor.GYROSCOPE), "UNIT"),
+        ),
+        "accel_unit": option(
+            *("--accel-unit", "m/s^2, g, mg, …, where the log doesn't say."),
+            *(_sample_unit(Sensor.ACCELEROMETER), "UNIT"),
+        ),
+        "gyro_scale": option("--gyro-scale", "rad/s per count, for raw counts.", _SCALE, "X"),
+        "accel_scale": option("--accel-scale", "m/s^2 per count, for raw counts.", _SCALE, "X"),
+        "columns": option("--columns", "Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1.", metavar="TEXT"),
+        "fields": option(
+            "--fields",
+            "Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v lists them.",
+            metavar="TEXT",
+            multiple=True,
+        ),
+        "message_definition": option(
+            "--msg",
+            "Definition (.msg) of a type the log doesn't define, or a folder of them.",
+            click.Path(exists=True, path_type=Path),
+            "FILE",
+            multiple=True,
+        ),
+    },
 )
 
 
-def reading_options(command: Command) -> Callable[..., Any]:
-    """Add the options of reading a log; the command gets them as `reading`, arguments of `imucal.read`."""
+@contextmanager
+def lent(logs: Sequence[str], *, quiet: bool = False) -> Iterator["LocalLogs"]:
+    """Lend logs as files of this machine, those by URL with a progress bar where a person watches."""
+    from imucal.readers.remote_logs import local_logs
+    from imucal.remote import is_url
 
-    @click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column.")
-    @click.option(
-        "--time-unit",
-        type=click.Choice(["s", "ms", "us", "ns"]),
-        help="Unit of the time, where the log doesn't say.",
-    )
-    @click.option(
-        "--rate",
-        "rate_hz",
-        type=RATE,
-        metavar="HZ",
-        help="Sampling rate, where the log's own is missing or wrong.",
-    )
-    @click.option(
-        "--gyro-unit",
-        type=Text("unit", functools.partial(_unit_of, Sensor.GYROSCOPE)),
-        metavar="UNIT",
-        help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
-    )
-    @click.option(
-        "--accel-unit",
-        type=Text("unit", functools.partial(_unit_of, Sensor.ACCELEROMETER)),
-        metavar="UNIT",
-        help="m/s^2, g, mg, …, where the log doesn't say.",
-    )
-    @click.option("--gyro-scale", type=_SCALE, metavar="X", help="rad/s per count, for raw counts.")
-    @click.option("--accel-scale", type=_SCALE, metavar="X", help="m/s^2 per count, for raw counts.")
-    @click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1.")
-    @click.option(
-        "--fields",
-        multiple=True,
-        metavar="TEXT",
-        help="Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v lists them.",
-    )
-    @click.option(
-        "--msg",
-        "message_definition",
-        multiple=True,
-        type=click.Path(exists=True, path_type=Path),
-        metavar="FILE",
-        help="Definition (.msg) of a type the log doesn't define, or a folder of them.",
-    )
-    @functools.wraps(command)
-    def wrapper(*, logs: tuple[str, ...], fields: tuple[str, ...], **values: Any) -> object:  # noqa: ANN401
-        # What stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, is no log.
-        more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
-        values["fields"] = (*fields, *more)
-        reading = {name: values.pop(name) for name in _READING}
-        return command(logs=tuple(log for log in logs if log not in more), reading=reading, **values)
-
-    return wrapper
+    with ExitStack() as stack:
+        with progress("downloading", *BYTES, quiet=quiet or not any(map(is_url, logs))) as update:
+            local = stack.enter_context(local_logs(logs, progress=update))
+        yield local
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,13 +273,7 @@ class LogRequest:
     @contextmanager
     def local(self) -> Iterator["LocalLogs"]:
         """Lend the logs as files of this machine, those by URL with a progress bar where a person watches."""
-        from imucal.readers.remote_logs import local_logs
-        from imucal.remote import is_url
-
-        with ExitStack() as stack:
-            quiet = self.quiet or not any(map(is_url, self.logs))
-            with download_progress(quiet=quiet) as progress:
-                logs = stack.enter_context(local_logs(self.logs, progress=progress))
+        with lent(self.logs, quiet=self.quiet) as logs:
             yield logs
 
     def read(self) -> Recording:
@@ -296,8 +284,8 @@ class LogRequest:
     def _read(self, logs: "LocalLogs") -> Recording:
         from imucal.readers import read
 
-        with reading_progress(quiet=self.quiet) as progress:
-            recording = read(*logs.paths, **self.reading, strict=self.strict, progress=progress)
+        with progress("reading", *BYTES, quiet=self.quiet) as update:
+            recording = read(*logs.paths, **self.reading, strict=self.strict, progress=update)
         if self.skip_s or self.take_s is not None:
             end = math.inf if self.take_s is None else self.skip_s + self.take_s
             recording = recording.between(self.skip_s, end)
@@ -318,8 +306,8 @@ class LogRequest:
                 from imucal.rests import at_rest
 
                 recording = at_rest(recording)
-            with axes_progress(quiet=self.quiet) as progress:
-                report = characterize(recording, settings, progress=progress, workers=workers)
+            with progress(*FITTING, quiet=self.quiet) as update:
+                report = characterize(recording, settings, progress=update, workers=workers)
             files = (*report.source.files, *logs.named_files(checksums.files()))
             return replace(report, source=replace(report.source, files=files))
 
@@ -333,41 +321,24 @@ class LogRequest:
         }
 
 
-def log_options(command: Command) -> Callable[..., Any]:
-    """Add the LOG argument and the options of reading it; the command gets them as `request`."""
+def _request(*, topic: tuple[str, ...], asked: Asked, join: bool, **others: Any) -> LogRequest:  # noqa: ANN401
+    return LogRequest(logs=asked.logs, reading={"topic": topic, **asked.options, "join": join}, **others)
 
-    # Whether a log can be read is for its reader to say, with the exit code of that.
-    @click.argument(
-        "logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(allow_dash=True, readable=False)
-    )
-    @topic_option
-    @reading_options
-    @click.option(
-        "--join", is_flag=True, help="Take several LOGs as parts of one recording, whatever they look like."
-    )
-    @click.option(
-        "--skip",
-        "skip_s",
-        type=DURATION,
-        default=0.0,
-        metavar="TIME",
-        help="Leave out the start, such as 5min.",
-    )
-    @click.option("--take", "take_s", type=DURATION, metavar="TIME", help="Use only so much, such as 2h.")
-    @click.option("--strict", is_flag=True, help="Refuse a damaged log; end with exit code 4 on a warning.")
-    @quiet_option
-    @click.option("-v", "--verbose", is_flag=True, help="Say how each choice was made.")
-    @functools.wraps(command)
-    def wrapper(
-        *, topic: tuple[str, ...], reading: dict[str, Any], join: bool, **values: Any  # noqa: ANN401
-    ) -> object:  # fmt: skip
-        asked = {
-            name: values.pop(name) for name in ("logs", "strict", "skip_s", "take_s", "quiet", "verbose")
-        }
-        request = LogRequest(reading={"topic": topic, **reading, "join": join}, **asked)
-        return command(request=request, **values)
 
-    return wrapper
+#: The LOG argument and all options of reading it, which make a `LogRequest`.
+LOG = together(
+    _request,
+    {
+        "topic": TOPIC,
+        "asked": READING,
+        "join": flag("--join", "Take several LOGs as parts of one recording, whatever they look like."),
+        "skip_s": option("--skip", "Leave out the start, such as 5min.", DURATION, "TIME", default=0.0),
+        "take_s": option("--take", "Use only so much, such as 2h.", DURATION, "TIME"),
+        "strict": flag("--strict", "Refuse a damaged log; end with exit code 4 on a warning."),
+        "quiet": QUIET,
+        "verbose": flag("-v --verbose", "Say how each choice was made."),
+    },
+)
 
 
 def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> None:

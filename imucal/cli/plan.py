@@ -2,20 +2,10 @@
 
 import math
 
-import click
-
+from imucal.cli._declared import argument, declared, flag, option, shown
 from imucal.cli._printing import FULL, can_print, echo, fitted, picked, print_json, say, width
-from imucal.cli._report_input import model_options, report_or_model
-from imucal.cli.parameters import (
-    DURATION,
-    LEVEL,
-    RATE,
-    Text,
-    datasheet_option,
-    json_option,
-    quiet_option,
-    shown,
-)
+from imucal.cli._report_input import MODELS, report_or_model
+from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Text
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
@@ -37,7 +27,7 @@ def _fraction(text: str) -> float:
     return fraction
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
@@ -48,41 +38,26 @@ Examples:
 \b
 Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 )
-@click.argument("source", metavar="MODEL_OR_REPORT", required=False)
-@model_options
-@click.option(
-    "--rate", type=RATE, metavar="HZ", help="Sampling rate; needed with a model, a report has its own."
-)
-@shown(
-    "--precision",
-    type=Text("fraction", _fraction),
-    default="10%",
-    metavar="FRACTION",
-    help="Wanted half-width of each term's interval, of its value.",
-)
-@click.option(
-    "--level",
-    type=LEVEL,
-    metavar="P",
-    help="Confidence level of that interval.  [default: one standard deviation, 0.683]",
-)
-@click.option(
-    "--duration", type=DURATION, metavar="TIME", help="Also say what a record so long tells, such as 3h."
-)
-@datasheet_option("Units of a report's table.")
-@json_option("Print the plan as JSON (SI).")
-@quiet_option
 def command(
     *,
-    source: str | None,
-    models: dict[Sensor, str],
-    rate: float | None,
-    precision: float,
-    level: float | None,
-    duration: float | None,
-    datasheet: bool,
-    as_json: bool,
-    quiet: bool,
+    source: str | None = argument("MODEL_OR_REPORT", required=False),
+    models: dict[Sensor, str] = MODELS,
+    rate: float | None = option(
+        "--rate", "Sampling rate; needed with a model, a report has its own.", RATE, "HZ"
+    ),
+    precision: float = shown(
+        *("--precision", "10%", "Wanted half-width of each term's interval, of its value."),
+        *(Text("fraction", _fraction), "FRACTION"),
+    ),
+    level: float | None = option(
+        "--level", "Confidence level of that interval.  [default: one standard deviation, 0.683]", LEVEL, "P"
+    ),
+    duration: float | None = option(
+        "--duration", "Also say what a record so long tells, such as 3h.", DURATION, "TIME"
+    ),
+    datasheet: bool = shown("--datasheet/--si", default=True, text="Units of a report's table."),
+    as_json: bool = flag("--json", "Print the plan as JSON (SI)."),
+    quiet: bool = QUIET,
 ) -> None:
     """Say how long to record for a wanted precision of each noise term.
 

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._declared import argument, declared, flag, misuse, option, shown
 from imucal.cli._printing import echo, picked, print_json, say
-from imucal.cli.parameters import DURATION, RATE, Number, Text, json_option, quiet_option, shown
+from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
 from imucal.recording import Sensor
@@ -13,12 +14,6 @@ from imucal.units import G0
 
 #: Samples of the longest log: six axes of them are 48 GB.
 _MOST = 1e9
-
-
-def _of_the_gyroscope(text: str) -> str:
-    """Return the text of a model of a gyroscope."""
-    NoiseModel.parse(text)
-    return text
 
 
 _LSB = Number(min=0)
@@ -44,56 +39,36 @@ def _log_to_write(_: click.Context, __: click.Parameter, path: Path) -> Path:
     return path
 
 
-@click.command(
+@declared(
     epilog="""\b
 Examples:
   imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
   imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \\
     --rate 400 --duration 2h --gap 10min:3s -o gaps.bag"""
 )
-@click.argument("model", type=Text("model", _of_the_gyroscope))
-@click.option("--accel", metavar="MODEL", help="Model of the accelerometer; MODEL's numbers where not given.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    callback=_log_to_write,
-    required=True,
-    metavar="FILE",
-    help="Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
-)
-@shown("--rate", type=RATE, default=200.0, metavar="HZ", help="Sampling rate.")
-@shown("--duration", type=DURATION, default="10min", metavar="TIME", help="Length of the log.")
-@click.option(
-    "--gap",
-    "gaps",
-    type=Text("gap", _gap),
-    multiple=True,
-    metavar="START:LENGTH",
-    help="Lose samples there; may be repeated.",
-)
-@click.option(
-    "--gyro-lsb", type=_LSB, default=0.0, metavar="X", help="Resolution of the gyroscope, in rad/s."
-)
-@click.option(
-    "--accel-lsb", type=_LSB, default=0.0, metavar="X", help="Resolution of the accelerometer, in m/s^2."
-)
-@shown("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="The same seed gives the same log.")
-@json_option("Print the truth as JSON.")
-@quiet_option
 def command(
     *,
-    model: str,
-    accel: str | None,
-    out: Path,
-    rate: float,
-    duration: float,
-    gaps: tuple[tuple[float, float], ...],
-    gyro_lsb: float,
-    accel_lsb: float,
-    seed: int,
-    as_json: bool,
-    quiet: bool,
+    model: str = argument(None, model_of(Sensor.GYROSCOPE)),
+    accel: str | None = option(
+        "--accel", "Model of the accelerometer; MODEL's numbers where not given.", metavar="MODEL"
+    ),
+    out: Path = option(
+        *("-o --out", "Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).", PATH, "FILE"),
+        callback=_log_to_write,
+        required=True,
+    ),
+    rate: float = shown("--rate", 200.0, "Sampling rate.", RATE, "HZ"),
+    duration: float = shown("--duration", "10min", "Length of the log.", DURATION, "TIME"),
+    gaps: tuple[tuple[float, float], ...] = option(
+        *("--gap", "Lose samples there; may be repeated.", Text("gap", _gap), "START:LENGTH"), multiple=True
+    ),
+    gyro_lsb: float = option("--gyro-lsb", "Resolution of the gyroscope, in rad/s.", _LSB, "X", default=0.0),
+    accel_lsb: float = option(
+        "--accel-lsb", "Resolution of the accelerometer, in m/s^2.", _LSB, "X", default=0.0
+    ),
+    seed: int = shown("--seed", 0, "The same seed gives the same log.", click.IntRange(min=0), "N"),
+    as_json: bool = flag("--json", "Print the truth as JSON."),
+    quiet: bool = QUIET,
 ) -> None:
     """Write a log of an IMU at rest whose noise is known.
 
@@ -106,8 +81,7 @@ def command(
     from imucal.simulation import SensorTruth, simulate_recording
 
     if not 1 <= duration * rate <= _MOST:
-        msg = f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}"
-        raise click.UsageError(msg)
+        misuse(f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}")
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:
@@ -124,7 +98,7 @@ def command(
             gaps_s=gaps,
         )
     except ValueError as error:
-        raise click.UsageError(str(error)) from error
+        misuse(error)
     write_log(recording, out)
     if not as_json:
         echo(str(out))

@@ -43,6 +43,12 @@ _PERIODIC = 0.5
 _NARROW = 0.8
 #: A lower limit of less than this part of the upper one is none.
 _NOUGHT = 0.02
+#: Units of time: up to how many seconds each is used, its size in s, and its name; hours beyond.
+_UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
+#: Standard error of a log below which a segment tells a term by itself.
+SURE = 0.1
+#: Share of Q that one shift must explain: a steady trend over eight segments leaves 17 % of it.
+_ONE_SHIFT = 0.85
 #: Relative spread between segments from which a user should look before using the numbers.
 _NOTABLE_SPREAD = 0.05
 
@@ -147,7 +153,35 @@ def homogeneity(
         factor=math.sqrt(statistic / dof) if p_value < CHANCE else 1.0,
         highest_s=highest,
         lowest_s=lowest,
+        shift=_shift(logs, weight, spans) if p_value < CHANCE and weight.min() > SURE**-2 else None,
     )
+
+
+def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[float, float] | None:
+    """Return when a coefficient changes once, in s, and by what factor; None where that is not all.
+
+    The segment in which it changes has some of both levels, which tells the time inside it; all before
+    and all after it must be alike but for chance.
+    """
+    from scipy.special import chdtrc
+
+    whole, best = cochran_q(logs, weight), (math.inf, 0)
+    for at in range(1, logs.size - 1):
+        before, after = slice(at), slice(at + 1, None)
+        rest = cochran_q(logs[before], weight[before]) + cochran_q(logs[after], weight[after])
+        best = min(best, (rest, at))
+    rest, at = best
+    if logs.size < 5 or rest > (1 - _ONE_SHIFT) * whole or chdtrc(logs.size - 3, rest) < CHANCE:
+        return None
+    first = float(np.average(logs[:at], weights=weight[:at]))
+    last = float(np.average(logs[at + 1 :], weights=weight[at + 1 :]))
+    # What comes and goes within one segment stands out of both levels.
+    chance = 3 / math.sqrt(weight[at])
+    if not min(first, last) - chance < logs[at] < max(first, last) + chance:
+        return None
+    share = np.expm1(2 * (logs[at] - last)) / np.expm1(2 * (first - last))
+    time = np.interp(share, [0.0, 1.0], spans[at])
+    return float(time), math.exp(last - first)
 
 
 def symbol_of(key: str) -> str:
@@ -224,10 +258,12 @@ def nonstationary_finding(
 
 
 def _said(term: TermHomogeneity) -> str:
-    return (
-        f"{term.key} varies by {100 * term.spread:.2g} % (largest {_span(term.highest_s)}, "
-        f"smallest {_span(term.lowest_s)})"
-    )
+    if term.shift:
+        time, factor = term.shift
+        unit, name = _unit(time)
+        return f"{term.key} shifts once, at about {time / unit:.3g} {name}, to {factor:.3g} times what it was"
+    by = f"by {100 * term.spread:.2g} %" if term.spread < 1 else "by as much as itself"
+    return f"{term.key} varies {by} (largest {_span(term.highest_s)}, smallest {_span(term.lowest_s)})"
 
 
 def _widths(segments: Segments) -> str:
@@ -242,10 +278,13 @@ def _widths(segments: Segments) -> str:
 
 def _span(span: tuple[float, float]) -> str:
     """Return ``from 0 to 45 min``."""
-    unit, name = (60.0, "min") if span[1] < 2 * 3600 else (3600.0, "h")
-    if span[1] < 120:
-        unit, name = 1.0, "s"
+    unit, name = _unit(span[1])
     return f"from {span[0] / unit:.3g} to {span[1] / unit:.3g} {name}"
+
+
+def _unit(time_s: float) -> tuple[float, str]:
+    """Return the unit of time for a number of seconds, in s, and its name."""
+    return next(((size, name) for most, size, name in _UNITS if time_s < most), (3600.0, "h"))
 
 
 def _wider(estimate: Estimate, factor: float) -> Estimate:

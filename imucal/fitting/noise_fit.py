@@ -62,6 +62,9 @@ class TermHomogeneity:
         Birge ratio sqrt(Q/dof); 1 where chance explains Q.
     highest_s, lowest_s
         Start and end of the segments where it is largest and smallest, in s from the first sample.
+    shift
+        Where it changes once and stays: when, in s from the first sample, and by what factor; else None.
+        The report's JSON has it in the words of the finding alone.
     """
 
     key: str
@@ -73,6 +76,7 @@ class TermHomogeneity:
     factor: float
     highest_s: tuple[float, float]
     lowest_s: tuple[float, float]
+    shift: tuple[float, float] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

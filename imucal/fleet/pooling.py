@@ -45,12 +45,10 @@ _TOLD = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Homogeneity:
-    """Whether records have one coefficient of a term.
+    """Whether records have one coefficient of the term `key`, whose kind is `symbol`.
 
     Attributes
     ----------
-    key, symbol
-        Of the term, as in its estimate.
     statistic, dof
         Twice the log-likelihood ratio of one coefficient for each record against one for all;
         chi-squared with `dof` degrees of freedom where there is one. A weak term's is smaller, because no
@@ -81,10 +79,8 @@ class PooledFit:
 
     Attributes
     ----------
-    sensor, rate_hz, level
-        As in each record's fit.
-    records
-        How many.
+    sensor, rate_hz, level, records
+        As in each record's fit, and how many there are.
     model
         The terms found, with their values.
     estimates
@@ -93,10 +89,8 @@ class PooledFit:
         lie farther apart than those of one common coefficient.
     homogeneity
         The test of each term but the ramp; empty for a single record.
-    goodness
-        How well the model describes all records together.
-    findings
-        What is to be said of them.
+    goodness, findings
+        How well the model describes all records together, and what is to be said of them.
     """
 
     sensor: Sensor | None
@@ -152,8 +146,7 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     tails and spikes are judged by record, and an output filter that no record shows by itself is none. A
     ramp, where `model` has one, is common to all records.
     """
-    structure = _structure_of(model, level)
-    every = _bins_of(fits)
+    structure, every = _structure_of(model, level), _bins_of(fits)
     _refuse_different(fits)
     return pool_bins(every, structure, sensor=fits[0].sensor, rate_hz=fits[0].rate_hz, level=level)
 
@@ -170,11 +163,7 @@ def pool_bins(
     estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
     homogeneity = tuple(
         Homogeneity(
-            key=test.key,
-            symbol=test.symbol,
-            statistic=test.statistic,
-            dof=test.dof,
-            p_value=test.p_value,
+            **{name: getattr(test, name) for name in ("key", "symbol", "statistic", "dof", "p_value")},
             spread=widened[test.key][1] if test.p_value < CHANCE and test.key in widened else 0.0,
             values=tuple(test.values.tolist()),
             differs=test.p_value < CHANCE,
@@ -367,33 +356,18 @@ def _refuse_different(fits: Sequence[NoiseFit]) -> None:
     """Refuse what is not of one sensor, one rate and one filter."""
     first = fits[0]
     for number, fit in enumerate(fits[1:], 2):
+        corners = [one.response.cutoff_hz if one.response else 0.0 for one in (fit, first)]
         if fit.sensor != first.sensor:
-            what, advice = _named, "pool one axis at a time"
+            said = [f"the {one.sensor}" if one.sensor else "no sensor's name" for one in (fit, first)]
+            advice = "pool one axis at a time"
         elif abs(fit.rate_hz / first.rate_hz - 1) > _SAME_RATE:
-            what, advice = _rate, "pool records of one sampling rate"
-        elif not _same_filter(first, fit):
-            what, advice = _filter, "pool records of one setting of the sensor"
+            said = [f"{one.rate_hz:.6g} Hz" for one in (fit, first)]
+            advice = "pool records of one sampling rate"
+        elif any(corners) and (not all(corners) or abs(math.log(corners[0] / corners[1])) > _SAME_CORNER):
+            said = [f"an output filter at {hz:.4g} Hz" if hz else "no output filter" for hz in corners]
+            advice = "pool records of one setting of the sensor"
         else:
             continue
         where = f"fit {number} of {len(fits)}"
-        msg = f"{where}: found {what(fit)}, expected {what(first)} as in fit 1; {advice}"
+        msg = f"{where}: found {said[0]}, expected {said[1]} as in fit 1; {advice}"
         raise DataError(msg)
-
-
-def _same_filter(one: NoiseFit, other: NoiseFit) -> bool:
-    """Whether neither has an output filter, or both have one at about the same corner."""
-    if one.response is None or other.response is None:
-        return one.response is other.response
-    return abs(math.log(one.response.cutoff_hz / other.response.cutoff_hz)) <= _SAME_CORNER
-
-
-def _named(fit: NoiseFit) -> str:
-    return "no sensor's name" if fit.sensor is None else f"the {fit.sensor}"
-
-
-def _rate(fit: NoiseFit) -> str:
-    return f"{fit.rate_hz:.6g} Hz"
-
-
-def _filter(fit: NoiseFit) -> str:
-    return f"an output filter at {fit.response.cutoff_hz:.4g} Hz" if fit.response else "no output filter"

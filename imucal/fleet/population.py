@@ -76,30 +76,25 @@ class Population:
 
     Attributes
     ----------
-    units
-        The units in the order of their first log.
-    logs
-        How many logs there are.
+    units, logs
+        The units in the order of their first log, and how many logs there are.
     median
         Coefficient of the median unit, with its 95 % interval. Where it is `bounded`, the interval begins at
         0, and value and high are its upper limit.
     bounded
         Whether the logs, all together, do not tell the median unit from one without this term. The spreads
         are then not known either.
-    spread
-        Standard deviation between units, in the logarithm (0.1: 10 %); None below three units.
-    within
-        Standard deviation between logs of one unit; None where no unit has two logs.
-    prediction
-        Limits that hold the next unit with probability 0.95; None below three units.
-    quantile
-        The coefficient that a share `content` of all units stays below: its median estimate.
-    tolerance
-        The value that bounds it with `confidence`: the number for the config of every unit.
+    spread, within
+        Standard deviation between units, in the logarithm (0.1: 10 %), None below three units; and between
+        logs of one unit, None where no unit has two.
+    prediction, next_log
+        Limits that hold the next unit with probability 0.95, and where a log of it lies; None below three
+        units.
+    quantile, tolerance
+        The coefficient that a share `content` of all units stays below: its median estimate, and the value
+        that bounds it with `confidence`, which is the number for the config of every unit.
     findings
         What should be known of these numbers.
-    next_log
-        Where a log of a new unit lies; None below three units.
     """
 
     units: tuple[UnitValue, ...]

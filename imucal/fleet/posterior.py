@@ -46,6 +46,8 @@ _TINY, _LARGEST = math.exp(-690), 600.0
 #: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
 #: than this, against the most probable, say nothing of the latter.
 _GRID, _UNLIKELY = 801, 1e-7
+#: Normal laws whose widths differ by this share, and whose centres by that share of a width, are one.
+_ALIKE, _BESIDE = 0.02, 0.2
 #: How far the law of the next log reaches, in deviations.
 _FARTHEST = 6.0
 #: Points of the predictive law that a weak unit is judged by.
@@ -241,7 +243,15 @@ class _Law:
 
     def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
         keep = weight > _UNLIKELY * weight.max()
-        self._mu, self._wide, self._weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+        mu, wide, weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+        # Laws that are nearly the same are one, with the mean and the variance of all of them.
+        widths = np.floor(np.log(wide) / _ALIKE)
+        places = np.floor(mu / (_BESIDE * np.exp(widths * _ALIKE)))
+        same = np.unique(widths + 1j * places, return_inverse=True)[1]
+        self._weight = np.bincount(same, weight)
+        self._mu = np.bincount(same, weight * mu) / self._weight
+        apart = np.bincount(same, weight * (wide**2 + (mu - self._mu[same]) ** 2))
+        self._wide = np.sqrt(apart / self._weight)
         # Dense where most of it lies, and far apart in the tails of the widest.
         middle, usual = float(self._mu @ self._weight), float(self._wide @ self._weight)
         reach = 6 * float(self._wide.max()) + np.array([middle - self._mu.min(), self._mu.max() - middle])

@@ -378,7 +378,8 @@ class FleetStore:
             # In pieces: of large parts with bins only those that are asked for are ever held.
             found = rows.collect(engine="streaming")
         except (OSError, pl.exceptions.PolarsError) as error:
-            msg = f"{self.folder / table}: can't be read ({_first_line(error)}); run the fleet again"
+            why = (str(error) or type(error).__name__).splitlines()[0]
+            msg = f"{self.folder / table}: can't be read ({why}); run the fleet again"
             raise StoreError(msg) from error
         return found.with_columns(pl.col("part").str.split("/").list.last())
 
@@ -443,7 +444,3 @@ def _days(started: str | None) -> float:
     except ValueError:
         return math.nan
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / 86400
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -58,19 +58,16 @@ class Slope:
 
     Attributes
     ----------
-    unit
-        Which; empty for the mean of the fleet.
-    label
-        ``temperature_c`` or ``days``.
+    unit, label
+        Which unit, empty for the mean of the fleet; ``temperature_c`` or ``days``.
     slope
         Change of the natural logarithm a °C, or a year, with its 95 % interval.
     p_value
         Of the fleet: the chance of such a slope where there is none. Of a unit: where it moves as the others
         do.
-    p_odd
-        The same, adjusted for all that were looked at: Benjamini and Hochberg's false discovery rate.
-    odd
-        Whether it is not chance.
+    p_odd, odd
+        The same, adjusted for all that were looked at: Benjamini and Hochberg's false discovery rate; and
+        whether it is not chance.
     """
 
     unit: str
@@ -87,10 +84,8 @@ class Trend:
 
     Attributes
     ----------
-    means
-        Of the fleet, for each label that tells a slope.
-    slopes
-        Of the units that tell one, for each label.
+    means, slopes
+        Of the fleet, and of the units that tell one, for each label that tells a slope.
     units
         How many units the slopes are from.
     """

@@ -155,22 +155,11 @@ class LogValue:
 class LogValues:
     """The logs of a fleet as columns; logarithms are natural.
 
-    Attributes
-    ----------
-    names
-        The units, in the order of their first log.
-    unit
-        Index of each log's unit.
-    centre, deviation
-        Logarithm of the estimate and its standard error; infinite where the log only bounds it.
-    low_sd, high_sd
-        Standard errors below and above the estimate, from its limits.
-    bounded
-        Which logs have no value.
-    weighed
-        Which logs have an estimate of the squared coefficient.
-    squares
-        That estimate; where there is none the square of the value, or zero for a bound.
+    `names` are the units in the order of their first log, `unit` the index of each log's. `centre` and
+    `deviation` are the logarithm of the estimate and its standard error, infinite where the log only bounds
+    it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `bounded` logs have no
+    value; `weighed` ones have an estimate of the squared coefficient, which is in `squares`: without one
+    there is the square of the value, or zero for a bound.
     """
 
     names: tuple[str, ...]

@@ -46,7 +46,19 @@ _MOST = 10_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TermAnswer:
-    """What the units are like in one term, as in a `FleetTerm`."""
+    """What the units are like in one term.
+
+    Attributes
+    ----------
+    population
+        Median, spreads and the tolerance bound.
+    trend
+        How it moves with temperature and time; None where labels do not tell, and `no_trend` says why.
+    price
+        Pairs of a number of units, and the bound that so many give over the quantile that it bounds.
+    without_odd
+        The tolerance bound of the other units; None where none is odd, or too few are left.
+    """
 
     population: Population
     trend: Trend | None
@@ -164,12 +176,8 @@ class UnitQuestion:
                 unit=self.unit,
                 term=test.key,
                 logs=pooled.records,
-                p_value=test.p_value,
-                differs=test.differs,
-                spread=test.spread,
-                value=pooled[test.key].value,
-                low=pooled[test.key].low,
-                high=pooled[test.key].high,
+                **{name: getattr(test, name) for name in ("p_value", "differs", "spread")},
+                **{name: getattr(pooled[test.key], name) for name in ("value", "low", "high")},
             )
             for test in pooled.homogeneity
         )
@@ -249,21 +257,20 @@ def unit_tests(
     for key, sensor, axis in answers.store.axes().iter_rows():
         if key in units and (units[key][0], sensor, axis) in symbols:
             logs.setdefault((*units[key], sensor, axis), []).append(key)
-    several = {place: tuple(sorted(own)) for place, own in sorted(logs.items()) if len(own) > 1}
-    questions = [
-        UnitQuestion(
-            unit=unit,
-            sensor=sensor,
-            axis=axis,
-            symbols=tuple(symbol for symbol in TERMS if symbol in symbols[model, sensor, axis]),
-            logs=own,
-        )
-        for (model, unit, sensor, axis), own in several.items()
-    ]
+    models: list[str] = []
+    questions: list[UnitQuestion] = []
+    for (model, unit, sensor, axis), own in sorted(logs.items()):
+        if len(own) > 1:
+            models.append(model)
+            terms_of = tuple(symbol for symbol in TERMS if symbol in symbols[model, sensor, axis])
+            questions.append(
+                UnitQuestion(unit=unit, sensor=sensor, axis=axis, symbols=terms_of, logs=tuple(sorted(own)))
+            )
     found: dict[TermKey, list[UnitLogs]] = {}
     findings: list[Finding] = []
     every = answers.to(questions, UnitAnswer, partial(_with_bins, answers.store))
-    for (model, _, sensor, axis), answer in zip(several, every, strict=True):
+    for model, question, answer in zip(models, questions, every, strict=True):
+        sensor, axis = question.sensor, question.axis
         findings += answer.findings
         for test in answer.tests:
             found.setdefault((model, sensor, axis, test.term), []).append(test)
@@ -272,39 +279,35 @@ def unit_tests(
 
 def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[list[UnitQuestion]]:
     """Yield questions with the bins of their logs, as many at a time as memory is meant to hold."""
-    groups: list[list[UnitQuestion]] = []
-    keys: list[set[str]] = []
+    groups: list[tuple[list[UnitQuestion], set[str]]] = []
     # The axes of a unit have the same logs, which are read once.
     for question in sorted(questions, key=lambda one: one.logs):
-        if not groups or len(keys[-1]) >= _AT_ONCE:
-            groups.append([])
-            keys.append(set())
-        groups[-1].append(question)
-        keys[-1].update(question.logs)
-    for group, frame in zip(groups, store.bins_in_turn(keys), strict=True):
+        if not groups or len(groups[-1][1]) >= _AT_ONCE:
+            groups.append(([], set()))
+        groups[-1][0].append(question)
+        groups[-1][1].update(question.logs)
+    for (group, _), frame in zip(groups, store.bins_in_turn(keys for _, keys in groups), strict=True):
         packed = {(key, sensor, axis): data for key, sensor, axis, data in frame.iter_rows()}
         yield [
             replace(one, packed=tuple(packed[key, one.sensor, one.axis] for key in one.logs)) for one in group
         ]
 
 
+#: Field names and types of a dataclass.
+_hints = functools.cache(get_type_hints)
+
+
 def _read_as(kind: Any, said: Any) -> Any:  # noqa: ANN401 - of any type
     """Return what JSON says as a value of a type: a dataclass, a tuple, something or None, or plain."""
+    options, origin = get_args(kind), get_origin(kind)
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = _hints(kind)
-        return kind(**{name: _read_as(hints[name], value) for name, value in said.items()})
-    options = get_args(kind)
-    if get_origin(kind) is types.UnionType:
-        return None if said is None else _read_as(options[0], said)
-    if get_origin(kind) is tuple:
+        return kind(**{name: _read_as(_hints(kind)[name], value) for name, value in said.items()})
+    if said is not None and origin is types.UnionType:
+        return _read_as(options[0], said)
+    if origin is tuple:
         kinds = itertools.repeat(options[0]) if options[-1] is Ellipsis else options
         return tuple(map(_read_as, kinds, said))
     return said
-
-
-@functools.cache
-def _hints(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind)
 
 
 def symbol_of(term: str) -> str:

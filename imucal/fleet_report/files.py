@@ -253,29 +253,25 @@ def _drawn(
     """Return PNGs and page, None for those that can't be drawn, and the fleet with findings that say so."""
     written: dict[str, bytes | None] = {}
     on_page: dict[str, list[tuple[str, bytes]]] = {}
+    findings = list(fleet.findings)
+
+    def tried(draw: Callable[[], dict[str, bytes]], name: str) -> dict[str, bytes]:
+        drawn, failed = try_side_work(draw, {}, what=f"{name} is missing", code="not-drawn")
+        for finding in failed:
+            tell(finding)
+            findings.append(finding)
+        return drawn
+
     forms = [form for form, wanted in (("png", pictures), ("svg", html)) if wanted]
     for picture in fleet_pictures(fleet) if forms else ():
-        drawing = partial(drawn_as, picture.draw, forms)
         name = f"{picture.name}.png"
-        drawn, failed = try_side_work(drawing, {}, what=f"{name} is missing", code="not-drawn")
-        fleet = _with_findings(fleet, failed, tell)
+        drawn = tried(partial(drawn_as, picture.draw, forms), name)
         if pictures:
             written[name] = drawn.get("png")
         if "svg" in drawn:
             on_page.setdefault(picture.section, []).append((picture.shows, drawn["svg"]))
     if html:
-        told = fleet
-        page, failed = try_side_work(
-            lambda: render_fleet_page(told, on_page).encode(),
-            None,
-            what="fleet.html is missing",
-            code="not-drawn",
-        )
-        fleet, written["fleet.html"] = _with_findings(fleet, failed, tell), page
-    return written, fleet
-
-
-def _with_findings(fleet: Fleet, failed: tuple[Finding, ...], tell: Callable[[Finding], None]) -> Fleet:
-    for finding in failed:
-        tell(finding)
-    return replace(fleet, findings=fleet.findings + failed)
+        told = replace(fleet, findings=tuple(findings))
+        page = tried(lambda: {"html": render_fleet_page(told, on_page).encode()}, "fleet.html")
+        written["fleet.html"] = page.get("html")
+    return written, replace(fleet, findings=tuple(findings))

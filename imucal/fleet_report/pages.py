@@ -5,37 +5,21 @@ Tables and pictures are there without any script: the templates lay them out, `v
 
 import base64
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-from imucal.fleet.trend import NEAREST, Trend
-from imucal.fleet.values import LogValue
-from imucal.fleet_report.answers import symbol_of
+from imucal.fleet.trend import NEAREST
+from imucal.fleet_report import verdict
 from imucal.fleet_report.summary import Fleet, SensorModel
-from imucal.fleet_report.verdict import (
-    alone,
-    between,
-    bound_name,
-    by_term,
-    loose_text,
-    median_text,
-    p_text,
-    per,
-    percent,
-    price_text,
-    slope_text,
-    verdict,
-    with_limits,
-)
-from imucal.noise.terms import TERMS
-from imucal.recording import Sensor
-from imucal.report import numbers
-from imucal.report.markup import Markup, both_units, render
-from imucal.report.numbers import Quantity
+from imucal.report.markup import Markup, render
 
 #: Most logs without a label that are listed.
 _MOST_LOOSE = 500
-
+#: What the templates call, of `verdict`.
+_TEXTS = (
+    *("alone", "between", "bound_name", "by_term", "loose_text", "loose_value", "median_text", "p_text"),
+    *("percent", "price_text", "slope_text", "term_name", "with_limits"),
+)
 
 #: Section of the page -> what each of its pictures shows, and its SVG.
 Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
@@ -44,7 +28,7 @@ Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
 def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
     """Return the page, with the pictures that are drawn; the same fleet always gives the same text."""
     name = fleet.folder.resolve().name
-    grade, sentence = verdict(fleet)
+    grade, sentence = verdict.verdict(fleet)
     return _filled(
         "fleet.html",
         title=f"{name} – fleet of IMUs",
@@ -58,7 +42,8 @@ def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
 
 
 def _filled(template: str, **values: object) -> Markup:
-    return render(template, package="imucal.fleet_report", **_TEXTS, **values)
+    texts = {name: getattr(verdict, name) for name in _TEXTS}
+    return render(template, package="imucal.fleet_report", **texts, **values)
 
 
 def _lead(fleet: Fleet) -> str:
@@ -97,7 +82,11 @@ def _sections(fleet: Fleet, pictures: Pictures) -> Iterator[tuple[str, str, Mark
             yield "logs", "Several logs of one unit", _filled("unit_logs.html", models=tested)
         yield "numbers", "All numbers", _filled("numbers.html", models=models)
     if fleet.loose:
-        yield "loose", "Logs without a unit", _loose(fleet)
+        command = ["imucal", "fleet", "run", "-o", str(fleet.folder), "--labels", fleet.labels]
+        logs = fleet.loose[:_MOST_LOOSE]
+        columns = list(dict.fromkeys(where for one in logs for where in one.values))
+        body = _filled("loose.html", fleet=fleet, logs=logs, columns=columns, command=shlex.join(command))
+        yield "loose", "Logs without a unit", body
     yield "failed", "Logs that do not count", _filled("failed.html", failures=fleet.failures)
     if fleet.findings:
         yield "findings", "Findings", _filled("remarks.html", findings=fleet.findings)
@@ -113,77 +102,15 @@ def config_section(models: Sequence[SensorModel]) -> Markup:
 
 def _slopes(models: Sequence[SensorModel]) -> Markup:
     """Return what temperature and time do to each term; where labels do not tell, why not."""
-    rows: list[tuple[object, object]] = []
-    refused: dict[str, list[str]] = {}
-    trends = [term.trend for model in models for term in model.terms if term.trend]
-    units = {label: per(label, trends) for label in NEAREST}
-    for model in models:
-        for term in model.terms:
-            where = f"{f'{model.title} ' * (len(models) > 1)}{term.name} {term.term}"
-            if term.trend is None:
-                refused.setdefault(term.no_trend, []).append(where)
-                continue
-            slopes = [_mean_slope(term.trend, label, *units[label]) for label in NEAREST]
-            moving = [
-                f"{slope.unit} {slope_text(slope.slope, *units[slope.label])}"
-                for slope in term.trend.slopes
-                if slope.odd
-            ]
-            rows.append((where, (*slopes, term.trend.units, "; ".join(moving) or "none")))
-    notes = [
-        f"{', '.join(places) if len(places) < 7 else f'Each of {len(places)} terms'}: {why}."
-        for why, places in refused.items()
+    every = [
+        (f"{f'{model.title} ' * (len(models) > 1)}{term.name} {term.term}", term)
+        for model in models
+        for term in model.terms
     ]
-    titles = ("temperature", "drift", "units", "units that move otherwise")
-    caption = "Change of each coefficient with its 95 % interval; bold where it is more than chance"
-    return _filled("slopes.html", titles=("", *titles), rows=rows, caption=caption, notes=notes)
-
-
-def _mean_slope(trend: Trend, label: str, unit: str, part: float) -> str | Markup:
-    """Return the fleet's slope, bold where it is not chance."""
-    mean = next((mean for mean in trend.means if mean.label == label), None)
-    if mean is None:
-        return "–"
-    text = slope_text(mean.slope, unit, part)
-    return Markup("<b>{}</b>").format(text) if mean.odd else text
-
-
-def _loose(fleet: Fleet) -> Markup:
-    """Return the logs without a unit one by one, and the labels that would make a population of them."""
-    logs = fleet.loose[:_MOST_LOOSE]
-    columns = list(dict.fromkeys(where for one in logs for where in one.values))
-    return _filled(
-        "loose.html",
-        fleet=fleet,
-        command=f"imucal fleet run -o {shlex.quote(str(fleet.folder))} --labels {shlex.quote(fleet.labels)}",
-        titles=["log", *(f"{axis} {term}" for axis, term in columns)],
-        rows=[(one.log, [_loose_cell(where, one.values.get(where)) for where in columns]) for one in logs],
-    )
-
-
-def _loose_cell(where: tuple[str, str], value: LogValue | None) -> str | Markup:
-    if value is None:
-        return "–"
-    axis, term = where
-    sensor = next(s for s in Sensor if axis.startswith(s.short))
-    law = TERMS[symbol_of(term)]
-    plain = Quantity(value=value.value, low=value.low, high=value.high, unit=law.unit(sensor))
-    unit = law.datasheet_unit(sensor)
-    sheet = plain.scaled(unit.factor, unit.name)
-    return both_units(numbers.with_interval(sheet), numbers.with_interval(plain))
-
-
-#: What the templates call, by name.
-_TEXTS: Mapping[str, Callable[..., object]] = {
-    "alone": alone,
-    "between": between,
-    "bound_name": bound_name,
-    "by_term": by_term,
-    "loose_text": loose_text,
-    "median_text": median_text,
-    "p_text": p_text,
-    "percent": percent,
-    "price_text": price_text,
-    "term_name": lambda term: TERMS[term.symbol].name(term.sensor),
-    "with_limits": with_limits,
-}
+    refused: dict[str, list[str]] = {}
+    for where, term in every:
+        if term.trend is None:
+            refused.setdefault(term.no_trend, []).append(where)
+    moving = [(where, term.trend) for where, term in every if term.trend]
+    units = {label: verdict.per(label, [trend for _, trend in moving]) for label in NEAREST}
+    return _filled("slopes.html", moving=moving, units=units, refused=refused)

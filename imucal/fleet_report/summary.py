@@ -13,9 +13,9 @@ from imucal._version import __version__
 from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
-from imucal.fleet.population import FALSE_SHARE, Population, UnitValue, adjusted
+from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
 from imucal.fleet.store import FleetStore
-from imucal.fleet.trend import Trend, adjust
+from imucal.fleet.trend import adjust
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.answers import (
     Answers,
@@ -36,22 +36,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetLog:
-    """One log of a fleet.
+    """One log of a fleet; of its labels `model` is empty and `unit` None where there is none.
 
-    Attributes
-    ----------
-    path, model, unit, temperature_c, started
-        Its labels; `model` is empty and `unit` None where there is none.
-    status, reason
-        ``ok``, or how it failed and the sentence that says why.
-    verdict, findings
-        good, look, not-noise or empty; the codes of what was found.
-    seconds, rate_hz
-        Length and rate of the record; None where it was not read.
-    report
-        Folder of its own report, relative to the fleet's; empty where there is none.
-    left_out
-        Why its numbers do not count; empty where they do.
+    `status` is ``ok``, or how it failed, and `reason` says why; `verdict` is good, look, not-noise or empty,
+    and `findings` are the codes of what was found. `seconds` and `rate_hz` are None where it was not read.
+    `report` is the folder of its own report, relative to the fleet's, and empty where there is none;
+    `left_out` says why its numbers do not count, and is empty where they do.
     """
 
     path: str
@@ -75,37 +65,17 @@ class FleetLog:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FleetTerm:
-    """One noise term of one axis of a sensor model.
+class FleetTerm(TermAnswer):
+    """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`.
 
-    Attributes
-    ----------
-    sensor, axis, term
-        Such as the gyroscope's x and ``N``; the coefficient is in the SI `unit`.
-    logs
-        What each log says.
-    population
-        What the units are like.
-    trend
-        How it moves with temperature and time; None where labels do not tell, and `no_trend` says why.
-    unit_logs
-        The units with several logs.
-    price
-        Pairs of a number of units, and the bound that so many give over the quantile that it bounds.
-    without_odd
-        The tolerance bound of the other units; None where none is odd, or too few are left.
+    `logs` is what each log says, `unit_logs` has the units with several.
     """
 
     sensor: Sensor
     axis: Axis
     term: str
     logs: tuple[LogValue, ...]
-    population: Population
-    trend: Trend | None
-    no_trend: str
     unit_logs: tuple[UnitLogs, ...]
-    price: tuple[tuple[int, float], ...]
-    without_odd: float | None
 
     @property
     def symbol(self) -> str:
@@ -178,22 +148,9 @@ class LooseLog:
 class Fleet(Displayed):
     """What the logs of a fleet say.
 
-    Attributes
-    ----------
-    folder
-        The store.
-    models
-        Sensor models, by name.
-    logs
-        Every log that was done, sorted by path; `asked` is how many there were to do.
-    loose
-        Logs without a unit's label, which are in no population.
-    labels
-        The text of labels to give for them; empty where every log has a unit.
-    findings
-        What should be known of all of it.
-    version
-        imucal's version.
+    `folder` is the store, `models` are sorted by name, `logs` by path; `asked` is how many logs there were to
+    do. `loose` are those without a unit's label, which are in no population, and `labels` the text to give
+    for them. `findings` should be known of all of it; `version` is imucal's.
     """
 
     drawn_by: ClassVar[str] = "imucal.fleet_report.notebook"
@@ -214,10 +171,9 @@ class Fleet(Displayed):
         Reasons that differ in numbers alone, such as a place in the file, are one: that of the first log.
         """
         groups: dict[tuple[str, str], list[FleetLog]] = {}
-        for log in self.logs:
-            if log.left_out:
-                kind = log.status if log.status != "ok" else log.verdict
-                groups.setdefault((kind, re.sub(r"\d+", "#", log.left_out)), []).append(log)
+        for log in filter(lambda log: log.left_out, self.logs):
+            kind = log.status if log.status != "ok" else log.verdict
+            groups.setdefault((kind, re.sub(r"\d+", "#", log.left_out)), []).append(log)
         ordered = sorted(groups.items(), key=lambda group: (-len(group[1]), group[0]))
         return {(kind, logs[0].left_out): tuple(logs) for (kind, _), logs in ordered}
 
@@ -285,9 +241,9 @@ def load_fleet(
     groups = _grouped(results, {key: own for key, (own, _) in units.items() if model in {None, own}})
     answers = Answers(store, ask)
     tests, findings = unit_tests(answers, units, groups) if unit_logs else ({}, ())
-    terms = _terms(answers, groups, tests, content, confidence)
+    terms = _terms(answers, groups, tests, (content, confidence))
     names = sorted({own for own, _ in units.values() if model in {None, own}})
-    models = [_model(name, logs.values(), terms.get(name, [])) for name in names]
+    models = [_model(name, logs.values(), terms) for name in names]
     loose = _loose(results, logs)
     return Fleet(
         folder=Path(folder),
@@ -328,29 +284,24 @@ def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) ->
 
 def labels_to_type(paths: Sequence[str]) -> str:
     """Return a text of labels that tells a unit for each path: the last folder that differs, or the name."""
-    parts = [path.replace("\\", "/").split("/") for path in paths]
-    suffixes = {PurePosixPath(names[-1]).suffix for names in parts}
-    suffix = suffixes.pop() if len(suffixes) == 1 else ""
-    folders = {names[-2] if len(names) > 1 else "" for names in parts}
-    if len(folders) > 1 and "" not in folders:
-        return f"{{unit}}/*{suffix}"
-    return f"{{unit}}{suffix}"
+    places = [PurePosixPath(path.replace("\\", "/")) for path in paths]
+    suffixes = {place.suffix for place in places}
+    folders = {place.parent.name for place in places}
+    unit = "{unit}/*" if len(folders) > 1 and "" not in folders else "{unit}"
+    return unit + (suffixes.pop() if len(suffixes) == 1 else "")
 
 
-def _model(name: str, every: Iterable[FleetLog], terms: Sequence[FleetTerm]) -> SensorModel:
+def _model(name: str, every: Iterable[FleetLog], terms: Iterable[tuple[str, FleetTerm]]) -> SensorModel:
+    own = [term for model, term in terms if model == name]
     logs = tuple(log for log in every if log.model == name and log.unit is not None)
     rates = sorted(log.rate_hz for log in logs if log.rate_hz)
-    sensors, symbols = list(Sensor), list(TERMS)
-
-    def place(term: FleetTerm) -> tuple[int, int, str, str]:
-        return sensors.index(term.sensor), symbols.index(term.symbol), term.term, term.axis
-
+    order = {name: place for place, name in enumerate((*Sensor, *TERMS))}
     return SensorModel(
         name=name,
         units=tuple(sorted({log.unit for log in logs if log.unit and log.counts})),
         logs=logs,
         rate_hz=rates[len(rates) // 2] if rates else math.nan,
-        terms=tuple(sorted(terms, key=place)),
+        terms=tuple(sorted(own, key=lambda t: (order[t.sensor], order[t.symbol], t.term, t.axis))),
     )
 
 
@@ -404,32 +355,25 @@ def _terms(
     answers: Answers,
     groups: Mapping[TermKey, "pl.DataFrame"],
     tests: Mapping[TermKey, Sequence[UnitLogs]],
-    content: float,
-    confidence: float,
-) -> dict[str, list[FleetTerm]]:
-    """Return the terms of each model, by its name."""
-    questions = {
-        key: TermQuestion(
-            logs=tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True)),
-            content=content,
-            confidence=confidence,
-        )
-        for key, rows in groups.items()
-    }
-    found: dict[str, list[FleetTerm]] = {}
-    for key, answer in zip(questions, answers.to(list(questions.values()), TermAnswer), strict=True):
-        model, sensor, axis, term = key
-        found.setdefault(model, []).append(
+    shares: tuple[float, float],
+) -> list[tuple[str, FleetTerm]]:
+    """Return the terms, each with the name of its model; `shares` are content and confidence."""
+    logs = [tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True)) for rows in groups.values()]
+    questions = [TermQuestion(logs=own, content=shares[0], confidence=shares[1]) for own in logs]
+    return [
+        (
+            key[0],
             FleetTerm(
-                sensor=Sensor(sensor),
-                axis=axis,  # type: ignore[arg-type]  # "x", "y" or "z", from a table
-                term=term,
-                logs=questions[key].logs,
+                sensor=Sensor(key[1]),
+                axis=key[2],  # type: ignore[arg-type]  # "x", "y" or "z", from a table
+                term=key[3],
+                logs=own,
                 unit_logs=tuple(tests.get(key, ())),
                 **{field.name: getattr(answer, field.name) for field in fields(TermAnswer)},
-            )
+            ),
         )
-    return found
+        for key, own, answer in zip(groups, logs, answers.to(questions, TermAnswer), strict=True)
+    ]
 
 
 def _loose(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> tuple[LooseLog, ...]:

@@ -8,8 +8,11 @@ import numpy as np
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
 from imucal.fleet.trend import Trend
+from imucal.fleet.values import LogValue
+from imucal.fleet_report.answers import symbol_of
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.markup import Markup, both_units
 from imucal.report.numbers import Quantity
@@ -38,6 +41,22 @@ def _quantities(term: FleetTerm, value: float | None, low: float, high: float) -
 def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -> Markup:
     """Return ``0.31 [0.30, 0.32] deg/√h`` in both units."""
     return both_units(*(_kept(numbers.with_interval(each)) for each in _quantities(term, value, low, high)))
+
+
+def term_name(term: FleetTerm) -> str:
+    """Return what a term is called for its sensor."""
+    return TERMS[term.symbol].name(term.sensor)
+
+
+def loose_value(where: tuple[str, str], value: LogValue) -> Markup:
+    """Return what a log without a unit says of an axis and term, in both units."""
+    axis, term = where
+    sensor = next(s for s in Sensor if axis.startswith(s.short))
+    law = TERMS[symbol_of(term)]
+    unit = law.datasheet_unit(sensor)
+    plain = Quantity(value=value.value, low=value.low, high=value.high, unit=law.unit(sensor))
+    sheet = plain.scaled(unit.factor, unit.name)
+    return both_units(numbers.with_interval(sheet), numbers.with_interval(plain))
 
 
 def median_text(term: FleetTerm) -> Markup:

@@ -16,11 +16,9 @@ from imucal.fleet_run.plan import (
     REPORTS,
     FleetPlan,
     FleetSettings,
-    LogTask,
     as_json,
     asked_logs,
     plan_fleet,
-    stored_logs,
 )
 from imucal.fleet_run.running import asking, run_plan
 from imucal.noise import parse_structure, structure_text
@@ -138,7 +136,12 @@ def run_fleet(
     )
     if not fresh:
         store.mend()
-    asked = _asked(store, logs, manifest, labels)
+    asked, _ = asked_logs(
+        store,
+        _names(logs, needed=logs is not None and manifest is None),
+        manifest=None if manifest is None else Path(manifest),
+        labels=None if labels is None else LabelPattern(labels),
+    )
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
@@ -175,21 +178,13 @@ def _refuse_shard(shard: tuple[int, int] | None, scheduler: str | None) -> None:
         raise ValueError(msg)
 
 
-def _asked(
-    store: FleetStore,
-    logs: str | Path | Iterable[str | Path] | None,
-    manifest: str | Path | None,
-    labels: str | None,
-) -> list[LogTask]:
-    pattern = None if labels is None else LabelPattern(labels)
-    if logs is None and manifest is None:
-        return stored_logs(store.manifest(), pattern)[0]
+def _names(logs: str | Path | Iterable[str | Path] | None, *, needed: bool) -> list[str]:
     names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
-    if not names and manifest is None:
+    if needed and not names:
         # A pattern that matched nothing, say: it must not become all that the folder has.
         msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
         raise ValueError(msg)
-    return asked_logs(names, manifest=None if manifest is None else Path(manifest), labels=pattern)[0]
+    return names
 
 
 def _memory(asked: int | str | None) -> int | None:

@@ -130,15 +130,10 @@ def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stamp:
-    """What the file system says of a log.
+    """What the file system says of a log: the bytes of all its files, and when the newest was written.
 
-    Attributes
-    ----------
-    size
-        Bytes of all its files.
-    mtime_ns
-        When the newest was written, in ns since 1970; of the log with this size and path it tells whether
-        the content is still the same. Of a remote log it is a number made of its ETag.
+    `mtime_ns`, in ns since 1970, tells of the log with this size and path whether the content is still the
+    same. Of a remote log it is a number made of its ETag.
     """
 
     size: int

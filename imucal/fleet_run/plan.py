@@ -9,12 +9,12 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias
 
 import polars as pl
 
@@ -47,24 +47,14 @@ _LEAST_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 #: Arguments of `imucal.read` that may be several texts.
 _SEVERAL = ("topic", "fields", "message_definition")
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogTask:
     """A log that is asked for.
 
-    Attributes
-    ----------
-    place
-        Where it is: a path as it was given, relative to `FleetSettings.folder`, or a URL with its secrets,
-        which is never stored.
-    labels
-        Those of the store (`LABELS`) and free ones; what is not known is missing.
-    reading
-        How to read it: arguments of `imucal.read`, ``skip_s`` and ``take_s``; JSON values.
-    size
-        Bytes; 0 where it is not known.
+    `place` is a path as it was given, relative to `FleetSettings.folder`, or a URL with its secrets, which is
+    never stored. `labels` are those of the store and free ones, without what is not known. `reading` has
+    arguments of `imucal.read`, ``skip_s`` and ``take_s`` as JSON values; `size` is in bytes, 0 where unknown.
     """
 
     place: str = field(repr=False)
@@ -82,23 +72,10 @@ class LogTask:
 class FleetSettings:
     """What holds for every log of a fleet.
 
-    Attributes
-    ----------
-    store
-        The store's folder, absolute.
-    folder
-        Where relative paths begin, absolute.
-    model, level
-        Terms and confidence level of every fit: one structure for all, as one chosen by the log would
-        make the logs differ where the units do not.
-    memory
-        Bytes that a log may take.
-    timeout
-        Seconds that a log may take; None for a time by its size.
-    reports
-        One of `REPORTS`.
-    shard
-        Stands in the names of the parts.
+    `store` is its folder, and relative paths begin at `folder`, both absolute. `model` and `level` are of
+    every fit: a structure chosen by the log would make logs differ where units do not. A log may take
+    `memory` bytes and `timeout` seconds, None for a time by its size. `reports` is one of `REPORTS`; `shard`
+    stands in the names of the parts.
     """
 
     store: str
@@ -143,7 +120,8 @@ def has_failed(status: str | None, verdict: str | None) -> bool:
 
 
 def asked_logs(
-    names: Iterable[str],
+    store: FleetStore,
+    names: Collection[str],
     *,
     listed: Iterable[str] = (),
     manifest: Path | None = None,
@@ -151,24 +129,29 @@ def asked_logs(
 ) -> tuple[list[LogTask], int]:
     """Return the logs that names and a manifest stand for, and how many names do not fit the labels.
 
-    Each path stands there once: those of the manifest, then those that were named.
+    Each path stands there once: those of the manifest, then those that were named. Without names and
+    manifest they are the logs that the store's own manifest asks for.
 
     Parameters
     ----------
+    store
+        Of the fleet.
     names, listed
         As `imucal.fleet_run.logs.find_logs` takes them.
     manifest
         A table of logs; what it says of one that is named, too, holds.
     labels
-        Where labels stand in the paths of those that are named.
+        Where labels stand in the paths of those that are named, or in the store.
 
     Raises
     ------
     ReadError
-        If wildcards match nothing, or a folder holds no log.
+        If wildcards match nothing, a folder holds no log, or there is no store to ask.
     ManifestError
         If the manifest is wrong, or a label is.
     """
+    if not names and manifest is None:
+        return _stored_logs(store.manifest(), labels)
     found = {log.path: log for log in (read_manifest(manifest) if manifest else [])}
     unlike = 0
     for name in find_logs(names, listed):
@@ -181,16 +164,8 @@ def asked_logs(
     return list(found.values()), unlike
 
 
-def stored_logs(manifest: pl.DataFrame, labels: LabelPattern | None = None) -> tuple[list[LogTask], int]:
-    """Return the logs that a store's manifest asks for, and how many of them do not fit the labels.
-
-    Labels in their paths go before those that it has.
-
-    Raises
-    ------
-    ManifestError
-        If a label is wrong.
-    """
+def _stored_logs(manifest: pl.DataFrame, labels: LabelPattern | None) -> tuple[list[LogTask], int]:
+    """Return a manifest's logs, and how many do not fit; labels in paths go before those that it has."""
     logs, unlike = [], 0
     for row in manifest.drop("copy_of").iter_rows(named=True):
         path, options = row.pop("path"), row.pop("options")
@@ -202,10 +177,10 @@ def stored_logs(manifest: pl.DataFrame, labels: LabelPattern | None = None) -> t
 
 
 def _labels_in(path: str, pattern: LabelPattern | None) -> dict[str, str | float]:
-    labels = {}
+    labels: dict[str, str | float] = {}
     for name, text in ((pattern.of(path) if pattern else None) or {}).items():
         try:
-            labels[name] = _label(name, text)
+            labels[name] = _meant(name, text) if name in _OF_LABELS else text
         except ValueError as error:
             msg = f"labels: {path}: {name} is {text!r}, expected {error}"
             raise ManifestError(msg) from error
@@ -253,86 +228,63 @@ def _of_row(cells: dict[str, str], file: Path, line: int) -> LogTask:
     if not place:
         msg = f"{file}:{line}: no path; expected that of a log"
         raise ManifestError(msg)
-    labels: dict[str, str | float] = {}
-    reading: dict[str, object] = {}
+    said: dict[str, Any] = {}
     for name, text in cells.items():
-        if not text:
-            continue
-        try:
-            if name in _READING:
-                reading[name] = _READING[name](text)
-            else:
-                labels[name] = _label(name, text)
-        except ValueError as error:
-            msg = f"{file}:{line}: column {name!r} is {text!r}, expected {error}"
-            raise ManifestError(msg) from error
+        if text:
+            try:
+                said[name] = _meant(name, text)
+            except ValueError as error:
+                msg = f"{file}:{line}: column {name!r} is {text!r}, expected {error}"
+                raise ManifestError(msg) from error
     place = place if is_url(place) else str(file.parent / place)
-    return LogTask(place=place, labels=labels, reading=reading)
+    reading = {name: said.pop(name) for name in _READING if name in said}
+    return LogTask(place=place, labels=said, reading=reading)
 
 
-def _label(name: str, text: str) -> str | float:
-    """Return a label as a value; raise ValueError with what is expected where it can't be meant."""
-    if name == "temperature_c":
-        return _number(text)
-    return _date(text) if name == "started" else text
+def _meant(column: str, text: str) -> Any:  # noqa: ANN401 - what the column holds
+    """Return a label, or an argument of `imucal.read`; raise ValueError with what is expected of it."""
+    what, parse, fits = (_OF_LABELS | _READING).get(column, _ANY)
+    with suppress(ValueError, KeyError):
+        if fits(value := parse(text)):
+            return value
+    raise ValueError(what)
 
 
-def _expecting(what: str, parse: Callable[[str], T], fits: Callable[[T], bool]) -> Callable[[str], T]:
-    """Return a function that parses a text, or raises ValueError with what is expected."""
-
-    def parsed(text: str) -> T:
-        value = parse(text)
-        if not fits(value):
-            raise ValueError(what)
-        return value
-
-    return parsed
+def _unit_of(sensor: Sensor, such_as: str) -> "_Column":
+    what = f"a unit of the {sensor}, such as {such_as}"
+    return what, str, lambda text: (parse_sample_unit(text) or (None,))[0] is sensor
 
 
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _is_date(text: str) -> bool:
-    try:
-        datetime.fromisoformat(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _unit_of(sensor: Sensor, such_as: str) -> Callable[[str], str]:
-    def fits(text: str) -> bool:
-        found = parse_sample_unit(text)
-        return found is not None and found[0] is sensor
-
-    return _expecting(f"a unit of the {sensor}, such as {such_as}", str, fits)
-
-
-_number = _expecting("a number", _float, math.isfinite)
-_positive = _expecting("a number above 0", _number, lambda value: value > 0)
-_not_negative = _expecting("a time in s, 0 or more", _number, lambda value: value >= 0)
-_date = _expecting("a date such as 2026-01-31 or 2026-01-31T12:00:00Z", str, _is_date)
+#: What is expected of a column, what its text means, and whether that may be.
+_Column: TypeAlias = tuple[str, Callable[[str], Any], Callable[[Any], bool]]
+_ANY: _Column = ("text", str, bool)
+_SEVERAL_TEXTS: _Column = ("text", lambda text: [text], bool)
+_POSITIVE: _Column = ("a number above 0", float, lambda value: 0 < value < math.inf)
 _YES = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-#: Column -> what its text means as an argument of `imucal.read`.
-_READING: dict[str, Callable[[str], object]] = {
-    "topic": str.split,
-    "time": str,
-    "time_unit": _expecting("s, ms, us or ns", str, {"s", "ms", "us", "ns"}.__contains__),
-    "rate_hz": _positive,
+_OF_LABELS: dict[str, _Column] = {
+    "temperature_c": ("a number", float, math.isfinite),
+    "started": (
+        "a date such as 2026-01-31 or 2026-01-31T12:00:00Z",
+        str,
+        lambda text: datetime.fromisoformat(text).year > 0,
+    ),
+}
+#: Columns that are arguments of `imucal.read`.
+_READING: dict[str, _Column] = {
+    "topic": ("text", str.split, bool),
+    "time": _ANY,
+    "time_unit": ("s, ms, us or ns", str, {"s", "ms", "us", "ns"}.__contains__),
+    "rate_hz": _POSITIVE,
     "gyro_unit": _unit_of(Sensor.GYROSCOPE, "deg/s"),
     "accel_unit": _unit_of(Sensor.ACCELEROMETER, "g"),
-    "gyro_scale": _positive,
-    "accel_scale": _positive,
-    "columns": str,
-    "fields": lambda text: [text],
-    "message_definition": lambda text: [text],
-    "strict": _expecting("true or false", lambda text: _YES.get(text.lower()), lambda yes: yes is not None),
-    "skip_s": _not_negative,
-    "take_s": _positive,
+    "gyro_scale": _POSITIVE,
+    "accel_scale": _POSITIVE,
+    "columns": _ANY,
+    "fields": _SEVERAL_TEXTS,
+    "message_definition": _SEVERAL_TEXTS,
+    "strict": ("true or false", lambda text: _YES[text.lower()], lambda _: True),
+    "skip_s": ("a time in s, 0 or more", float, lambda value: 0 <= value < math.inf),
+    "take_s": _POSITIVE,
 }
 
 
@@ -358,22 +310,11 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetPlan:
-    """What is to be done.
+    """What is to be done: of the logs asked for, `entries`, those to do are `tasks`.
 
-    Attributes
-    ----------
-    entries
-        The logs asked for.
-    tasks
-        Those to do.
-    done
-        Paths of those that the store has.
-    again
-        Paths of those to do that failed before, as by time or memory.
-    copies
-        Path of a log -> path of the one with the same content, which is done or to do.
-    own
-        Paths of the logs that this run answers for: all of them, or those of its shard.
+    By their paths, the store has those `done`; `again` are to do and failed before, as by time or memory;
+    `copies` leads to the log with the same content, which is done or to do; for its `own` this run answers:
+    all of them, or those of its shard.
     """
 
     entries: tuple[LogTask, ...]
@@ -386,14 +327,17 @@ class FleetPlan:
     def manifest(self) -> pl.DataFrame:
         """Return the rows for the store's manifest."""
         free = sorted({name for e in self.entries for name in e.labels if name not in LABELS})
-        schema = {**MANIFEST, **dict.fromkeys(free, pl.String())}
-        rows = []
-        for entry in self.entries:
-            options = json.dumps(entry.reading, sort_keys=True) if entry.reading else None
-            copy_of = self.copies.get(entry.path)
-            row = {**entry.labels, "path": entry.path, "options": options, "copy_of": copy_of}
-            rows.append([row.get(name) for name in schema])
-        return pl.DataFrame(rows, schema=schema, orient="row")
+        rows = [
+            {
+                **dict.fromkeys((*MANIFEST, *free)),
+                **entry.labels,
+                "path": entry.path,
+                "options": json.dumps(entry.reading, sort_keys=True) if entry.reading else None,
+                "copy_of": self.copies.get(entry.path),
+            }
+            for entry in self.entries
+        ]
+        return pl.DataFrame(rows, schema={**MANIFEST, **dict.fromkeys(free, pl.String())})
 
     def shard(self, number: int, of: int) -> "FleetPlan":
         """Return the part number 1 … `of` of the logs.
@@ -401,13 +345,9 @@ class FleetPlan:
         Which these are does not change with what is done, so that shards may start at any time.
         """
         own = dict.fromkeys(entry.path for entry in self.entries[number - 1 :: of])
-        return replace(
-            self,
-            own=tuple(own),
-            tasks=tuple(task for task in self.tasks if task.path in own),
-            done=tuple(path for path in self.done if path in own),
-            again=tuple(path for path in self.again if path in own),
-        )
+        done, again = (tuple(filter(own.__contains__, paths)) for paths in (self.done, self.again))
+        tasks = tuple(task for task in self.tasks if task.path in own)
+        return replace(self, own=tuple(own), tasks=tasks, done=done, again=again)
 
     def seconds(self) -> float:
         """Return how long the tasks usually take on one core, in s."""
@@ -521,8 +461,6 @@ def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterat
     for task in tasks:
         batch.append(task)
         expected += expected_seconds(task)
-        if expected >= target:
+        if expected >= target or task is tasks[-1]:
             yield batch
             batch, expected = [], 0.0
-    if batch:
-        yield batch

@@ -57,16 +57,9 @@ R = TypeVar("R")
 
 @dataclass(slots=True)
 class RunCount:
-    """How far a run is.
+    """How far a run is: of the `logs` to do, of `size` bytes, how many are `done`, and of what `done_size`.
 
-    Attributes
-    ----------
-    logs, size
-        To do: number and bytes.
-    done, failed, running
-        Logs that are done, of them those without numbers that may be used, and those in hand.
-    done_size
-        Bytes of the logs that are done.
+    Of those that are done, the `failed` have no numbers that may be used; `running` are in hand.
     """
 
     logs: int
@@ -156,30 +149,23 @@ def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None =
     """
 
     def ask(questions: Sequence[Question]) -> list[str | None]:
-        waiting = iter(range(0, len(questions), _QUESTIONS))
-        found: list[str | None] = [None] * len(questions)
-
-        def take() -> list[Question] | None:
-            first = next(waiting, None)
-            return None if first is None else list(questions[first : first + _QUESTIONS])
+        groups = [list(questions[i : i + _QUESTIONS]) for i in range(0, len(questions), _QUESTIONS)]
+        waiting = iter(groups)
 
         def in_child(batch: list[Question], child: ChildProcess) -> list[str] | Lost:
             seconds = PATIENCE * len(batch)
             answer = child.ask(answer_texts, batch, seconds=seconds, memory=settings.memory)
-            return (
-                cast("list[str]", answer.value) if answer.outcome == "done" else Lost(reason=answer.outcome)
-            )
+            done = answer.outcome == "done"
+            return cast("list[str]", answer.value) if done else Lost(reason=answer.outcome)
 
+        take = partial(next, waiting, None)
         done: Iterator[tuple[list[Question], list[str] | Lost]] = (
             outcomes(take, answer_texts, address=scheduler)
             if scheduler
             else here(take, in_child, settings, workers)
         )
-        places = {id(question): place for place, question in enumerate(questions)}
-        for batch, texts in done:
-            for question, text in () if isinstance(texts, Lost) else zip(batch, texts, strict=True):
-                found[places[id(question)]] = text
-        return found
+        texts = {id(group): said for group, said in done if not isinstance(said, Lost)}
+        return [text for group in groups for text in texts.get(id(group), [None] * len(group))]
 
     return ask
 
@@ -315,21 +301,19 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
             return cast("LogRows", answer.value)
         if answer.outcome == "late" or _took_memory(answer):
             break
-    if answer.outcome == "failed" and answer.words.startswith(f"{WriteError.__name__}: "):
-        raise WriteError(answer.words.partition(": ")[2])
-    status, reason = _why(answer, settings, seconds)
-    return failure(task, settings, status, f"{task.path}: {reason}")
-
-
-def _why(answer: Answer, settings: FleetSettings, seconds: float) -> tuple[str, str]:
+    status = "crash"
     if answer.outcome == "late":
-        return "timeout", f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
-    if _took_memory(answer):
-        return "memory", _memory_reason(settings)
-    if answer.outcome == "failed":
-        return "crash", f"internal error ({answer.words}); please report it"
-    how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
-    return "crash", f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+        status, why = "timeout", f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
+    elif _took_memory(answer):
+        status, why = "memory", _memory_reason(settings)
+    elif answer.outcome == "failed":
+        if answer.words.startswith(f"{WriteError.__name__}: "):
+            raise WriteError(answer.words.partition(": ")[2])
+        why = f"internal error ({answer.words}); please report it"
+    else:
+        how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
+        why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+    return failure(task, settings, status, f"{task.path}: {why}")
 
 
 def _took_memory(answer: Answer) -> bool:

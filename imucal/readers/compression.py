@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from imucal.readers.files import DamagedError
+from imucal.readers.files import DamagedError, damaged_if
 
 try:
     from zlib_ng.zlib_ng import crc32
@@ -56,24 +56,22 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     Raises DamagedError if the data are damaged, hold another number of bytes, or claim an impossible one.
     """
     if kind in {"", "none"}:
-        if len(data) != size:
-            msg = f"a chunk of {len(data)} bytes claims {size}"
-            raise DamagedError(msg)
+        damaged_if(len(data) != size, f"a chunk of {len(data)} bytes claims {size}")
         return data
-    if size > max(_SMALL, _MAX_RATIO * len(data)):
-        msg = f"a chunk of {len(data)} bytes claims to hold {size}"
-        raise DamagedError(msg)
-    if kind not in _UNPACK:
-        msg = f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2"
-        raise DamagedError(msg, code="compression")
+    damaged_if(
+        size > max(_SMALL, _MAX_RATIO * len(data)), f"a chunk of {len(data)} bytes claims to hold {size}"
+    )
+    damaged_if(
+        kind not in _UNPACK,
+        f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2",
+        code="compression",
+    )
     try:
         raw = _UNPACK[kind](data, size)
     except _damage() as error:
         msg = f"{'an' if kind == 'lz4' else 'a'} {kind} chunk is damaged: {error}"
         raise DamagedError(msg) from error
-    if len(raw) != size:
-        msg = f"a chunk holds {len(raw)} bytes instead of the {size} it claims"
-        raise DamagedError(msg)
+    damaged_if(len(raw) != size, f"a chunk holds {len(raw)} bytes instead of the {size} it claims")
     return memoryview(raw)
 
 
@@ -103,9 +101,9 @@ def _damage() -> tuple[type[Exception], ...]:
 
 def check_crc(raw: memoryview, expected: int) -> None:
     """Compare a CRC-32; 0 means that none was stored."""
-    if expected and crc32(raw) != expected:
-        msg = "a chunk's checksum does not match its content"
-        raise DamagedError(msg, code="crc")
+    damaged_if(
+        expected and crc32(raw) != expected, "a chunk's checksum does not match its content", code="crc"
+    )
 
 
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
@@ -142,9 +140,7 @@ def _unpack_zstd(data: memoryview, size: int) -> bytes:
     import zstandard
 
     stated = zstandard.frame_content_size(data)
-    if stated not in {-1, size}:
-        msg = f"a zstd frame states {stated} bytes, its chunk {size}"
-        raise DamagedError(msg)
+    damaged_if(stated not in {-1, size}, f"a zstd frame states {stated} bytes, its chunk {size}")
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
 
 
@@ -154,9 +150,7 @@ def _unpack_lz4(data: memoryview, size: int) -> bytes:
     # Bit 3 of the fifth byte says whether the frame's header states a size. Source: LZ4 frame format 1.6.
     told = data[:4] == _LZ4 and len(data) > 13 and data[4] & 8
     stated = int.from_bytes(data[6:14], "little") if told else 0
-    if stated > size:
-        msg = f"an lz4 frame states {stated} bytes, its chunk {size}"
-        raise DamagedError(msg)
+    damaged_if(stated > size, f"an lz4 frame states {stated} bytes, its chunk {size}")
     raw, used = lz4.frame.decompress(data, return_bytes_read=True)
     if used == len(data):
         return bytes(raw)
@@ -173,9 +167,7 @@ def _unpack_bz2(data: memoryview, size: int) -> bytes:
     machine = bz2.BZ2Decompressor()
     # One byte more than is wanted: the checksum is only looked at when the end is reached.
     raw = machine.decompress(data, max_length=size + 1)
-    if not machine.eof:
-        msg = "a bz2 chunk is longer than it claims, or cut"
-        raise DamagedError(msg)
+    damaged_if(not machine.eof, "a bz2 chunk is longer than it claims, or cut")
     return raw
 
 

@@ -15,6 +15,12 @@ class DamagedError(Exception):
         self.code = code
 
 
+def damaged_if(wrong: object, text: str, *, code: str = "damaged") -> None:
+    """Raise a DamagedError where something is wrong."""
+    if wrong:
+        raise DamagedError(text, code=code)
+
+
 class LogFile:
     """A file read by absolute position; safe to share between threads.
 
@@ -53,16 +59,17 @@ class LogFile:
         done = 0
         while done < len(view):
             count = self._read_some(position + done, view[done:])
-            if not count:
-                msg = f"the file ended at byte {position + done} while it was read"
-                raise DamagedError(msg, code="truncated")
+            damaged_if(
+                not count, f"the file ended at byte {position + done} while it was read", code="truncated"
+            )
             done += count
 
     def read(self, position: int, size: int) -> bytearray:
         """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
-        if size < 0 or position + size > self.size:
-            msg = f"{size} bytes at byte {position} lie beyond the end of the file"
-            raise DamagedError(msg, code="truncated")
+        beyond = size < 0 or position + size > self.size
+        damaged_if(
+            beyond, f"{size} bytes at byte {position} lie beyond the end of the file", code="truncated"
+        )
         data = bytearray(size)
         self.into(position, memoryview(data))
         return data

@@ -1,39 +1,328 @@
 """Logs of flight controllers: PX4's ULog, read by pyulog, and ArduPilot's, read by pymavlink, an extra.
 
 Either package may loop for ever on a damaged file, so they run in a child process.
+
+Messages of PX4: ``sensor_combined`` (the estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each
+sensor), ``sensor_gyro_fifo`` and ``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu``
+(integrals, divided by their time here). One instance of a message is named ``sensor_gyro:1``. Source: PX4's
+message definitions (`msg/SensorCombined.msg`, `SensorGyro.msg`, `SensorGyroFifo.msg`, `VehicleImu.msg`, and
+those of the accelerometer): microseconds since boot, rad/s and m/s^2.
+
+Messages of ArduPilot's ``.bin``, from the board's memory: ``IMU``, or ``GYR`` and ``ACC`` of a batch log, in
+SI; the package finds the records and says what each kind holds, and they are taken out in one go. Of its
+``.tlog``, what was sent to the ground: ``HIGHRES_IMU`` in SI, ``SCALED_IMU`` in mg and mrad/s, and
+``RAW_IMU``, which ArduPilot sends in these units and others in counts. Source: ArduPilot,
+`AP_InertialSensor/LogStructure.h` and `GCS_Common.cpp` (`send_raw_imu`); MAVLink, `common.xml`.
 """
 
-from collections.abc import Sequence
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
+from imucal.readers.containers.container import gather
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.flight_messages import (
-    DATAFLASH,
-    PX4,
-    FlightLog,
-    Instance,
-    Samples,
-    dataflash_content,
-    samples_of,
-    telemetry_content,
-    ulog_content,
-)
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
-from imucal.recording import Recording, Sensor
+from imucal.recording import AXES, Recording, Sensor
 
 #: The first bytes of a ULog.
 ULOG = b"ULog\x01\x12\x35"
 
 #: An instance logged at less than this share of the fastest rate is a health check, not a recording.
 _TOO_SLOW = 0.2
+
+_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What a message measures: the fields of each sensor's x, y, z, and those of its stamps, best first.
+
+    Stamps are in us, or in ms where their name ends so. `units` are those of the samples; None where the log
+    leaves them open.
+    """
+
+    fields: dict[Sensor, tuple[str, ...]]
+    times: tuple[str, ...] = ("timestamp_sample", "timestamp")
+    units: dict[Sensor, str | None] = field(
+        default_factory=lambda: {sensor: sensor.unit for sensor in Sensor}
+    )
+
+    @classmethod
+    def of_px4(cls, **names: str) -> "Message":
+        """Return a message of PX4 with the arrays of some sensors; in messages of one they are x, y and z."""
+        owners = {"gyro": _GYRO, "accel": _ACCEL}
+        of = {owners[k]: tuple(f"{v}[{i}]" for i in range(3)) if v else AXES for k, v in names.items()}
+        return cls(fields=of)
+
+
+#: Message of PX4 -> what it measures.
+PX4 = {
+    "sensor_combined": Message.of_px4(gyro="gyro_rad", accel="accelerometer_m_s2"),
+    "sensor_gyro": Message.of_px4(gyro=""),
+    "sensor_accel": Message.of_px4(accel=""),
+    "sensor_gyro_fifo": Message.of_px4(gyro=""),
+    "sensor_accel_fifo": Message.of_px4(accel=""),
+    "vehicle_imu": Message.of_px4(gyro="delta_angle", accel="delta_velocity"),
+}
+
+#: No board runs longer, in microseconds: a stamp beyond it is damaged. About 140 years.
+_LATEST_US = 1 << 52
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Samples:
+    """What one message instance gives for one sensor: stamps in ns, samples (n, 3), their unit, temperature.
+
+    The unit is None where the log leaves it open.
+    """
+
+    stamps: IntArray
+    vectors: FloatArray
+    unit: str | None
+    temperature: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Instance:
+    """One instance of a message in the log, which may hold `several`: its fields, shape (n,) each."""
+
+    message: str
+    multi: int
+    several: bool
+    data: dict[str, NDArray[Any]]
+    kind: Message
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has stamps, and the fields of its sensors where they have names of their own."""
+        fields = [field for fields in self.kind.fields.values() for field in fields]
+        fields = ["samples", "dt", "scale"] if self.message.endswith("_fifo") else fields
+        return self.data.keys() >= {*fields} and any(name in self.data for name in self.kind.times)
+
+    @property
+    def name(self) -> str:
+        """``sensor_gyro:1``; without the number where there is one instance only."""
+        return f"{self.message}:{self.multi}" if self.several else self.message
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        return tuple(self.kind.fields)
+
+    @property
+    def count(self) -> int:
+        """Samples: of a fifo message all that it carries."""
+        samples = self.data.get("samples")
+        if self.message.endswith("_fifo") and samples is not None:
+            return int(np.asarray(samples, dtype=np.int64).sum())
+        return int(self.times().size)
+
+    @property
+    def duration_s(self) -> float:
+        stamps = self.times()
+        good = stamps[stamps >= 0]
+        return float(good[-1] - good[0]) / 1e9 if good.size > 1 else 0.0
+
+    @property
+    def rate_hz(self) -> float | None:
+        return (self.count - 1) / self.duration_s if self.duration_s > 0 else None
+
+    def answers_to(self, topic: str) -> bool:
+        """Return whether a user's name for a topic means this instance."""
+        return topic.strip("/") in {self.name, f"{self.message}:{self.multi}"}
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """Return some fields side by side, shape (n, fields)."""
+        return np.stack([np.asarray(self.data[name], dtype=np.float64) for name in names], axis=1)
+
+    def times(self) -> IntArray:
+        """Return when samples were taken, in ns; -1 where the stamp is damaged."""
+        there = [name for name in self.kind.times if name in self.data]
+        name = next((name for name in there if bool(np.all(self.data[name]))), there[-1])
+        stamps, ns = self.data[name], 1_000_000 if name.lower().endswith("ms") else 1000
+        return np.where(stamps < _LATEST_US, stamps, 0).astype(np.int64) * ns - (stamps >= _LATEST_US)
+
+
+def samples_of(instance: Instance, sensor: Sensor) -> Samples:
+    """Return the samples of a sensor in one instance of a message, in SI units."""
+    unit = instance.kind.units[sensor]
+    if instance.message.endswith("_fifo"):
+        return _of_fifo(instance, unit)
+    data, stamps = instance.data, instance.times()
+    keep = stamps >= 0
+    fields = instance.kind.fields[sensor]
+    vectors = instance.columns(fields)
+    if instance.message == "vehicle_imu":
+        # Integrals over a time; those over no time have no rate.
+        over = np.asarray(data[fields[0].replace("[0]", "_dt")], dtype=np.float64) * 1e-6
+        keep &= over > 0
+        return Samples(stamps=stamps[keep], vectors=vectors[keep] / over[keep, None], unit=unit)
+    warmth = data.get("temperature")
+    temperature = np.asarray(warmth, dtype=np.float64)[keep] if warmth is not None else None
+    return Samples(stamps=stamps[keep], vectors=vectors[keep], unit=unit, temperature=temperature)
+
+
+def _of_fifo(instance: Instance, unit: str | None) -> Samples:
+    """Return every sample of a sensor's buffer: the stamp is the last one's, the others go before it."""
+    data, last = instance.data, instance.times()
+    count = np.asarray(data["samples"], dtype=np.int64)
+    index = np.arange(sum(1 for name in data if name.startswith("x[")))
+    step = np.asarray(data["dt"], dtype=np.float64) * 1e3
+    good = (last >= 0) & np.isfinite(step) & (count > 0) & (count <= index.size)
+    filled = (index < count[:, None]) & good[:, None]
+    before = (count[:, None] - 1 - index) * np.where(good, step, 0.0)[:, None]
+    stamps = (last[:, None] - np.round(before).astype(np.int64))[filled]
+    scale = np.asarray(data["scale"], dtype=np.float64)[:, None]
+    axes = [(instance.columns([f"{axis}[{i}]" for i in index]) * scale)[filled] for axis in AXES]
+    return Samples(stamps=stamps, vectors=np.stack(axes, axis=1), unit=unit)
+
+
+class FlightLog(NamedTuple):
+    """What a log holds: its format, its IMU messages, whether it is damaged, the logger's dropouts in ms."""
+
+    format: str
+    instances: list[Instance]
+    damaged: bool
+    dropouts: list[int]
+
+
+def ulog_content(path: Path) -> FlightLog:
+    """Return the IMU messages of a ULog file."""
+    from pyulog import ULog
+
+    with path.open("rb") as file:
+        log = ULog(file, message_name_filter_list=list(PX4))
+    known = [e for e in log.data_list if e.name in PX4 and np.size(e.data.get("timestamp", ()))]
+    # Copies: the fields of pyulog are views of all messages together.
+    found = {
+        (entry.name, int(entry.multi_id)): {k: np.ascontiguousarray(v) for k, v in entry.data.items()}
+        for entry in known
+    }
+    dropouts = [int(dropout.duration) for dropout in log.dropouts]
+    return flight_log("ulog", found, PX4, damaged=bool(log.file_corruption), dropouts=dropouts)
+
+
+def flight_log(
+    form: str,
+    found: Mapping[tuple[str, int], dict[str, NDArray[Any]]],
+    kinds: Mapping[str, Message],
+    *,
+    damaged: bool,
+    dropouts: Sequence[int] = (),
+) -> FlightLog:
+    """Return a log of the instances that were found; one whose fields are not all there is damaged."""
+    names = [name for name, _ in found]
+    instances = [
+        Instance(message=name, multi=multi, several=names.count(name) > 1, data=data, kind=kinds[name])
+        for (name, multi), data in found.items()
+    ]
+    whole = [instance for instance in instances if instance.is_whole]
+    damaged = damaged or len(whole) < len(instances)
+    return FlightLog(format=form, instances=whole, damaged=damaged, dropouts=[*dropouts])
+
+
+#: The first bytes of each record of a dataflash log.
+DATAFLASH = b"\xa3\x95"
+#: A log ends with up to so many bytes of an unfinished page.
+_PAGE = 528
+
+_OF_BOARD = {_GYRO: tuple(f"Gyr{axis}" for axis in "XYZ"), _ACCEL: tuple(f"Acc{axis}" for axis in "XYZ")}
+_STAMPS = ("SampleUS", "TimeUS", "TimeMS")
+_BOARD = {
+    "IMU": Message(fields=_OF_BOARD, times=_STAMPS),
+    "GYR": Message(fields={_GYRO: _OF_BOARD[_GYRO]}, times=_STAMPS),
+    "ACC": Message(fields={_ACCEL: _OF_BOARD[_ACCEL]}, times=_STAMPS),
+}
+_SENT = Message(
+    fields={_GYRO: tuple(f"{axis}gyro" for axis in AXES), _ACCEL: tuple(f"{axis}acc" for axis in AXES)},
+    times=("time_usec", "time_boot_ms"),
+)
+_MILLI = replace(_SENT, units={_GYRO: "mrad/s", _ACCEL: "mg"})
+_TELEMETRY = {
+    "HIGHRES_IMU": _SENT,
+    "SCALED_IMU": _MILLI,
+    "SCALED_IMU2": _MILLI,
+    "SCALED_IMU3": _MILLI,
+    "RAW_IMU": _MILLI,
+}
+#: MAV_AUTOPILOT_ARDUPILOTMEGA: only this autopilot's RAW_IMU has units.
+_ARDUPILOT = 3
+
+
+def dataflash_content(path: Path) -> FlightLog:
+    """Return the IMU messages of a ``.bin``; a part that is none of its records is damage."""
+    from pymavlink.DFReader import DFReader_binary
+
+    class Index(DFReader_binary):  # type: ignore[misc]
+        def init_clock(self) -> None:
+            """Pass over the records once, not twice: the time since 1970 is not needed."""
+
+    log = Index(str(path))
+    found: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
+    spans: list[NDArray[np.int64]] = []
+    for number, form in log.formats.items():
+        starts = np.asarray(log.offsets[number], dtype=np.int64)
+        starts = starts[starts + form.len <= log.data_len]
+        spans.append(np.stack([starts, starts + form.len]))
+        # Old logs have a message for each IMU: IMU2, IMU3.
+        name, last = form.name.rstrip("123"), form.name[-1:]
+        if name in _BOARD and starts.size:
+            data = _columns(log.data_map, starts, form)
+            instances = data.get("I", np.full(starts.size, int(last) - 1 if last.isdigit() else 0))
+            for multi in np.unique(instances).tolist():
+                own = {key: values[instances == multi] for key, values in data.items()}
+                found[name, multi] = own | ({"temperature": own["T"]} if "T" in own else {})
+    begun, ended = np.sort(np.concatenate(spans, axis=1), axis=1)
+    whole = begun.size and not (begun[1:] - ended[:-1]).any() and log.data_len - ended[-1] <= _PAGE
+    return flight_log("dataflash", found, _BOARD, damaged=not whole)
+
+
+def _columns(buffer: bytes, starts: IntArray, form: Any) -> dict[str, NDArray[Any]]:  # noqa: ANN401 - of the package
+    """Return the numbers of all records of one kind by their names, shape (n,) each."""
+    codes = re.findall(r"\d*[a-zA-Z]", form.msg_struct)
+    types = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
+    row = np.dtype({"names": form.columns, "formats": types, "itemsize": form.len - 3})
+    records = gather(buffer, starts + 3, row.itemsize).view(row)
+    kinds = zip(form.columns, types, form.msg_mults, strict=True)
+    return {name: records[name] * (scale or 1) for name, kind, scale in kinds if not kind.startswith("S")}
+
+
+def telemetry_content(path: Path) -> FlightLog:
+    """Return the IMU messages of a ``.tlog``; those of several vehicles are instances."""
+    from pymavlink.mavutil import mavlogfile
+
+    log = mavlogfile(str(path))
+    rows: dict[tuple[str, int], list[Any]] = defaultdict(list)
+    makers: dict[int, int] = {}
+    while (message := log.recv_msg()) is not None:
+        name = message.get_type()
+        if name == "HEARTBEAT":
+            makers.setdefault(message.get_srcSystem(), message.autopilot)
+        elif name in _TELEMETRY:
+            rows[name, message.get_srcSystem()].append(message)
+    kinds = dict(_TELEMETRY)
+    if _ARDUPILOT not in makers.values():
+        kinds["RAW_IMU"] = replace(_SENT, units=dict.fromkeys(Sensor))
+    found = {key: _fields(messages, kinds[key[0]]) for key, messages in rows.items()}
+    return flight_log("tlog", found, kinds, damaged=bool(log.mav.total_receive_errors))
+
+
+def _fields(messages: Sequence[Any], kind: Message) -> dict[str, NDArray[Any]]:
+    names = [name for fields in kind.fields.values() for name in fields]
+    names += [name for name in kind.times if hasattr(messages[0], name)]
+    return {name: np.array([getattr(message, name) for message in messages]) for name in names}
 
 
 def read(path: Path, options: ReadOptions) -> Recording:

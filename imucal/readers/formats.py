@@ -2,7 +2,7 @@
 
 import importlib
 import stat
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -20,8 +20,8 @@ STDIN = "-"
 #: Bytes that tell a format, from the start of a file.
 _HEAD = 4096
 
-_ZSTD = b"\x28\xb5\x2f\xfd"
-_COMPRESSED = (_ZSTD, b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00", b"PK\x03\x04", b"\x04\x22\x4d\x18")
+_CONTAINERS = "imucal.readers.containers"
+_COMPRESSED = (b"\x28\xb5\x2f\xfd", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00", b"PK\x03\x04", b"\x04\x22\x4d\x18")
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")
 
 
@@ -42,7 +42,7 @@ class Reader(Protocol):
         """Return what is in the log."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Format:
     """A format.
 
@@ -52,10 +52,10 @@ class Format:
         As docs/formats.md calls it.
     module
         What reads it: a module with `read` and `describe`, or with `open_files` where `messages` is true.
-    messages
-        Whether its files are containers of messages, which `imucal.readers.message_logs` reads.
     magic, suffixes
         The first bytes, and the endings that its files usually have.
+    messages
+        Whether its files are containers of messages, which `imucal.readers.message_logs` reads.
     damaged_start
         Whether a file of that ending which looks like text is one whose first bytes are damaged.
     folders
@@ -64,61 +64,43 @@ class Format:
 
     name: str
     module: str
-    messages: bool = False
     magic: tuple[bytes, ...] = ()
     suffixes: tuple[str, ...] = ()
+    _: KW_ONLY
+    messages: bool = False
     damaged_start: bool = False
     folders: bool = False
 
 
 #: In the order in which they are tried; the last one takes all text.
 FORMATS: tuple[Format, ...] = (
+    Format("MCAP", f"{_CONTAINERS}.mcap", (b"\x89MCAP0\r\n",), (".mcap",), messages=True, damaged_start=True),
     Format(
-        name="MCAP",
-        module="imucal.readers.containers.mcap",
+        "ROS 1 bag",
+        f"{_CONTAINERS}.ros1",
+        (b"#ROSBAG V",),
+        (".bag", ".bag.active"),
         messages=True,
-        magic=(b"\x89MCAP0\r\n",),
-        suffixes=(".mcap",),
         damaged_start=True,
     ),
     Format(
-        name="ROS 1 bag",
-        module="imucal.readers.containers.ros1_file",
+        "ROS 2 bag",
+        f"{_CONTAINERS}.ros2_bag",
+        (b"SQLite format 3\x00",),
+        (".db3", ".db3.zstd", ".mcap.zstd"),
         messages=True,
-        magic=(b"#ROSBAG V",),
-        suffixes=(".bag", ".bag.active"),
-        damaged_start=True,
-    ),
-    Format(
-        name="ROS 2 bag",
-        module="imucal.readers.containers.ros2_bag",
-        messages=True,
-        magic=(b"SQLite format 3\x00",),
-        suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
         folders=True,
     ),
+    Format("PX4 ULog", "imucal.readers.flight_logs", (b"ULog\x01\x12\x35",), (".ulg",)),
+    Format("ArduPilot log", "imucal.readers.flight_logs", (b"\xa3\x95\x80\x80",), (".bin", ".tlog")),
     Format(
-        name="PX4 ULog",
-        module="imucal.readers.flight_logs",
-        magic=(b"ULog\x01\x12\x35",),
-        suffixes=(".ulg",),
+        "Parquet, HDF5, NPZ, NPY, MATLAB",
+        "imucal.readers.tables.typed_table",
+        (b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"MATLAB 7.3", b"\x89HDF\r\n\x1a\n"),
+        (".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat"),
     ),
     Format(
-        name="ArduPilot log",
-        module="imucal.readers.flight_logs",
-        magic=(b"\xa3\x95\x80\x80",),
-        suffixes=(".bin", ".tlog"),
-    ),
-    Format(
-        name="Parquet, HDF5, NPZ, NPY, MATLAB",
-        module="imucal.readers.tables.typed_table",
-        magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"MATLAB 7.3", b"\x89HDF\r\n\x1a\n"),
-        suffixes=(".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat"),
-    ),
-    Format(
-        name="text",
-        module="imucal.readers.tables.text_table",
-        suffixes=(".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl"),
+        "text", "imucal.readers.tables.text_table", (), (".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl")
     ),
 )
 

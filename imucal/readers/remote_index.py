@@ -5,7 +5,7 @@ from pathlib import Path
 
 from imucal.readers.containers import Container
 from imucal.readers.containers.mcap import McapFile
-from imucal.readers.containers.ros1_file import BagFile
+from imucal.readers.containers.ros1 import BagFile
 from imucal.readers.containers.ros2_bag import mcap_part, open_parts
 from imucal.readers.containers.rosbag2_folder import METADATA, folder_of
 from imucal.readers.contents import LogContents

@@ -8,7 +8,7 @@ raises `ReadError` with the place, what was found and what was expected, so no c
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePath
 from typing import Generic, NoReturn, TypeVar
 
@@ -204,57 +204,42 @@ def _or_nan(node: Node) -> float:
     return node.number(null=math.nan)
 
 
-_FINDING = Layout(
-    Finding,
-    {
-        "level": _one_of("info", "warning", "error"),
-        "code": Node.text,
-        "axis": _maybe(Node.text),
-        "text": Node.text,
-        "advice": Node.text,
-        "keep_s": _maybe(Node.pair),
-    },
-)
-_RANGE = Layout(
-    ReadRange,
-    {
-        "from_s": Node.number,
-        "duration_s": Node.number,
-        "start_ns": _maybe(Node.integer),
-        "end_ns": _maybe(Node.integer),
-    },
-)
-_FILE = Layout(LogFileInfo, {"path": Node.text, "size_bytes": Node.count, "blake2b": _maybe(Node.text)})
-_GAP = Layout(Gap, {"start_s": Node.number, "duration_s": Node.number, "missing": Node.count})
-_LINE = Layout(Line, {"frequency_hz": Node.number, "amplitude": _or_nan})
-_RESPONSE = Layout(Response, {"kind": Node.text, "cutoff_hz": Node.number})
-_GOODNESS = Layout(
+#: Type of an attribute -> how its value is read, where nothing else is said.
+_READ: dict[object, Callable[[Node], object]] = {
+    str: Node.text,
+    int: Node.count,
+    float: Node.number,
+    str | None: _maybe(Node.text),
+    int | None: _maybe(Node.integer),
+    tuple[float, float]: Node.pair,
+    tuple[float, float] | None: _maybe(Node.pair),
+}
+
+
+def _layout(make: type[A], keys: str, **read: Callable[[Node], object]) -> Layout[A]:
+    """Return the layout of a dataclass, whose attributes are read by their types or as is said here."""
+    types = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
+    return Layout(make, {key: read.get(key) or _READ[types[key]] for key in keys.split()})
+
+
+_FINDING = _layout(Finding, "level code axis text advice keep_s", level=_one_of("info", "warning", "error"))
+_RANGE = _layout(ReadRange, "from_s duration_s start_ns end_ns")
+_FILE = _layout(LogFileInfo, "path size_bytes blake2b")
+_GAP = _layout(Gap, "start_s duration_s missing")
+_LINE = _layout(Line, "frequency_hz amplitude", amplitude=_or_nan)
+_RESPONSE = _layout(Response, "kind cutoff_hz")
+_GOODNESS = _layout(
     Goodness,
-    {
-        "statistic": _or_nan,
-        "p_value": _or_nan,
-        "chi2_per_bin": _or_nan,
-        "band_hz": _maybe(Node.pair),
-        "tau_s": _maybe(Node.pair),
-        "lines": _LINE.read_all,
-    },
+    "statistic p_value chi2_per_bin band_hz tau_s lines",
+    **dict.fromkeys(("statistic", "p_value", "chi2_per_bin"), _or_nan),
+    lines=_LINE.read_all,
 )
-_HOMOGENEITY = Layout(
+_HOMOGENEITY = _layout(
     TermHomogeneity,
-    {
-        "symbol": _one_of(*TERMS),
-        "statistic": Node.number,
-        "dof": Node.count,
-        "p_value": Node.number,
-        "spread": Node.number,
-        "factor": Node.number,
-        "highest_s": Node.pair,
-        "lowest_s": Node.pair,
-    },
+    "symbol statistic dof p_value spread factor highest_s lowest_s",
+    symbol=_one_of(*TERMS),
 )
-_INTERVAL = Layout(
-    Interval, {"value": Node.number, "low": _or_nan, "high": lambda node: node.number(null=math.inf)}
-)
+_INTERVAL = _layout(Interval, "value low high", low=_or_nan, high=lambda node: node.number(null=math.inf))
 
 
 def _bins_document(bins: Bins) -> dict[str, object]:

@@ -24,17 +24,7 @@ from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import COVERING, Choices, Numbers
-from imucal.report.exports.target import (
-    DENSITY,
-    DENSITY_SQUARED,
-    HALVED_TWICE,
-    SAMPLE,
-    SAMPLE_SQUARED,
-    Formula,
-    at_period,
-    itself,
-    price,
-)
+from imucal.report.exports.target import FORMULAS, itself, price
 from imucal.report.figure import axis_title, shown_points
 from imucal.report.markup import both_units, render
 from imucal.report.result import AxisReport, Report
@@ -348,34 +338,32 @@ def drift_section(report: Report) -> Markup | None:
     return render("drift.html", drift=found, rest=duration(found.rest_s), titles=["Error", *times], rows=rows)
 
 
-#: What filters ask for: formula and kind in words, symbol, formula, unit.
+#: What filters ask for: formula and kind in words, key of `FORMULAS`, unit.
 _USES = (
-    ("N", "continuous: a density, the same at every rate", "N", DENSITY, "{u}/sqrt(Hz)"),
-    ("K", "continuous: a density of the bias's steps, the same at every rate", "K", DENSITY, "{u}/sqrt(s)"),
-    ("N²", "continuous: a covariance density", "N", DENSITY_SQUARED, "({u})^2/Hz"),
-    ("K²", "continuous: a covariance density", "K", DENSITY_SQUARED, "({u})^2/s"),
-    ("N √f", "discrete: the standard deviation of one sample at the rate f", "N", SAMPLE, "{u}"),
+    ("N", "continuous: a density, the same at every rate", "", "{u}/sqrt(Hz)"),
+    ("K", "continuous: a density of the bias's steps, the same at every rate", "", "{u}/sqrt(s)"),
+    ("N²", "continuous: a covariance density", "^2", "({u})^2/Hz"),
+    ("K²", "continuous: a covariance density", "^2", "({u})^2/s"),
+    ("N √f", "discrete: the standard deviation of one sample at the rate f", " sqrt(f)", "{u}"),
     (
         "N √(2f)",
         "discrete, for VINS, which halves the white variance, so that √f alone would be √2 too low",
-        *("N", HALVED_TWICE, "{u}"),
+        *(" sqrt(2 f)", "{u}"),
     ),
-    ("K √f", "discrete, as VINS integrates it", "K", SAMPLE, "{u}"),
+    ("K √f", "discrete, as VINS integrates it", " sqrt(f)", "{u}"),
     (
         "N² f",
         "discrete: the variance of one sample, as FAST-LIO takes it; a ROS covariance has N as fitted",
-        "N",
-        SAMPLE_SQUARED,
-        "({u})^2",
+        *("^2 f", "({u})^2"),
     ),
-    ("K² f", "discrete, as FAST-LIO integrates it", "K", SAMPLE_SQUARED, "({u})^2"),
+    ("K² f", "discrete, as FAST-LIO integrates it", "^2 f", "({u})^2"),
     (
         "N / √0.01 s",
         "discrete at the period of PX4's filter, 0.01 s, not at the IMU's rate",
-        *("N", at_period(0.01), "{u}"),
+        *(" / sqrt(0.01 s)", "{u}"),
     ),
-    ("K / √0.01 s", "discrete at the period of PX4's filter, 0.01 s", "K", at_period(0.01), "{u}/s"),
-    ("B", "the flicker coefficient; neither a density nor the curve's minimum", "B", DENSITY, "{u}"),
+    ("K / √0.01 s", "discrete at the period of PX4's filter, 0.01 s", " / sqrt(0.01 s)", "{u}/s"),
+    ("B", "the flicker coefficient; neither a density nor the curve's minimum", "", "{u}"),
 )
 _MARKOV = "continuous: a bias that forgets, the slowest Gauss-Markov term; the summary has phi and q at f"
 
@@ -388,8 +376,8 @@ def downstream_section(report: Report) -> Markup:
     chosen = Numbers(report=report, choices=Choices(), target="the page", covers=True)
     sensors = chosen.sensors
     uses = [
-        (words, [kind, *(_use(chosen, sensor, symbol, formula, unit) for sensor in sensors)])
-        for words, kind, symbol, formula, unit in _USES
+        (words, [kind, *(_use(chosen, sensor, words[0], formula, unit) for sensor in sensors)])
+        for words, kind, formula, unit in _USES
     ]
     uses.append(("σ, T", [_MARKOV, *(_slowest(chosen, sensor) for sensor in sensors)]))
     name = Markup("{}: <code>{}</code>")
@@ -426,13 +414,13 @@ def _pairs(report: Report) -> Iterator[tuple[str, list[str]]]:
             )
 
 
-def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: Formula, unit: str) -> str:
+def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) -> str:
     try:
         number = chosen.one(sensor, symbol)
     except DataError:
         return _NOTHING
     bound = "≤ " if number.bounded and not number.covers else ""
-    value = formula.of(number.value, chosen.rate_hz(sensor))
+    value = FORMULAS[formula].of(number.value, chosen.rate_hz(sensor))
     where = " ".join(name.split("_")[1] for name in number.axes)
     shown = pretty(unit.format(u=sensor.unit)).replace("(rad/s)²", "rad²/s²").replace("(m/s²)²", "m²/s⁴")
     return Markup("{}{:.4g} <small>{}, {}</small>").format(bound, value, shown, where)

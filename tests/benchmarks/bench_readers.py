@@ -281,7 +281,7 @@ def one(reader: str, path: Path, n: int) -> None:
     import zstandard  # noqa: F401
 
     import imucal.readers.containers.mcap
-    import imucal.readers.containers.ros1_file
+    import imucal.readers.containers.ros1
     import imucal.readers.containers.ros2_bag
     import imucal.readers.message_logs
     import imucal.readers.tables.text_table  # noqa: F401

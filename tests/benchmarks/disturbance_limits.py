@@ -2,12 +2,15 @@
 
     python tests/benchmarks/disturbance_limits.py telegraph [records] [seed]
     python tests/benchmarks/disturbance_limits.py step [records] [seed]
+    python tests/benchmarks/disturbance_limits.py cycle [records] [seed]
     python tests/benchmarks/disturbance_limits.py clean [records] [seed]
 
 The ideal test knows every parameter: the background's spectrum, and the levels and how often they jump, or
 the step's height. Its threshold is what one in a hundred clean records exceeds: those of two levels are
-records with a Gauss-Markov process of the same spectrum in their place. imucal knows nothing. The last
-command counts what imucal finds in records of noise alone, without the rest of the analysis.
+records with a Gauss-Markov process of the same spectrum in their place. imucal knows nothing. For a cycle
+the ideal test knows the spectrum alone, with a threshold at one in 500 of four times as many clean records;
+another one knows the period too. The last command counts what imucal finds in records of noise alone,
+without the rest of the analysis.
 """
 
 import sys
@@ -18,17 +21,27 @@ import numpy as np
 import imucal
 from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.disturbances import Whitened, find_disturbances
+from imucal.fitting.spectral.disturbances import Whitened, best_cycle, find_disturbances
 from imucal.fitting.spectral.telegraph import Mixtures, _filtered, _states, find_telegraph
 from imucal.noise.term import PowerLawTerm
 from imucal.recording import AxisSeries
-from tests.benchmarks.disturbances import CLEAN, CONSUMER, N_SHORT, QUIET, RATE, Array, noise, telegraph
+from tests.benchmarks.disturbances import (
+    BESIDE_A_CYCLE,
+    CLEAN,
+    CONSUMER,
+    N_SHORT,
+    QUIET,
+    RATE,
+    Array,
+    noise,
+    telegraph,
+)
 
 LEVEL, DWELL_S, STEP = 6e-5, 40.0, 1e-4
 SPAN = N_SHORT // 1024
 #: Courses of the level that the ideal test keeps; records at a time.
 COURSES, AT_ONCE = 128, 25
-CHANCE = 0.01
+CHANCE, CHANCE_OF_CYCLES = 0.01, 0.002
 
 
 def variances(text: str, tau0: float) -> dict[str, float]:
@@ -181,6 +194,40 @@ def steps(records: int, seed: int) -> None:
         )
 
 
+def cycles(records: int, seed: int) -> None:
+    """Print the power of the ideal test for a cycle of 7e-5 over 150 to 900 s beside a known spectrum."""
+    time_s = np.arange(N_SHORT) / RATE
+    print(f"cycle of 7e-5 over 150 to 900 s, {records} records, seed {seed}")
+    print("| background | of noise (99.8 %) | ideal test | of its four parts by period | period known |")
+    for number, text in enumerate((*BESIDE_A_CYCLE, CONSUMER)):
+        own = variances(text, 1 / RATE)
+        variance = np.array([own.get(symbol, 0.0) for symbol in "QNBK"])
+
+        def gains(samples: Array, period_s: float, variance: Array = variance) -> tuple[float, float]:
+            block = block_of(samples).lowest(4000)
+            whitened = Whitened.by([block], variance @ bin_blocks([block], 1.0).basis, ("R",))
+            known = whitened.cycles(np.array([2 * np.pi / (period_s * RATE)]))
+            return best_cycle(whitened, N_SHORT)[0], float(known[0])
+
+        found = []
+        for record in range(5 * records):
+            rng = np.random.default_rng([seed, number, record])
+            period_s = rng.uniform(150, 900)
+            swing = 7e-5 * np.sin(2 * np.pi * time_s / period_s + rng.uniform(0, 6.28))
+            samples = noise(text, N_SHORT, rng) + (swing if record < records else 0.0)
+            found.append((period_s, *gains(samples, period_s)))
+        period, best, known = np.array(found).T
+        limits = np.quantile([best[records:], known[records:]], 1 - CHANCE_OF_CYCLES, axis=1)
+        told = best[:records] > limits[0]
+        part = np.digitize(period[:records], [300, 500, 700])
+        print(
+            f"| {text} | {limits[0]:.1f} | {100 * told.mean():.0f} % "
+            f"| {' '.join(f'{100 * told[part == i].mean():.0f}' for i in range(4))} % "
+            f"| {100 * np.mean(known[:records] > limits[1]):.0f} % |",
+            flush=True,
+        )
+
+
 def clean(records: int, seed: int) -> None:
     """Print how often two levels, steps, cycles and warm-ups are found where there is noise alone."""
     print(f"found in {records} clean records, seed {seed}")
@@ -203,4 +250,4 @@ def clean(records: int, seed: int) -> None:
 if __name__ == "__main__":
     given = [int(text) for text in sys.argv[2:4]]
     count, start = (*given, *(200, 1)[len(given) :])
-    {"telegraph": telegraphs, "step": steps, "clean": clean}[sys.argv[1]](count, start)
+    {"telegraph": telegraphs, "step": steps, "cycle": cycles, "clean": clean}[sys.argv[1]](count, start)

@@ -37,6 +37,7 @@ Make = Callable[[np.random.Generator], tuple[Array, Array | None]]
 SLOW = "N=1e-4 + K=1e-6"
 CONSUMER = "N=1e-4 + B=3e-5 + K=3e-6"
 QUIET = "N=1e-4 + B=1e-5 + K=1e-6"
+BESIDE_A_CYCLE = ("N=1e-4 + B=3e-5", "N=1e-4 + K=3e-6", "N=1e-4 + B=3e-5 + K=5e-6")
 CLEAN = (
     *("N=1e-4", SLOW, CONSUMER, QUIET, "N=1e-4 + K=3e-5", "N=1e-4 + B=1e-4"),
     *("N=1e-4 + GM(sigma=4e-5, T=5)", "N=1e-4 + GM(sigma=4e-5, T=100)", "N=1e-4 + R=4e-7"),
@@ -238,7 +239,7 @@ def cycles(records: int, seed: int) -> None:
     And how often a cycle is found in ten times as many clean records.
     """
     time_s = np.arange(N_SHORT) / RATE
-    for number, text in enumerate(("N=1e-4 + B=3e-5", "N=1e-4 + K=3e-6", "N=1e-4 + B=3e-5 + K=5e-6")):
+    for number, text in enumerate(BESIDE_A_CYCLE):
         found: Counter[str] = Counter()
         for record in range(records):
             rng = np.random.default_rng([seed, number, record, 1])

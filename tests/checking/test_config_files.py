@@ -24,7 +24,7 @@ from tests.report.synthetic import consumer_report as make_consumer_report
 GYRO, ACCEL = BOTH = tuple(Sensor)
 RATE_HZ, ROOT = 200.0, math.sqrt(200.0)
 #: Formats whose keys are one number each: those that the command reads back.
-READ = [target.name for target in TARGETS.values() if target.keys]
+READ = [target.name for target in TARGETS.values() if target.keys and target.read_back]
 DEGREE = math.pi / 180
 #: White noise and walk alone, each in the middle of the band, so that their cover is themselves: the factors
 #: below are then those of the file.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.cli._info import _jitter, _what_was_read
+from imucal.cli.info import _jitter, _what_was_read
 from imucal.findings import Finding
 from imucal.readers import TopicContents
 from imucal.recording import AxisSeries, Recording, Sensor, Source

@@ -206,3 +206,45 @@ def test_an_unknown_key_names_those_that_were_tested() -> None:
     assert found["B"].key == "B"
     with pytest.raises(KeyError, match="N, B"):
         found["K"]
+
+
+LEVELS = np.array([0, 0, 0, 0.3, 1, 1, 1, 1]) * np.log(1.3)
+
+
+@pytest.mark.parametrize(
+    ("logs", "shifts"),
+    [
+        (LEVELS, True),
+        (-LEVELS, True),
+        (LEVELS[::-1], True),
+        (np.linspace(0, 0.3, 8), False),  # a trend
+        (0.2 * np.sin(np.arange(8)), False),  # to and fro
+        (np.where(np.arange(8) == 3, 0.3, 0.0), False),  # comes and goes
+        (np.zeros(8), False),
+    ],
+)
+def test_one_shift_is_named(logs: np.ndarray, *, shifts: bool) -> None:
+    """Two levels, and one segment between them; what changes otherwise has no shift."""
+    weight = np.full(8, 1e4)
+    noisy = logs + 0.01 * np.random.default_rng(5).standard_normal(8)
+    found = homogeneity("N", cochran_q(noisy, weight), noisy, weight, spans(8))
+    assert (found.shift is not None) == shifts
+    if found.shift:
+        time, factor = found.shift
+        assert factor == pytest.approx(np.exp(logs[-1] - logs[0]), rel=0.02)
+        (finding,) = nonstationary_finding(segments(found), None, "gyro_x")
+        assert f"N shifts once, at about {time / 60:.3g} min, to {factor:.3g} times" in finding.text
+
+
+def test_the_time_of_a_shift_lies_inside_its_segment() -> None:
+    """The variance of the segment is the mean of before and after by their shares: 30 of its 100 s before."""
+    logs = np.log(np.array([1, 1, 1, 0.3 + 0.7 * 4, 4, 4, 4, 4])) / 2
+    weight = np.full(8, 1e4)
+    found = homogeneity("N", cochran_q(logs, weight), logs, weight, spans(8))
+    assert found.shift is not None
+    assert found.shift == pytest.approx((330.0, 2.0))
+
+
+def test_a_weak_term_has_no_shift() -> None:
+    """What single segments do not tell changes in the eyes of the likelihood alone."""
+    assert homogeneity("B", 60.0, 3 * LEVELS, np.full(8, 40.0), spans(8)).shift is None

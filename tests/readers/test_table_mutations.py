@@ -17,7 +17,7 @@ import scipy.io
 
 from imucal.errors import ImucalError
 from imucal.readers import describe, read
-from imucal.readers.flight_messages import ulog_content
+from imucal.readers.flight_logs import ulog_content
 from tests.readers.containers.test_mutations import CHANGES
 from tests.readers.tables.hdf5_logs import write_hdf5, write_matlab
 from tests.readers.ulog.ardupilot_logs import write_dataflash, write_telemetry

@@ -1,15 +1,13 @@
 """What every downstream format needs beside its line in the table; what is missing is said in a sentence."""
 
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from imucal.report.exports import TARGETS
-from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Target
 from tests.report.downstream import READERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "which-number-goes-in-my-config.md"
@@ -17,7 +15,6 @@ PAGE = Path(__file__).parents[2] / "docs" / "which-number-goes-in-my-config.md"
 
 def forgotten(target: Target) -> list[str]:
     """Return what a format lacks, each with where to add it."""
-    module = sys.modules.get(target.body.__module__)
     others = [other for other in TARGETS.values() if other is not target]
     taken = {_key(each) for other in others for each in (other.name, *other.aliases)}
     again = sorted(each for each in (target.name, *target.aliases) if _key(each) in taken)
@@ -26,13 +23,11 @@ def forgotten(target: Target) -> list[str]:
         f"{' and '.join(again)} stands for another format already": bool(again),
         "no file_name: name the file that a folder gets": not target.file_name,
         f"{target.file_name} is another format's file": target.file_name in {o.file_name for o in others},
-        **{f"no {name} in its Target": not text.strip() for name, text in words.items()},
+        **{f"no {name} in its table": not text.strip() for name, text in words.items()},
         "its kind does not say whether the numbers are continuous or discrete": (
             not re.search("continuous|discrete", target.kind)
         ),
-        "its module has no docstring that says what the consumer does with the numbers": (
-            not getattr(module, "__doc__", None)
-        ),
+        "its file has no `about` that says what the consumer does with the numbers": not target.about,
         "its source does not say what was read: source, documentation, or no program": (
             not re.match("(source|documentation|no program): ", target.source)
         ),
@@ -50,10 +45,6 @@ def _key(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _nothing(numbers: Numbers) -> Body:  # noqa: ARG001 - a body's signature
-    return (), ()
-
-
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_format_is_complete(name: str) -> None:
     """Its names, words, docs row and reader are there."""
@@ -62,17 +53,14 @@ def test_a_format_is_complete(name: str) -> None:
 
 def test_what_a_new_format_lacks_is_said() -> None:
     """A line in the table alone: one sentence for each thing that is missing."""
-    _nothing.__module__ = "a.module.without.docstring"
-    fake = Target(
-        name="fake", title="", file_name="", heading="", source="", kind="", formulas=(), body=_nothing
-    )
+    fake = Target(name="fake", title="", file_name="", heading="", source="", kind="", formulas=(), text="")
     assert forgotten(fake) == [
         "fake: no file_name: name the file that a folder gets",
-        "fake: no title in its Target",
-        "fake: no heading in its Target",
-        "fake: no formulas in its Target",
+        "fake: no title in its table",
+        "fake: no heading in its table",
+        "fake: no formulas in its table",
         "fake: its kind does not say whether the numbers are continuous or discrete",
-        "fake: its module has no docstring that says what the consumer does with the numbers",
+        "fake: its file has no `about` that says what the consumer does with the numbers",
         "fake: its source does not say what was read: source, documentation, or no program",
         "fake: no row in the table of docs/which-number-goes-in-my-config.md",
         "fake: nothing reads it back: add the consumer's parser to READERS in tests/report/downstream.py",

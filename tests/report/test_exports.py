@@ -23,7 +23,7 @@ from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.config_numbers import Choices, Numbers
-from imucal.report.exports.own_program import flicker_bank
+from imucal.report.exports.state_space import flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document, to_document
 from imucal.report.result import AxisReport, Report
@@ -337,7 +337,7 @@ def test_only_finite_numbers_are_spelled() -> None:
 
 def test_a_comment_stays_on_its_line() -> None:
     """A log's name with a line break can't smuggle a key into the file."""
-    assert comment(["log: a\nb: 1", "ok"]) == ["# log: a b: 1", "# ok"]
+    assert comment(["log: a\nb: 1", "ok"]) == "# log: a b: 1\n# ok"
 
 
 @pytest.mark.parametrize("target", READERS)

@@ -131,7 +131,9 @@ class Parts:
         left = reach**2 - 2 * (found.objective - peak)
         width = np.sqrt(np.maximum(left, 0.0) / (found.matrix[..., 0, 0] + _TINY))
         fast, slow = np.moveaxis(weights * np.exp(found.logs), -1, 0)
-        ends = np.where(left >= 0, fast * np.exp([-width, width]) + slow, np.nan)
+        # A curve that is flat there reaches to infinity.
+        with np.errstate(over="ignore"):
+            ends = np.where(left >= 0, fast * np.exp([-width, width]) + slow, np.nan)
         # Where the reach ends between two points of the grid.
         share = left[:-1] / (left[:-1] - left[1:])
         crossing = (fast + slow)[:-1] + share * np.diff(fast + slow, axis=0)

@@ -382,6 +382,8 @@ def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
 
 #: Time constants after which a warm-up has settled: 5 % of it is left.
 _SETTLED = 3.0
+#: Jumps in one direction within this part of the record of each other are one shift.
+_ONE_SHIFT = 0.02
 #: The search tells a step's place to this share of the record.
 _COARSE = 1 / 1000
 
@@ -458,14 +460,26 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
 
 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
-    """Name the jumps in order of time; the longest part without one is worth keeping."""
+    """Name the jumps in order of time; the longest part without one is worth keeping.
+
+    Jumps that follow each other soon in one direction are one shift that takes its time.
+    """
     found = sorted(found, key=lambda one: one.value)
     times = [one.value * series.tau0 for one in found]
+    shifts: list[tuple[float, float, float]] = []
+    for one, time in zip(found, times, strict=True):
+        size = one.size[0] * scale
+        first, before, last = shifts[-1] if shifts else (0.0, 0.0, 0.0)
+        if before * size > 0 and time - last < _ONE_SHIFT * series.duration_s:
+            shifts[-1] = (first, before + size, time)
+        else:
+            shifts.append((time, size, time))
     jumps = [
-        f"{one.size[0] * scale:+.3g} {pretty(series.unit)} at {t:.1f} s"
-        for one, t in zip(found, times, strict=True)
+        f"{size:+.3g} {pretty(series.unit)} "
+        + (f"from {first:.1f} to {last:.1f} s" if last > first else f"at {first:.1f} s")
+        for first, size, last in shifts
     ]
-    several = len(found) > 1
+    several = len(shifts) > 1
     stays = "" if several else " and stays there"
     taken_out = f"; the {'jumps are' if several else 'jump is'} taken out with the fit" if fitted else ""
     ends = np.array([0.0, *times, series.duration_s])

@@ -310,14 +310,11 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
         return Estimate.bounded(key, symbol, float(unit * np.exp(high / 2)))
     low = value - widening * (value - low)
     value, low, high = (float(unit * np.exp(x / 2)) for x in (value, low, high))
-    time = _time(table[f"{key}.T"], problem.tau0) if f"{key}.T" in table else None
     found = Estimate(key=key, symbol=symbol, status="estimated", value=value, low=low, high=high)
-    return replace(found, correlation_time=time)
-
-
-def _time(logs: tuple[float, float, float], tau0: float) -> Interval:
-    value, low, high = (tau0 * float(np.exp(x)) for x in logs)
-    return Interval(value=value, low=low, high=high)
+    if f"{key}.T" not in table:
+        return found
+    value, low, high = (problem.tau0 * float(np.exp(x)) for x in table[f"{key}.T"])
+    return replace(found, correlation_time=Interval(value=value, low=low, high=high))
 
 
 def covariance_of(

@@ -16,7 +16,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.fitting.homogeneity import bartlett_correction, cochran_q, homogeneity
+from imucal.fitting.homogeneity import SURE, bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import COLUMN, behind_filter
@@ -181,8 +181,6 @@ def _loss(block: Block, omega: FloatArray, missing: float) -> FloatArray:
     return np.clip(share * np.interp(omega, bins.omega, whole), 0.0, 0.99)
 
 
-#: Standard error of a log below which a segment tells a term by itself.
-_SURE = 0.1
 #: Longest averaging time of the floor, as a part of a segment.
 _PART = 0.25
 
@@ -267,7 +265,7 @@ class _Tests:
             surplus = self.surplus(name)
             # The variance of the log of a deviation is a quarter of that of its square's.
             logs, weight = self.free.logs[row, :, 0] / 2, 4 * self.free.information[row] / surplus
-            if weight.min() > _SURE**-2:
+            if weight.min() > SURE**-2:
                 statistic = cochran_q(logs, weight)
             else:
                 weight = 4 * common.information[row] / surplus

@@ -115,12 +115,8 @@ def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
 def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:
     """Return the best of a candidate's maxima, and the second where it is another one."""
     order = rows[np.argsort(objective[rows], kind="stable")]
-    kept = [int(order[0])]
-    for row in order[1:].tolist():
-        if 0.02 < objective[row] - objective[kept[0]] < 10:
-            kept.append(row)
-            break
-    return kept
+    behind = objective[order] - objective[order[0]]
+    return [int(order[0]), *order[(behind > 0.02) & (behind < 10)][:1].tolist()]
 
 
 def _ranked(
@@ -137,9 +133,8 @@ def _ranked(
         rows = np.flatnonzero(owner == index)
         rows = rows[np.argsort(fine.objective[rows], kind="stable")]
         best.append(int(rows[0]))
-        others = fine.objective[rows[1:]] - fine.objective[rows[0]] if len(rows) > 1 else np.zeros(0)
-        apart = others[others > 0.02]
-        modes.append(float(apart[0]) if apart.size else np.inf)
+        behind = fine.objective[rows] - fine.objective[rows[0]]
+        modes.append(float(np.min(behind[behind > 0.02], initial=np.inf)))
     value = 2 * fine.objective[best] + cost[near]
     order = np.argsort(value, kind="stable")
     rows = np.array(best, dtype=np.int64)[order]

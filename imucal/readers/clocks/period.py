@@ -104,7 +104,8 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
         return None
     quantum = _resolution(steps[:100_000])
     late, conserved = _late(runs, steps, wide, quantum)
-    unit = _unit(positive)
+    # The usual short step.
+    unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
     missing = None
     if unit < (1 - _SAME) * late.tau_ns and (unit := _whole_unit(positive, unit)):
         missing = Period(tau_ns=unit)
@@ -155,16 +156,12 @@ def _runs(stamps: IntArray) -> list[IntArray]:
     return [stamps[start : start + _RUN] for start in starts.tolist()]
 
 
-def _slope(runs: list[IntArray], width: int) -> float:
-    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no run is long enough."""
-    spans = [run[width:] - run[:-width] for run in runs if run.size > width]
-    return median(np.concatenate(spans)) / width if spans else np.nan
-
-
 def _mean_step(runs: list[IntArray]) -> float:
     """Return the usual mean step over many samples, in ns; long gaps, if they are few, don't count."""
     run = max(runs, key=len)
-    usual = _slope(runs, max(min(_WINDOW, run.size // 8), 16)) if run.size > 48 else 0.0
+    width = max(min(_WINDOW, run.size // 8), 16)
+    spans = [each[width:] - each[:-width] for each in runs if each.size > width] if run.size > 48 else []
+    usual = median(np.concatenate(spans)) / width if spans else 0.0
     return usual if usual > 0 else (int(run[-1]) - int(run[0])) / max(run.size - 1, 1)
 
 
@@ -173,11 +170,6 @@ def _resolution(steps: IntArray) -> int:
     whole = np.rint(steps / 1000).astype(np.int64)
     rounded = whole.any() and np.abs(steps - 1000 * whole).max() <= 250
     return int(np.gcd.reduce(np.abs(1000 * whole if rounded else steps)))
-
-
-def _unit(positive: IntArray) -> float:
-    """Return the usual short step."""
-    return median(positive[positive <= 1.5 * percentile(positive, 10)])
 
 
 def _whole_unit(positive: IntArray, short: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
 from imucal.readers.read_options import Progress
 
 #: A position from the start of a record, and the bytes that every record has there.
@@ -149,9 +149,10 @@ def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
         If a place lies outside the buffer.
     """
     count = len(buffer) - width + 1
-    if at.size and (count <= 0 or int(at.min()) < 0 or int(at.max()) >= count):
-        msg = "a message reaches beyond its chunk"
-        raise DamagedError(msg)
+    damaged_if(
+        at.size and (count <= 0 or int(at.min()) < 0 or int(at.max()) >= count),
+        "a message reaches beyond its chunk",
+    )
     view: NDArray[np.void] = np.ndarray((max(count, 0),), f"V{width}", buffer=buffer, strides=(1,))
     return view[at]
 

@@ -1,7 +1,9 @@
 """MCAP: ROS 2, ROS 1 and JSON messages, chunks uncompressed or in lz4 or zstd.
 
 An intact file is read by the index at its end; a cut, unindexed or damaged one by scanning its records. A
-cut file keeps everything before the cut, of its last chunk too; the zeros that a crash leaves end it.
+cut file keeps everything before the cut, of its last chunk too; the zeros that a crash leaves end it. The
+`mcap` package reads intact files and is the witness in the tests; it refuses every truncated file, and builds
+an object for each record. Source: MCAP specification 0, https://mcap.dev/spec.
 """
 
 import struct
@@ -17,7 +19,6 @@ from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS, check_crc, crc32, decompress, decompress_prefix
-from imucal.readers.containers import mcap_records as records
 from imucal.readers.containers.container import (
     Batch,
     Bytes,
@@ -28,9 +29,16 @@ from imucal.readers.containers.container import (
     gather,
     scan_finding,
 )
-from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChunkIndex, Schema, each_record
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
 
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
+STATISTICS, DATA_END = 0x0B, 0x0F
+DEFINITIONS = (SCHEMA, CHANNEL)
+
+#: Opcode and length in front of every record.
+HEAD = struct.Struct("<BQ")
+_PAIR = struct.Struct("<HQ")
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
 _MESSAGE = 31
 _RECORD = struct.Struct("<BQH")
@@ -49,6 +57,120 @@ _WINDOW = 1 << 20
 _HEAD_BLOCK = 128
 
 
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """A message definition."""
+
+    id: int
+    name: str
+    encoding: str
+    text: str
+    raw: bytes = field(default=b"", compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkHead:
+    """The fields of a chunk in front of its data, which start `data` bytes after the record's start."""
+
+    size: int
+    crc: int
+    compression: str
+    data: int
+    stored: int
+
+
+@dataclass(slots=True, kw_only=True)
+class ChunkIndex:
+    """Where a chunk lies; `indexes` is channel -> position of its message index."""
+
+    start: int
+    length: int
+    compression: str
+    index_length: int = 0
+    indexes: dict[int, int] = field(default_factory=dict)
+
+
+def each_record(data: Bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, position and length of each record, up to the first that is not whole, or zeros."""
+    at, end, head = 0, len(data), HEAD.unpack_from
+    while at + 9 <= end:
+        opcode, length = head(data, at)
+        after = at + 9 + length
+        if after > end or not opcode:
+            return
+        yield opcode, at, length
+        at = after
+
+
+class _Fields:
+    """The fields of a record, taken one behind the other."""
+
+    def __init__(self, record: Bytes, name: str, at: int = 0) -> None:
+        self.at = at
+        self._record = record
+        self._damage = f"a {name} record is damaged"
+
+    def bytes(self, size: int) -> bytes:
+        """Take `size` bytes; raises DamagedError where the record ends before."""
+        start, self.at = self.at, self.at + size
+        damaged_if(self.at > len(self._record), self._damage)
+        return bytes(self._record[start : self.at])
+
+    def number(self, size: int) -> int:
+        """Take a number of `size` bytes."""
+        return int.from_bytes(self.bytes(size), "little")
+
+    def text(self) -> str:
+        """Take a text behind its length."""
+        return self.bytes(self.number(4)).decode("utf-8", "replace")
+
+    def map(self) -> dict[int, int]:
+        """Take a map of channels behind its length."""
+        data = self.bytes(self.number(4))
+        damaged_if(len(data) % _PAIR.size, self._damage)
+        return dict(_PAIR.iter_unpack(data))
+
+
+def parse_schema(body: Bytes) -> Schema:
+    """Parse a Schema record."""
+    fields = _Fields(body, "schema")
+    number, name, encoding = fields.number(2), fields.text(), fields.text()
+    raw = fields.bytes(fields.number(4))
+    return Schema(number, name, encoding, raw.decode("utf-8", "replace"), raw)
+
+
+def parse_channel(body: Bytes) -> tuple[int, Channel]:
+    """Return the number of a channel's schema (0 for none), and the channel; its metadata is not needed."""
+    fields = _Fields(body, "channel")
+    key, number, topic = fields.number(2), fields.number(2), fields.text()
+    return number, Channel(key=key, topic=topic, type="", encoding=fields.text())
+
+
+def parse_chunk_head(record: Bytes) -> ChunkHead:
+    """Parse the head of a Chunk record, its opcode and length included."""
+    fields = _Fields(record, "chunk", at=25)
+    size, crc, compression, stored = fields.number(8), fields.number(4), fields.text(), fields.number(8)
+    return ChunkHead(size=size, crc=crc, compression=compression, data=fields.at, stored=stored)
+
+
+def parse_chunk_index(body: Bytes) -> ChunkIndex:
+    """Parse a ChunkIndex record."""
+    fields = _Fields(body, "chunk index", at=16)
+    start, length, indexes = fields.number(8), fields.number(8), fields.map()
+    index_length = fields.number(8)
+    return ChunkIndex(
+        start=start, length=length, index_length=index_length, indexes=indexes, compression=fields.text()
+    )
+
+
+def parse_statistics(body: Bytes) -> tuple[int, int, int, int, dict[int, int]]:
+    """Return messages, chunks, first and last time in ns, and messages of each channel."""
+    fields = _Fields(body, "statistics")
+    messages = fields.number(8)
+    fields.at = 22
+    return messages, fields.number(4), fields.number(8), fields.number(8), fields.map()
+
+
 class ChunkTask:
     """A chunk to load."""
 
@@ -59,7 +181,12 @@ class ChunkTask:
         counts = index_counts(file, chunk, keys)
         self._indexed = counts is not None
         if counts is None:
-            counts = self._walked_counts(keys)
+            try:
+                walked = walk_records(_read_chunk(file, chunk))
+                counts = {key: len(walked[key]) for key in keys if key in walked}
+            except DamagedError:
+                # One message at least, so that the chunk is tried, and its loss is told.
+                counts = dict.fromkeys(keys, 1)
         self.counts = {key: count for key, count in counts.items() if count}
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
@@ -76,15 +203,6 @@ class ChunkTask:
                 yield key, _indexed(raw, np.ascontiguousarray(offsets), key)
             else:
                 yield key, batch_of(raw, walked.get(key, []))
-
-    def _walked_counts(self, keys: frozenset[int]) -> dict[int, int]:
-        """Count messages by walking; a damaged chunk counts none, and is reported when it is loaded."""
-        try:
-            walked = walk_records(_read_chunk(self._file, self._chunk))
-        except DamagedError:
-            # One message at least, so that the chunk is tried, and its loss is told.
-            return dict.fromkeys(keys, 1)
-        return {key: len(walked[key]) for key in keys if key in walked}
 
 
 @dataclass(slots=True)
@@ -122,9 +240,11 @@ def index_count(file: LogFile, key: int, position: int) -> int:
     opcode, length, channel = _RECORD.unpack_from(head, 0)
     size = int.from_bytes(head[11:], "little")
     whole = position + 9 + length <= file.size
-    if opcode != records.MESSAGE_INDEX or channel != key or size + 6 != length or size % 16 or not whole:
-        msg = "a message index is damaged"
-        raise DamagedError(msg, code="index")
+    damaged_if(
+        opcode != MESSAGE_INDEX or channel != key or size + 6 != length or size % 16 or not whole,
+        "a message index is damaged",
+        code="index",
+    )
     return size // 16
 
 
@@ -156,14 +276,14 @@ def _read_chunk(file: LogFile, chunk: ChunkIndex) -> memoryview:
 
 def unpack(record: memoryview, *, cut: bool = False) -> memoryview:
     """Return what a Chunk record holds; of a `cut` one what is left."""
-    head = records.chunk_head(record)
+    head = parse_chunk_head(record)
     data = record[head.data : head.data + head.stored]
     if cut:
         return memoryview(decompress_prefix(head.compression, data, head.size))
     opcode, length = HEAD.unpack_from(record, 0)
-    if opcode != records.CHUNK or length + 9 != len(record) or len(data) != head.stored:
-        msg = "a chunk's head is damaged"
-        raise DamagedError(msg)
+    damaged_if(
+        opcode != CHUNK or length + 9 != len(record) or len(data) != head.stored, "a chunk's head is damaged"
+    )
     raw = decompress(head.compression, data, head.size)
     check_crc(raw, head.crc)
     return raw
@@ -173,7 +293,7 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
     """Return channel -> positions of its Message records, up to the first that is not whole."""
     positions: dict[int, list[int]] = {}
     for opcode, at, length in each_record(raw):
-        if opcode == records.MESSAGE and length >= _MESSAGE - 9:
+        if opcode == MESSAGE and length >= _MESSAGE - 9:
             positions.setdefault(_RECORD.unpack_from(raw, at)[2], []).append(at)
     return positions
 
@@ -204,7 +324,7 @@ def _indexed(raw: memoryview, starts: IntArray, key: int) -> Batch:
         sizes=length - (_MESSAGE - 9),
         log_ns=starts[:0],
         log_at=15,
-        guards=((0, _RECORD.pack(records.MESSAGE, length, key)),),
+        guards=((0, _RECORD.pack(MESSAGE, length, key)),),
         check=check,
     )
 
@@ -214,7 +334,7 @@ def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
     with suppress(DamagedError):
         heads = gather(raw, starts, _MESSAGE)
         length = _column(heads, 1, "<i8")
-        right = (_column(heads, 0, "u1") == records.MESSAGE) & (_column(heads, 9, "<u2") == key)
+        right = (_column(heads, 0, "u1") == MESSAGE) & (_column(heads, 9, "<u2") == key)
         right &= (length >= _MESSAGE - 9) & (length <= len(raw) - starts - 9)
         if right.all():
             return batch_of(raw, starts.tolist())
@@ -246,18 +366,18 @@ class Bookkeeping:
 
     def define(self, opcode: int, body: Bytes) -> None:
         """Take a Schema or Channel record, unless its number is known."""
-        if opcode == records.SCHEMA:
-            schema = records.schema(body)
+        if opcode == SCHEMA:
+            schema = parse_schema(body)
             self.schemas.setdefault(schema.id, schema)
         else:
-            number, channel = records.channel(body)
+            number, channel = parse_channel(body)
             self.channels.setdefault(channel.key, (number, channel))
 
     def define_all(self, raw: memoryview) -> None:
         """Take all definitions among the records of a chunk, up to the first that is damaged."""
         with suppress(DamagedError):
             for opcode, at, length in each_record(raw):
-                if opcode in records.DEFINITIONS:
+                if opcode in DEFINITIONS:
                     self.define(opcode, raw[at + 9 : at + 9 + length])
 
 
@@ -300,33 +420,33 @@ class _Scan:
             while at + 9 <= size:
                 opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
                 after = at + 9 + length
-                if opcode == records.FOOTER:
+                if opcode == FOOTER:
                     return size
                 if not opcode or after > size:
-                    if opcode == records.CHUNK:
+                    if opcode == CHUNK:
                         self._salvage(at)
                     break
                 # The summary behind the data repeats definitions, though its checksum may be wrong.
-                ended |= opcode == records.DATA_END
+                ended |= opcode == DATA_END
                 self._visit(opcode, at, length)
                 at = after
         return size if ended else at
 
     def _visit(self, opcode: int, at: int, length: int) -> None:
         chunks = self.book.chunks
-        if opcode in records.DEFINITIONS and length <= _MAX_DEFINITION:
+        if opcode in DEFINITIONS and length <= _MAX_DEFINITION:
             self.book.define(opcode, self._take(at + 9, length))
-        elif opcode == records.CHUNK:
-            head = records.chunk_head(self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
+        elif opcode == CHUNK:
+            head = parse_chunk_head(self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
             chunks.append(ChunkIndex(start=at, length=9 + length, compression=head.compression))
-        elif opcode == records.MESSAGE_INDEX and chunks:
+        elif opcode == MESSAGE_INDEX and chunks:
             chunk = chunks[-1]
             key = int.from_bytes(self._take(at + 9, 2), "little")
             if chunk.start + chunk.length + chunk.index_length == at:
                 chunk.index_length += 9 + length
                 if length > 6:
                     chunk.indexes[key] = at
-        elif opcode == records.MESSAGE and length >= _MESSAGE - 9:
+        elif opcode == MESSAGE and length >= _MESSAGE - 9:
             self._add_loose(int.from_bytes(self._take(at + 9, 2), "little"), at, at + 9 + length)
 
     def _add_loose(self, key: int, at: int, end: int) -> None:
@@ -391,27 +511,23 @@ class McapFile(MessageFile):
     def _summary(self) -> Bookkeeping:
         """Read the summary; raises DamagedError if it is missing, damaged or does not index all."""
         size = self.size
-        if size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC:
-            msg = "the file does not start and end as an MCAP file"
-            raise DamagedError(msg)
+        damaged_if(
+            size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC,
+            "the file does not start and end as an MCAP file",
+        )
         tail = self._file.read(size - _FOOTER_SIZE, _FOOTER_SIZE)
-        if tail[-8:] != MAGIC:
-            msg = "the end of the file is missing"
-            raise DamagedError(msg, code="truncated")
+        damaged_if(tail[-8:] != MAGIC, "the end of the file is missing", code="truncated")
         start, _, crc = struct.unpack_from("<QQI", tail, HEAD.size)
-        if HEAD.unpack_from(tail, 0) != (records.FOOTER, 20):
-            msg = "the footer is damaged"
-            raise DamagedError(msg)
-        if not start:
-            msg = "the file has no index"
-            raise DamagedError(msg, code="unindexed")
-        if not len(MAGIC) <= start <= size - _FOOTER_SIZE or size - start > _MAX_SUMMARY:
-            msg = "the footer points beyond the file"
-            raise DamagedError(msg)
+        damaged_if(HEAD.unpack_from(tail, 0) != (FOOTER, 20), "the footer is damaged")
+        damaged_if(not start, "the file has no index", code="unindexed")
+        damaged_if(
+            not len(MAGIC) <= start <= size - _FOOTER_SIZE or size - start > _MAX_SUMMARY,
+            "the footer points beyond the file",
+        )
         summary = self._file.read(start, size - _FOOTER_SIZE - start)
-        if crc and crc32(tail[:25], crc32(summary)) != crc:
-            msg = "the index's checksum does not match"
-            raise DamagedError(msg, code="crc")
+        damaged_if(
+            crc and crc32(tail[:25], crc32(summary)) != crc, "the index's checksum does not match", code="crc"
+        )
         return self._parse(memoryview(summary))
 
     def _parse(self, summary: memoryview) -> Bookkeeping:
@@ -420,32 +536,31 @@ class McapFile(MessageFile):
         for opcode, at, length in each_record(summary):
             end = at + 9 + length
             body = summary[at + 9 : end]
-            if opcode in records.DEFINITIONS:
+            if opcode in DEFINITIONS:
                 book.define(opcode, body)
-            elif opcode == records.CHUNK_INDEX:
-                book.chunks.append(records.chunk_index(body))
-            elif opcode == records.STATISTICS:
-                total, chunks, book.start_ns, book.end_ns, counts = records.statistics(body)
+            elif opcode == CHUNK_INDEX:
+                book.chunks.append(parse_chunk_index(body))
+            elif opcode == STATISTICS:
+                total, chunks, book.start_ns, book.end_ns, counts = parse_statistics(body)
                 book.counts = Counter(counts)
-        if end + 9 <= len(summary):
-            msg = "the index is cut"
-            raise DamagedError(msg)
+        damaged_if(end + 9 <= len(summary), "the index is cut")
         self._check(book, total, chunks)
         return book
 
     def _check(self, book: Bookkeeping, total: int, chunks: int) -> None:
         """Refuse an index that leaves out what the statistics count, or points nowhere."""
-        if len(book.chunks) < chunks or (total and not book.chunks) or not book.channels:
-            msg = "the index leaves out chunks"
-            raise DamagedError(msg, code="unindexed")
-        if sum(chunk.length + chunk.index_length for chunk in book.chunks) > self.size:
-            msg = "the index lists chunks twice"
-            raise DamagedError(msg)
+        damaged_if(
+            len(book.chunks) < chunks or (total and not book.chunks) or not book.channels,
+            "the index leaves out chunks",
+            code="unindexed",
+        )
+        damaged_if(
+            sum(chunk.length + chunk.index_length for chunk in book.chunks) > self.size,
+            "the index lists chunks twice",
+        )
         for chunk in book.chunks:
             end = chunk.start + chunk.length + chunk.index_length
-            if chunk.start < len(MAGIC) or end > self.size:
-                msg = "the index points beyond the file"
-                raise DamagedError(msg)
+            damaged_if(chunk.start < len(MAGIC) or end > self.size, "the index points beyond the file")
         if not book.counts:
             for chunk in book.chunks:
                 book.counts.update(

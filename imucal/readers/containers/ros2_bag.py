@@ -11,7 +11,7 @@ from imucal.readers.containers.container import Batch, Container, Task
 from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.rosbag2_folder import Folder, open_folder
 from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.files import DamagedError, Scratch, damaged_if
 from imucal.readers.read_options import Progress
 
 #: First bytes of a zstd frame.
@@ -153,9 +153,10 @@ def _decompressed(batch: Batch) -> Batch:
     try:
         for start, end in zip(starts.tolist(), ends, strict=True):
             frame = view[start:end]
-            if zstandard.frame_content_size(frame) > _MAX_MESSAGE:
-                msg = "a compressed message claims an impossible size"
-                raise DamagedError(msg)
+            damaged_if(
+                zstandard.frame_content_size(frame) > _MAX_MESSAGE,
+                "a compressed message claims an impossible size",
+            )
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
     except (zstandard.ZstdError, MemoryError) as error:
         msg = f"a compressed message is damaged: {error}"

@@ -10,7 +10,8 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from functools import partial
+from itertools import accumulate, chain, pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 from urllib.parse import quote
@@ -22,7 +23,7 @@ from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, gather
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
 
 #: A bag's topics and definitions are written first: they lie in the first pages, in bytes.
 _START = 1 << 22
@@ -104,11 +105,6 @@ def connect_to_start(file: LogFile) -> sqlite3.Connection:
         base.close()
         raise
     return base
-
-
-def stated_size(head: Bytes) -> int:
-    """Return how many bytes a database has by its first page."""
-    return int.from_bytes(head[28:32], "big") * _page_bytes(head)
 
 
 def _page_bytes(head: Bytes) -> int:
@@ -252,9 +248,7 @@ def page_size(file: LogFile) -> tuple[int, int]:
     """Return the size of a page, and how much of it holds data, in bytes."""
     head = file.read(0, 100)
     size = _page_bytes(head)
-    if size < 512 or size & (size - 1):
-        msg = "the page size is damaged"
-        raise DamagedError(msg)
+    damaged_if(size < 512 or size & (size - 1), "the page size is damaged")
     return size, size - head[20]
 
 
@@ -264,8 +258,9 @@ def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves
     pages, ids = [np.array([root], dtype=np.int64)], [np.array([last_id], dtype=np.int64)]
     for _ in range(_DEEP):
         level, bounds = pages[-1], ids[-1]
-        kinds = _kind(file, int(level[0]), size)
-        if kinds == LEAF:
+        first = int(level[0])
+        damaged_if(first < 1, "a page number is damaged")
+        if file.read((first - 1) * size + (100 if first == 1 else 0), 1)[0] == LEAF:
             return Leaves(pages=level, last_ids=bounds, first_id=first_id)
         children = [_children(file, page, size, bound) for page, bound in zip(level, bounds, strict=True)]
         pages.append(np.concatenate([child for child, _ in children]))
@@ -295,8 +290,8 @@ def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
     return groups
 
 
-#: Fetches the rows of some topics that no page holds whole: (rows) -> (topic, time in ns, data).
-Fetch: TypeAlias = Callable[[list[int]], list[tuple[int, int, bytes]]]
+#: Asks SQLite for the messages of a topic in a range of rows: (topic, first, last).
+Fetch: TypeAlias = Callable[[int, int, int], Batch]
 
 
 class PageTask:
@@ -323,13 +318,12 @@ class PageTask:
         loss = None
         if rows.damaged and self._fetch is not None:
             loss = Loss(code="damaged", text="rows of the database are damaged", messages=rows.damaged)
-        wanted = rows.long_ids[np.isin(rows.long_topics, list(self.counts))]
-        long = self._fetch(wanted.tolist()) if self._fetch is not None and wanted.size else []
         for key in self.counts:
             chosen = np.flatnonzero(rows.topics == key)
             batch = Batch.of(buffer, rows.starts[chosen], rows.sizes[chosen], rows.times[chosen])
-            more = [(time, data) for topic, time, data in long if topic == key]
-            yield key, replace(_with(batch, more) if more else batch, loss=loss)
+            long = rows.long_ids[rows.long_topics == key].tolist()
+            more = [self._fetch(key, row, row) for row in long] if self._fetch is not None else []
+            yield key, replace(_joined([batch, *more]) if more else batch, loss=loss)
             loss = None
 
     def _read(self, scratch: Scratch) -> memoryview:
@@ -343,42 +337,26 @@ class PageTask:
         return buffer
 
 
-def _with(batch: Batch, more: list[tuple[int, bytes]]) -> Batch:
-    """Return a batch with further messages, in order of time."""
-    others = batch_of_blobs([data for _, data in more], [time for time, _ in more])
-    sizes = [np.broadcast_to(part.sizes, part.n) for part in (batch, others)]
-    times = np.concatenate([batch.log_ns, others.log_ns])
-    order = np.argsort(times, kind="stable")
-    return Batch(
-        buffer=bytes(batch.buffer) + bytes(others.buffer),
-        starts=np.concatenate([batch.starts, len(batch.buffer) + others.starts])[order],
-        header=0,
-        sizes=np.concatenate(sizes)[order],
-        log_ns=times[order],
+def _joined(parts: Sequence[Batch]) -> Batch:
+    """Return the messages of several batches, in order of time."""
+    begun = accumulate((len(part.buffer) for part in parts), initial=0)
+    starts = np.concatenate([at + part.starts for at, part in zip(begun, parts, strict=False)])
+    sizes = np.concatenate([np.broadcast_to(part.sizes, part.n) for part in parts])
+    buffer = b"".join(part.buffer for part in parts)
+    times = np.concatenate([part.log_ns for part in parts])
+    return Batch(buffer=buffer, starts=starts, header=0, sizes=sizes, log_ns=times).part(
+        np.argsort(times, kind="stable")
     )
-
-
-def _kind(file: LogFile, page: int, size: int) -> int:
-    if page < 1:
-        msg = "a page number is damaged"
-        raise DamagedError(msg)
-    return file.read((page - 1) * size + (100 if page == 1 else 0), 1)[0]
 
 
 def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray, IntArray]:
     """Return the children of an interior page, and the largest row of each."""
-    if page <= 1:
-        msg = "a page number is damaged"
-        raise DamagedError(msg)
+    damaged_if(page <= 1, "a page number is damaged")
     data = np.frombuffer(file.read((page - 1) * size, size), dtype=np.uint8)
     count = int(data[3]) << 8 | int(data[4])
-    if data[0] != _INTERIOR or 12 + 2 * count > size:
-        msg = "an interior page is damaged"
-        raise DamagedError(msg)
+    damaged_if(data[0] != _INTERIOR or 12 + 2 * count > size, "an interior page is damaged")
     cells = _pair(data[12 : 12 + 2 * count : 2], data[13 : 13 + 2 * count : 2])
-    if count and int(cells.max()) > size - 5:
-        msg = "an interior page is damaged"
-        raise DamagedError(msg)
+    damaged_if(count and int(cells.max()) > size - 5, "an interior page is damaged")
     pages = gather(data.data, np.append(cells, 8), 4).view(">u4").astype(np.int64)
     keys, _ = varint(data, cells + 4)
     return pages, np.append(keys, bound)
@@ -425,8 +403,9 @@ class SqliteFile(MessageFile):
             self.start_ns = self.end_ns = None
             self.channels = self._channels({})
             text = f"SQLite can't read the database ({error}); its pages were scanned for whole messages."
-            page_size(self._file)
-            code = "truncated" if stated_size(self._file.read(0, 100)) > self.size else "damaged"
+            # The first page says how many pages there are.
+            stated = int.from_bytes(self._file.read(28, 4), "big") * page_size(self._file)[0]
+            code = "truncated" if stated > self.size else "damaged"
             self.findings.append(Finding(level="warning", code=code, text=text))
 
     def close(self) -> None:
@@ -443,7 +422,7 @@ class SqliteFile(MessageFile):
             return
         if not self._cut and self._needs_sqlite():
             for rows, size in self._ranges():
-                yield SqliteTask(self._database, wanted, rows, size)
+                yield SqliteTask(partial(fetched, self._database, self._lock), wanted, rows, size)
             return
         groups, fetch = self._pages()
         for pages, most in groups:
@@ -468,7 +447,7 @@ class SqliteFile(MessageFile):
         """Return the leaf pages of the messages, by their tree, or all there are where it is damaged."""
         try:
             if not self._cut:
-                return list(self._leaves().groups()), self._fetch
+                return list(self._leaves().groups()), partial(fetched, self._database, self._lock)
         except DamagedError as error:
             text = f"The database is damaged: {error}; its pages were scanned for whole messages."
             self.findings.append(Finding(level="warning", code=error.code, text=text))
@@ -478,25 +457,12 @@ class SqliteFile(MessageFile):
         query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
         root = int(self._database.execute(query).fetchone()[0])
         leaves = find_leaves(self._file, root, self.first_id, self.last_id)
-        if int(leaves.pages.max()) * page_size(self._file)[0] > self.size:
-            msg = "pages beyond the end of the file are missing"
-            raise DamagedError(msg, code="truncated")
+        damaged_if(
+            int(leaves.pages.max()) * page_size(self._file)[0] > self.size,
+            "pages beyond the end of the file are missing",
+            code="truncated",
+        )
         return leaves
-
-    def _fetch(self, rows: list[int]) -> list[tuple[int, int, bytes]]:
-        """Return rows that reach over several pages."""
-        query = "select topic_id, timestamp, data from messages where id = ?"
-        found = []
-        with self._lock:
-            for row in rows:
-                try:
-                    values = self._database.execute(query, (row,)).fetchone()
-                except (sqlite3.Error, OverflowError) as error:
-                    msg = f"the SQLite database is damaged: {error}"
-                    raise DamagedError(msg) from error
-                if values is not None and isinstance(values[2], bytes):
-                    found.append((int(values[0]), int(values[1]), values[2]))
-        return found
 
     def _ranges(self) -> list[tuple[tuple[int, int], int]]:
         """Return ranges of rows, and the bytes of each."""
@@ -574,8 +540,8 @@ class SqliteFile(MessageFile):
 class SqliteTask:
     """A range of rows to load."""
 
-    def __init__(self, base: sqlite3.Connection, keys: list[int], rows: tuple[int, int], size: int) -> None:
-        self._base = base
+    def __init__(self, fetch: Fetch, keys: list[int], rows: tuple[int, int], size: int) -> None:
+        self._fetch = fetch
         self._rows = rows
         self.size = size
         self.counts = dict.fromkeys(keys, rows[1] - rows[0] + 1)
@@ -584,24 +550,26 @@ class SqliteTask:
         """Yield the messages of each wanted topic; see `Task`."""
         del scratch
         for key in self.counts:
-            try:
-                batch = self._fetch(key)
-            except _ERRORS as error:
-                msg = f"the SQLite database is damaged: {error}"
-                raise DamagedError(msg) from error
-            yield key, batch
+            yield key, self._fetch(key, *self._rows)
 
-    def _fetch(self, key: int) -> Batch:
-        # No `order by`: it would go through the index of times instead of the table.
-        query = "select timestamp, data from messages where id between ? and ? and topic_id = ?"
-        cursor = self._base.execute(query, (*self._rows, key))
-        times: list[int] = []
-        blobs: list[bytes] = []
-        while rows := cursor.fetchmany(_FETCH):
-            flat = list(chain.from_iterable(rows))
-            times += flat[0::2]
-            blobs += flat[1::2]
+
+def fetched(base: sqlite3.Connection, lock: threading.Lock, key: int, first: int, last: int) -> Batch:
+    """Return the messages of a topic in the rows `first` to `last`, by SQLite; raises DamagedError."""
+    # No `order by`: it would go through the index of times instead of the table.
+    query = "select timestamp, data from messages where id between ? and ? and topic_id = ?"
+    times: list[int] = []
+    blobs: list[bytes] = []
+    try:
+        with lock:
+            cursor = base.execute(query, (first, last, key))
+            while rows := cursor.fetchmany(_FETCH):
+                flat = list(chain.from_iterable(rows))
+                times += flat[0::2]
+                blobs += flat[1::2]
         return batch_of_blobs(blobs, times)
+    except _ERRORS as error:
+        msg = f"the SQLite database is damaged: {error}"
+        raise DamagedError(msg) from error
 
 
 def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:

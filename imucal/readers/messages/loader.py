@@ -144,9 +144,13 @@ class _Run:
         self.streams = streams
         totals = [0] * len(streams)
         self.jobs = list(self._plan(containers, totals, most_chunks))
-        self.targets = [
-            _Target(_columns(stream.imu, total, limit)) for stream, total in zip(streams, totals, strict=True)
-        ]
+        self.targets = []
+        for imu, total in zip((stream.imu for stream in streams), totals, strict=True):
+            axes = tuple(len(vector.axes) for vector in imu.vectors)
+            warm = bool(imu.temperature)
+            self.targets.append(
+                _Target(Columns(total, imu.sensors, temperature=warm, limit=limit, axes=axes))
+            )
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
         self.done, self.total = 0, sum(task.size for task, _ in self.jobs)
@@ -295,11 +299,6 @@ class _Run:
             if len(target.losses) >= 2 * _MAX_LOSSES:
                 # Those of the first chunks stay, whichever thread came first.
                 target.losses = sorted(target.losses, key=itemgetter(0))[:_MAX_LOSSES]
-
-
-def _columns(imu: ImuFields, n: int, limit: int | None) -> Columns:
-    axes = tuple(len(vector.axes) for vector in imu.vectors)
-    return Columns(n, imu.sensors, temperature=bool(imu.temperature), limit=limit, axes=axes)
 
 
 def _loss(error: DamagedError, messages: int) -> Loss:

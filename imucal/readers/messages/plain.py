@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.readers.containers import Alike, Batch, Bytes, Loss, gather
 from imucal.readers.containers.container import Guard
-from imucal.readers.files import DamagedError
+from imucal.readers.files import DamagedError, damaged_if
 from imucal.readers.messages.definitions import Field
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
 from imucal.readers.store import Columns
@@ -130,13 +130,12 @@ class Walker:
         """Return the elements of a string or a sequence: one number where all messages have as many."""
         words = gather(buffer, at, 4).view(layout.order + "u4").astype(np.int64)
         least, most = int(words.min()), int(words.max())
-        if most * max(entry.size * entry.count, 1) > len(buffer):
-            msg = f"{entry.path} claims {most} elements, more than its chunk holds"
-            raise DamagedError(msg)
+        damaged_if(
+            most * max(entry.size * entry.count, 1) > len(buffer),
+            f"{entry.path} claims {most} elements, more than its chunk holds",
+        )
         last = max(self.elements.get(entry.path, {}), default=-1)
-        if least <= last:
-            msg = f"{entry.path} has {least} elements in a message, and no [{last}]"
-            raise DamagedError(msg)
+        damaged_if(least <= last, f"{entry.path} has {least} elements in a message, and no [{last}]")
         return most if least == most else words
 
 
@@ -476,9 +475,7 @@ class BinaryDecoder:
 
     def _by_encapsulation(self, batch: Batch, columns: Columns, first: int) -> None:
         """Walk the messages of each encapsulation on their own."""
-        if int(np.min(batch.sizes)) < 4:
-            msg = "a message is too short for CDR"
-            raise DamagedError(msg)
+        damaged_if(int(np.min(batch.sizes)) < 4, "a message is too short for CDR")
         payload = batch.payload()
         codes = gather(batch.buffer, payload, 2).view(">u2")
         kinds = codes[:1] if (codes == codes[0]).all() else np.unique(codes)
@@ -504,11 +501,13 @@ class BinaryDecoder:
     def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
         """Refuse messages that end before the last wanted field; bytes after it are not looked at."""
         skipped = 0 if self.ros1 else 4
-        if bool(np.any(found.end > batch.sizes - np.int64(skipped))):
-            msg = "a message is shorter than its type"
-            raise DamagedError(msg)
+        damaged_if(
+            bool(np.any(found.end > batch.sizes - np.int64(skipped))), "a message is shorter than its type"
+        )
         if self._whole is not None:
             end = self._whole.walk(batch.buffer, body, layout).end
-            if bool(np.any(np.abs(end + skipped - batch.sizes) > 3)):
-                msg = "messages do not have the size of the built-in definition of their type"
-                raise DamagedError(msg, code="definition")
+            damaged_if(
+                bool(np.any(np.abs(end + skipped - batch.sizes) > 3)),
+                "messages do not have the size of the built-in definition of their type",
+                code="definition",
+            )

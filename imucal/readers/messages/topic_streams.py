@@ -6,7 +6,7 @@ from dataclasses import replace
 from imucal.errors import DataError, ReadError
 from imucal.readers.clocks import clock_from_stamps
 from imucal.readers.containers import Channel, Container
-from imucal.readers.messages import protobuf_messages, ros_trees
+from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
     DefinitionError,
     Field,
@@ -70,13 +70,13 @@ def _decoder(channel: Channel, topic: Topic, sensors: Sequence[Sensor]) -> Binar
     if channel.encoding == "json":
         return tree_decoder(imu)
     if channel.encoding == "protobuf":
-        return tree_decoder(imu, protobuf_messages.parser_of(channel), "protobuf")
+        return tree_decoder(imu, schemas.protobuf_parser(channel), "protobuf")
     ros1 = channel.encoding == "ros1"
     definition = definition_of_channel(channel, topic.given)
     fields = definition.fields()
     if imu.asked:
         if not is_reachable(imu, fields):
-            return tree_decoder(imu, ros_trees.parser_of(definition), "ROS")
+            return tree_decoder(imu, schemas.ros_parser(definition), "ROS")
         return BinaryDecoder([Shape(fields, imu)], ros1=ros1, exact=definition.assumed)
     standard = built_in(channel.type, ros1=ros1)
     layouts = [fields, flatten(channel.type, standard, ros1=ros1)] if standard is not None else [fields]

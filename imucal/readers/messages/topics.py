@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from imucal.errors import ChoiceError
 from imucal.readers.containers import Channel, Container
-from imucal.readers.messages import protobuf_messages, ros_trees
+from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
     DefinitionError,
     definition_of,
@@ -145,7 +145,7 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
         except (ValueError, RecursionError):
             return Leaves(())
     if channel.encoding == "protobuf":
-        return Leaves(protobuf_messages.leaves_of(channel))
+        return Leaves(schemas.protobuf_leaves(channel))
     if channel.encoding not in _ENCODINGS:
         msg = (
             f"messages are encoded as {channel.encoding!r}; expected one of {', '.join(_ENCODINGS)}; convert "
@@ -155,7 +155,7 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
     definition = definition_of_channel(channel, given)
     # The flat fields say whether the definition is whole.
     definition.fields()
-    return Leaves(ros_trees.leaves_of(definition))
+    return Leaves(schemas.ros_leaves(definition))
 
 
 def _known(channel: Channel, topic: Topic, options: ReadOptions) -> dict[str, ImuFields]:
@@ -165,7 +165,7 @@ def _known(channel: Channel, topic: Topic, options: ReadOptions) -> dict[str, Im
         known = len(vectors) == 2 or (not topic.leaves.all and _looks_like_imu(channel))
         return {"": JSON_FIELDS} if known else {}
     if channel.encoding == "protobuf":
-        fields = tuple(protobuf_messages.fields_of(channel))
+        fields = tuple(schemas.protobuf_fields(channel))
     else:
         fields = definition_of_channel(channel, topic.given).fields()
     return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))

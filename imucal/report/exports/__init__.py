@@ -1,41 +1,24 @@
 """The downstream files of filters and simulators; one file a format, one table of them."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
+from typing import Unpack
 
 from imucal.atomic import replacing
 from imucal.errors import WriteError
-from imucal.prediction.filter_numbers import CAMERA_HORIZON_S, HORIZON_S, STEP_S
-from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, Choices, Unidentified
-from imucal.report.exports.target import Target, name_key
+from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, Choices, Options, Unidentified
+from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
 __all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Basis", "Unidentified", "export", "find_target", "render"]
 
-#: The modules of this folder that hold formats, in the order of the list that users see.
-_MODULES = (
-    "visual",
-    "gtsam",
-    "lidar",
-    "ros",
-    "autopilots",
-    "simulators",
-    "kf_gins",
-    "matlab",
+#: Families of formats, each a file of the folder ``formats``, in the order of the list that users see.
+_FAMILIES = (
+    *("visual", "gtsam", "lidar", "ros", "autopilots", "simulators", "kf_gins", "matlab"),
     "own_program",
 )
-_HORIZON_S = {"visual": CAMERA_HORIZON_S, "lidar": CAMERA_HORIZON_S}
-_FOUND: list[Target] = [
-    replace(target, horizon_s=_HORIZON_S.get(module, HORIZON_S))
-    for module in _MODULES
-    for target in import_module(f"{__name__}.{module}").TARGETS
-]
-
 #: Name of a downstream format -> how its file is written.
-TARGETS: dict[str, Target] = {target.name: target for target in _FOUND}
+TARGETS: dict[str, Target] = {target.name: target for target in read_targets(_FAMILIES)}
 
 #: Programs that a slip of the pen does not turn into one of ours -> what to say of them.
 _OTHERS = {
@@ -71,18 +54,7 @@ def find_target(name: str) -> Target:
     return found
 
 
-def render(
-    report: Report,
-    target: str,
-    *,
-    axis_policy: AxisPolicy = "worst",
-    inflate: Mapping[str, float] | None = None,
-    unidentified: Unidentified = "bound",
-    topic: str | None = None,
-    numbers: Basis = "covered",
-    horizon_s: float | None = None,
-    step_s: float = STEP_S,
-) -> str:
+def render(report: Report, target: str, **options: Unpack[Options]) -> str:
     """Return the text of a downstream file; the options are those of `export`.
 
     Raises
@@ -93,31 +65,10 @@ def render(
     ValueError
         If the format or an option is unknown.
     """
-    choices = Choices(
-        axis_policy=axis_policy,
-        inflate=dict(inflate or {}),
-        unidentified=unidentified,
-        topic=topic,
-        numbers=numbers,
-        horizon_s=horizon_s,
-        step_s=step_s,
-    )
-    return find_target(target).render(report, choices)
+    return find_target(target).render(report, Choices(**options))
 
 
-def export(
-    report: Report,
-    target: str,
-    path: Path,
-    *,
-    axis_policy: AxisPolicy = "worst",
-    inflate: Mapping[str, float] | None = None,
-    unidentified: Unidentified = "bound",
-    topic: str | None = None,
-    numbers: Basis = "covered",
-    horizon_s: float | None = None,
-    step_s: float = STEP_S,
-) -> tuple[Path, ...]:
+def export(report: Report, target: str, path: Path, **options: Unpack[Options]) -> tuple[Path, ...]:
     """Write the config file of a downstream consumer, with every conversion said in a comment.
 
     Parameters
@@ -129,22 +80,8 @@ def export(
     path
         The file to write; or a folder, where the file gets the format's own name. For ``all`` a
         folder, made where it doesn't exist.
-    axis_policy
-        For formats with one number a sensor: ``worst`` (largest of the axes), ``rms`` (root of the
-        mean variance), or one axis.
-    inflate
-        ``white`` (N), ``walk`` (K), ``flicker`` (B and Gauss-Markov sigma) -> factor.
-    unidentified
-        Write the upper ``bound`` of a term that the data do not show, or ``refuse``.
-    topic
-        Topic to name in the file, where the format names one; None for the log's.
-    numbers
-        For formats with white noise and a walk alone: the least that have ``covered`` the fitted
-        spectrum (see `imucal.prediction.filter_numbers`), or N and K ``as-fitted``.
-    horizon_s
-        How long the filter may coast; None for 60 s with cameras and lidars, else 300 s.
-    step_s
-        How often it is aided.
+    options
+        What the user decides; the attributes of `Choices`.
 
     Returns
     -------
@@ -162,15 +99,7 @@ def export(
     """
     path = Path(path)
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
-    choices = Choices(
-        axis_policy=axis_policy,
-        inflate=dict(inflate or {}),
-        unidentified=unidentified,
-        topic=topic,
-        numbers=numbers,
-        horizon_s=horizon_s,
-        step_s=step_s,
-    )
+    choices = Choices(**options)
     texts = {each: each.render(report, choices) for each in targets}
     if target == "all":
         _make_folder(path)

@@ -7,7 +7,7 @@ fit alone leave out its flicker, and a filter with them trusts itself too much.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, TypedDict, get_args
 
 import numpy as np
 
@@ -85,6 +85,18 @@ class Choices:
     def factor(self, symbol: str) -> float:
         """Return the factor on a term's coefficient; 1 where nothing was asked."""
         return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
+
+
+class Options(TypedDict, total=False):
+    """The attributes of `Choices`, each with a usual value where it is not given."""
+
+    axis_policy: AxisPolicy
+    inflate: Mapping[str, float]
+    unidentified: Unidentified
+    topic: str | None
+    numbers: Basis
+    horizon_s: float | None
+    step_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -362,6 +374,20 @@ class Numbers:
             for time in correlation_times(fits, horizon_s=self.horizon_s)
         )
         return min(tried, key=lambda pairs: math.prod(pair.price for pair in pairs))
+
+    def forgetful(self, sensor: str) -> dict[str, float]:
+        """Return N, K and T of a sensor's white noise and bias that cover; nothing for the fit's own."""
+        if not self.covers or sensor not in self.sensors:
+            return {}
+        (pair,) = self.timed([self.chosen(Sensor(sensor))])
+        time = pair.correlation_time_s or NOMINAL_TIME_S
+        factor = self.choices.factor
+        return {"N": pair.white * factor("N"), "K": pair.walk * factor("K"), "T": time}
+
+    def times(self, sensor: str) -> list[tuple[float, str]]:
+        """Return T of each axis's slowest Gauss-Markov term, with the name of the axis."""
+        axes = self.axes(Sensor(sensor)) if sensor in self.sensors else ()
+        return [(term[1], axis.name) for axis in axes if (term := self.gauss_markov(axis))]
 
     def _fitted_bias(self, axis: AxisReport) -> WithBias:
         """Return N and the process that best stands for what is slower.

@@ -1,27 +1,31 @@
 """One downstream format: its file, its keys and their formulas, and the comment at its head.
 
-The comment says how the numbers came about; numbers are spelled so that the consumers' own parsers
-read them.
+What a format is stands in `formats/*.toml`, as data: its words, its keys, and the text of its file as a
+template, which is filled with their numbers. The comment says how the numbers came about; numbers are spelled
+so that the consumers' own parsers read them.
 """
 
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import NamedTuple, TypeAlias
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import COVERING, INFLATABLE, Choices, Number, Numbers
+from imucal.report.exports.config_numbers import COVERING, INFLATABLE, Choices, Number, Numbers, WithBias
+from imucal.report.exports.state_space import states
 from imucal.report.result import AxisReport, Report
+from imucal.units import G0
 
-#: The numbers that stand in a file, and its lines without the comment at the head.
-Body: TypeAlias = tuple[Sequence[Number], Sequence[str]]
-#: Lines of a file that are the same in every one, or follow from the numbers.
-Lines: TypeAlias = Sequence[str] | Callable[[Numbers], Sequence[str]]
-YAML_LINE = "{name}: {value}  # {remark}"
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
 
 _POLICIES = {
     "worst": "worst: the largest of the sensor's axes",
@@ -55,16 +59,6 @@ def decimal(value: float) -> str:
     return digits if "." in digits else digits + ".0"
 
 
-def vector(values: Iterable[float]) -> str:
-    """Return ``[1.0, 2.0, 3.0]``."""
-    return "[" + ", ".join(real(value) for value in values) + "]"
-
-
-def matrix(rows: Sequence[Sequence[float]], indent: str) -> list[str]:
-    """Return a YAML list of lists, one row a line."""
-    return [f"{indent}- {vector(row)}" for row in rows]
-
-
 def quoted(text: str) -> str:
     """Return a double-quoted scalar, right in YAML, in JSON and for OpenCV."""
     return json.dumps(text, ensure_ascii=False)
@@ -75,30 +69,136 @@ def plain(text: str) -> str:
     return "".join(sign if sign.isprintable() else " " for sign in text)
 
 
-def comment(lines: Iterable[str], sign: str = "#") -> list[str]:
+def comment(lines: Iterable[str], sign: str = "#") -> str:
     """Return the lines as comments."""
-    return [f"{sign} {plain(line)}".rstrip() for line in lines]
+    return "\n".join(f"{sign} {plain(line)}".rstrip() for line in lines)
 
 
-def below_comment(head: Sequence[str], body: Sequence[str], sign: str = "#") -> str:
-    """Return the text of a file whose comments start with a sign."""
-    return "\n".join([*comment(head, sign), *body]) + "\n"
-
-
-def beside_json(head: Sequence[str], body: Sequence[str]) -> str:
-    """Return the text of a JSON object, which has no comments: they are a list under a key of our own."""
+def _json(head: Sequence[str], body: str) -> str:
+    """Return a JSON object, which has no comments: they are a list under a key of our own."""
     said = ",\n".join(f"    {quoted(plain(line))}" for line in head)
-    return "\n".join(["{", '  "_imucal": [', said, "  ],", *body, "}"]) + "\n"
+    return f'{{\n  "_imucal": [\n{said}\n  ],\n{body}\n}}'
 
 
-def opencv_yaml(head: Sequence[str], body: Sequence[str]) -> str:
-    """Return the text of a YAML file for OpenCV, which wants a directive on the first line."""
-    return "%YAML:1.0\n" + below_comment(head, body)
+def _xml(head: Sequence[str], body: str) -> str:
+    """Return an XML file; two hyphens would end its comment."""
+    said = "\n".join(f"  {plain(line).replace('--', '- -')}" for line in head)
+    return f'<?xml version="1.0"?>\n<!--\n{said}\n-->\n{body}'
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+#: Kind of a file -> the comment's lines and the body, put together; else its sign of a comment.
+_LAYOUTS: dict[str, Callable[[Sequence[str], str], str]] = {
+    "json": _json,
+    "xml": _xml,
+    # OpenCV wants a directive on the first line.
+    "opencv": lambda head, body: f"%YAML:1.0\n{comment(head)}\n{body}",
+}
+
+#: Units of what a sensor's samples grow by in a second.
+_GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
+
+
+@dataclass(frozen=True, slots=True)
+class Formula:
+    """How a number follows from a coefficient c and the rate f of the file's stream, and its unit.
+
+    In the unit, ``{u}`` stands for that of the samples (N) or of their growth in a second (K).
+    """
+
+    of: Callable[[float, float], float]
+    unit: str
+
+    @property
+    def power(self) -> int:
+        """Power of the coefficient: 1, or 2 of variances."""
+        return round(math.log2(self.of(2.0, 1.0) / self.of(1.0, 1.0)))
+
+    def inverse(self, number: float, f: float) -> float:
+        """Return the coefficient that a positive number stands for."""
+        return float((number / self.of(1.0, f)) ** (1 / self.power))
+
+
+def _times(factor: float, unit: str) -> Formula:
+    return Formula(lambda c, _: c * factor, unit)
+
+
+#: What stands behind a term's symbol in a key -> its number: continuous (c, c²); discrete, of one sample (N)
+#: or of a step as code sees it that multiplies it by dt (K).
+FORMULAS = {
+    "": Formula(lambda c, _: c, "{u}/sqrt(Hz)"),
+    "^2": Formula(lambda c, _: c * c, "({u})^2/Hz"),
+    " sqrt(f)": Formula(lambda c, f: c * math.sqrt(f), "{u}"),
+    "^2 f": Formula(lambda c, f: c * c * f, "({u})^2"),
+    # Of one sample, for VINS: it averages two samples but takes half of the variance twice.
+    " sqrt(2 f)": Formula(lambda c, f: c * math.sqrt(2 * f), "{u}"),
+    # Of a filter's own period, whatever the rate: PX4's and ArduPilot's.
+    " / sqrt(0.01 s)": Formula(lambda c, _: c / math.sqrt(0.01), "{u}"),
+    " / sqrt(0.012 s)": Formula(lambda c, _: c / math.sqrt(0.012), "{u}"),
+    # AirSim's units: its biases are said to be stable for 100 s.
+    " in deg/sqrt(h)": _times(TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor, "deg/sqrt(h)"),
+    " sqrt(100 s) in deg/h": Formula(
+        lambda c, _: c * math.sqrt(100.0) * TERMS["B"].datasheet_unit(Sensor.GYROSCOPE).factor, "deg/h"
+    ),
+    " in mg/sqrt(Hz)": Formula(lambda c, _: c / G0 * 1e3, "mg/sqrt(Hz)"),
+    " sqrt(100 s) in ug": Formula(lambda c, _: c * math.sqrt(100.0) / G0 * 1e6, "ug"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A key of a file: the term of a sensor that it holds, by a formula.
+
+    A key for each axis has ``{axis}`` (x, y, z) or ``{i}`` (0, 1, 2) in its name, one with a list of
+    all three ends with ``[]``.
+    """
+
+    name: str
+    sensor: Sensor
+    symbol: str
+    formula: Formula
+
+    @classmethod
+    def parse(cls, text: str) -> "Key":
+        """Return the key of a line such as ``gyr_cov = gyro N^2 f``: a name, and its formula of a term."""
+        name, sensor, symbol, formula = re.fullmatch(r"(\S+) = (gyro|accel) ([A-Z])(.*)", text).groups()  # type: ignore[union-attr]
+        (own,) = (each for each in Sensor if each.short == sensor)
+        return cls(name, own, symbol, FORMULAS[formula])
+
+    @property
+    def unit(self) -> str:
+        """Unit of the number."""
+        return self.formula.unit.format(u=_GROWTH[self.sensor] if self.symbol == "K" else self.sensor.unit)
+
+
+class Entry(NamedTuple):
+    """A key with its number, or its numbers for the three axes."""
+
+    name: str
+    sensor: Sensor
+    symbol: str
+    value: float | list[float]
+    unit: str
+    numbers: tuple[Number, ...]
+
+    @property
+    def note(self) -> str:
+        """Where the number is from."""
+        return self.numbers[0].note
+
+    @property
+    def remark(self) -> str:
+        """Unit and origin."""
+        return f"{self.unit}; {self.note}"
+
+    @property
+    def said(self) -> str:
+        """Name, unit and origin, where the file has no comments."""
+        return f"{self.name}: {self.remark}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Target:
-    """A downstream format.
+    """A downstream format, as a table of `formats/*.toml` has it.
 
     Attributes
     ----------
@@ -111,15 +211,27 @@ class Target:
     heading
         The consumer and its file, for the comment; where none is given the title, ``config (IMU part)``
         as ``config, its IMU part``.
+    about
+        What the consumers of its family do with the numbers.
     source
-        What was read to know what the consumer does with the numbers: files of its source, or its
-        documentation; and what was run.
+        What was read to know it: files of its source, or its documentation; and what was run.
     kind
         Continuous or discrete, in words.
     formulas
-        How each value follows from the coefficients.
-    body
-        Numbers -> those that stand in the file, and its lines; raises `DataError` where one is missing.
+        How each value follows from the coefficients, in words.
+    keys
+        The keys that hold a number of one term, each with its formula.
+    every
+        Symbols of the terms that the file has for every axis.
+    bias
+        Whether it has each axis as white noise and a bias that forgets, with a correlation time for
+        ``each axis``, or one for ``all axes``.
+    text
+        The file less the comment, as a template; see `Target.body`.
+    read_back
+        Whether a user's file is recognised by its keys, and they are judged.
+    documented
+        Key -> the lowest and highest value that the consumer documents.
     carries
         Symbols of the terms the format has a place for.
     per_axis
@@ -129,7 +241,7 @@ class Target:
     notes
         What else the comment says.
     layout
-        The comment's lines and the body's -> text of the file.
+        ``json``, ``xml``, ``opencv``, or the sign that comments start with.
     aliases
         Other names it goes by.
     horizon_s
@@ -142,13 +254,19 @@ class Target:
     source: str
     kind: str
     formulas: tuple[str, ...]
-    body: Callable[[Numbers], Body]
+    text: str
     heading: str = ""
+    about: str = ""
+    keys: tuple[Key, ...] = ()
+    every: tuple[str, ...] = ()
+    bias: Literal["", "each axis", "all axes"] = ""
+    read_back: bool = True
+    documented: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     carries: str = "N K"
     per_axis: bool = False
     own_rates: bool = False
     notes: tuple[str, ...] = ()
-    layout: Callable[[Sequence[str], Sequence[str]], str] = below_comment
+    layout: str = "#"
     aliases: tuple[str, ...] = ()
     horizon_s: float = HORIZON_S
 
@@ -158,19 +276,13 @@ class Target:
         carries = self.carries.split()
         return "B" not in carries and set(COVERING) <= set(carries)
 
-    @property
-    def keys(self) -> "tuple[Key, ...]":
-        """Its keys and their formulas, where a formula of one coefficient is all there is to each."""
-        return self.body.keys if isinstance(self.body, KeyedBody) else ()
-
     def is_called(self, name: str) -> bool:
         """Return whether this is its own name, whatever the case and the signs between letters."""
         return name_key(name) == name_key(self.name)
 
     def __post_init__(self) -> None:
         if not self.heading:
-            heading = re.sub(r" \((.+)\)$", r", its \1", self.title)
-            object.__setattr__(self, "heading", heading)
+            object.__setattr__(self, "heading", re.sub(r" \((.+)\)$", r", its \1", self.title))
 
     def numbers(self, report: Report, choices: Choices) -> Numbers:
         """Return what a report gives this format."""
@@ -185,8 +297,40 @@ class Target:
     def render(self, report: Report, choices: Choices) -> str:
         """Return the text of the file; raises `DataError` where a number is missing."""
         numbers = self.numbers(report, choices)
-        used, lines = self.body(numbers)
-        return self.layout([*self._head(numbers, used), *self.notes], lines)
+        used, body = self.body(numbers)
+        head = [*self._head(numbers, used), *self.notes]
+        if self.layout in _LAYOUTS:
+            return f"{_LAYOUTS[self.layout](head, body)}\n"
+        return f"{comment(head, self.layout)}\n{body}\n"
+
+    def body(self, numbers: Numbers) -> tuple[list[Number], str]:
+        """Return the numbers that stand in the file, and the file less the comment.
+
+        The template knows ``keys`` (an `Entry` each), ``every`` (each axis with its numbers), ``biased``
+        (sensor -> a `WithBias` for each axis), ``used`` (the numbers), ``numbers``, ``sensors``, the rate
+        ``f`` and the inflation's ``factor(symbol)``. A float is written as `real` spells it.
+        """
+        keys = list(_entries(numbers, self.keys))
+        axes = [axis for sensor in numbers.sensors for axis in numbers.axes(sensor)] if self.every else []
+        every = [(axis, [numbers.of(axis, symbol) for symbol in self.every]) for axis in axes]
+        biased = _biased(numbers, self.bias) if self.bias else {}
+        used = [
+            *(number for entry in keys for number in entry.numbers),
+            *(number for _, of_axis in every for number in of_axis),
+            *(number for of_sensor in biased.values() for axis in of_sensor for number in axis.used),
+        ]
+        text = _template(self.text).render(
+            keys=keys,
+            every=every,
+            biased=biased,
+            used=used,
+            numbers=numbers,
+            sensors=numbers.sensors,
+            f=numbers.stream_hz,
+            factor=numbers.choices.factor,
+            documented=self.documented,
+        )
+        return used, text.removesuffix("\n")
 
     def _head(self, numbers: Numbers, used: Iterable[Number]) -> list[str]:
         """Return the lines of the comment, without comment signs."""
@@ -221,6 +365,81 @@ class Target:
             )
         left_out = _uncovered(numbers) if numbers.covers else _left_out(report.axes, self.carries)
         return [*lines, *left_out, *_warnings(numbers)]
+
+
+def read_targets(families: Iterable[str]) -> Iterator[Target]:
+    """Yield the formats of ``formats/FAMILY.toml``; its own keys are those of all its formats."""
+    for family in families:
+        text = files("imucal.report.exports").joinpath("formats", f"{family}.toml").read_text("utf-8")
+        table = tomllib.loads(text)
+        macros = table.pop("macros", "")
+        shared = {key: value for key, value in table.items() if not isinstance(value, dict)}
+        for name, own in table.items():
+            if name in shared:
+                continue
+            lists = {key: tuple(value) for key, value in own.items() if isinstance(value, list)}
+            keys = tuple(map(Key.parse, own.get("keys", ())))
+            yield Target(name=name, **{**shared, **own, **lists, "keys": keys, "text": macros + own["text"]})
+
+
+def _entries(numbers: Numbers, keys: Iterable[Key]) -> Iterator[Entry]:
+    """Yield the numbers of the keys whose sensor is in the log."""
+    for key in keys:
+        if key.sensor not in numbers.sensors:
+            continue
+        one_each = key.name.endswith("[]") or "{" in key.name
+        chosen = numbers.each(key.sensor, key.symbol) if one_each else (numbers.one(key.sensor, key.symbol),)
+        values = [key.formula.of(number.value, numbers.stream_hz) for number in chosen]
+        if key.name.endswith("[]"):
+            yield Entry(key.name[:-2], key.sensor, key.symbol, values, key.unit, chosen)
+            continue
+        for i, (number, value) in enumerate(zip(chosen, values, strict=True)):
+            name = key.name.format(i=i, axis="xyz"[i])
+            yield Entry(name, key.sensor, key.symbol, value, key.unit, (number,))
+
+
+def _biased(numbers: Numbers, bias: str) -> dict[Sensor, list[WithBias]]:
+    """Return the axes of each sensor as white noise and a bias."""
+    triads = {sensor: numbers.triad(sensor) for sensor in numbers.sensors}
+    axes = [axis for triad in triads.values() for axis in triad]
+    groups = [axes] if bias == "all axes" else [[axis] for axis in axes]
+    found = [each for group in groups for each in numbers.with_bias(group)]
+    return {sensor: found[3 * i : 3 * i + 3] for i, sensor in enumerate(triads)}
+
+
+@cache
+def _template(text: str) -> "Template":
+    return _environment().from_string(text)
+
+
+@cache
+def _environment() -> "Environment":
+    from jinja2 import Environment, StrictUndefined
+
+    made = Environment(  # noqa: S701 - configs, not HTML
+        undefined=StrictUndefined, finalize=_spelled, trim_blocks=True, lstrip_blocks=True
+    )
+    made.globals |= {"G0": G0, "TERMS": TERMS, "sqrt": math.sqrt, "inf": math.inf, "states": states}
+    made.filters |= {"quoted": quoted, "plain": plain, "comment": comment, "decimal": decimal}
+    made.filters |= {"lines": _lines, "times": _all_times}
+    return made
+
+
+def _spelled(value: object) -> object:
+    """Return a value as a file has it."""
+    if isinstance(value, float):
+        return real(value)
+    return f"[{', '.join(map(real, value))}]" if isinstance(value, list) else value
+
+
+def _lines(found: Iterable[Entry], indent: str = "") -> str:
+    """Return a line of YAML for each key, with unit and origin."""
+    return "\n".join(f"{indent}{e.name}: {_spelled(e.value)}  # {e.remark}" for e in found)
+
+
+def _all_times(values: Iterable[object], factor: float, name: str) -> list[float]:
+    """Return an attribute of each value, times a factor."""
+    return [getattr(value, name) * factor for value in values]
 
 
 def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
@@ -334,158 +553,3 @@ def _left_out(axes: Iterable[AxisReport], carries: str) -> list[str]:
 def _warnings(numbers: Numbers) -> list[str]:
     codes = ", ".join(dict.fromkeys(f.code for f in numbers.report.all_findings if f.level != "info"))
     return [f"read the report before you use these numbers; it warns of: {codes}"] if codes else []
-
-
-GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-
-#: Units of what a sensor's samples grow by in a second.
-_GROWTH = {GYRO: "rad/s^2", ACCEL: "m/s^3"}
-
-
-@dataclass(frozen=True, slots=True)
-class Formula:
-    """How a number follows from a coefficient c and the rate f of the file's stream, and its unit.
-
-    In the unit, ``{u}`` stands for that of the samples (N) or of their growth in a second (K).
-    """
-
-    of: Callable[[float, float], float]
-    unit: str
-
-    @property
-    def power(self) -> int:
-        """Power of the coefficient: 1, or 2 of variances."""
-        return round(math.log2(self.of(2.0, 1.0) / self.of(1.0, 1.0)))
-
-    def inverse(self, number: float, f: float) -> float:
-        """Return the coefficient that a positive number stands for."""
-        return float((number / self.of(1.0, f)) ** (1 / self.power))
-
-
-#: Continuous: c, and its square.
-DENSITY = Formula(lambda c, f: c, "{u}/sqrt(Hz)")  # noqa: ARG005 - one signature for all
-DENSITY_SQUARED = Formula(lambda c, f: c * c, "({u})^2/Hz")  # noqa: ARG005
-#: Discrete: of one sample (N), or of a step as code sees it that multiplies it by dt (K); and its square.
-SAMPLE = Formula(lambda c, f: c * math.sqrt(f), "{u}")
-SAMPLE_SQUARED = Formula(lambda c, f: c * c * f, "({u})^2")
-#: Of one sample, for VINS: it averages two samples but takes half of the variance twice.
-HALVED_TWICE = Formula(lambda c, f: c * math.sqrt(2 * f), "{u}")
-
-
-def at_period(seconds: float) -> Formula:
-    """Return c / sqrt(dt): discrete at a filter's own period, whatever the rate."""
-    return Formula(lambda c, f: c / math.sqrt(seconds), "{u}")  # noqa: ARG005
-
-
-@dataclass(frozen=True, slots=True)
-class Key:
-    """A key of a file: the term of a sensor that it holds, by a formula.
-
-    A key for each axis has ``{axis}`` (x, y, z) or ``{i}`` (0, 1, 2) in its name.
-    """
-
-    name: str
-    sensor: Sensor
-    symbol: str
-    formula: Formula = DENSITY
-
-    @property
-    def unit(self) -> str:
-        """Unit of the number."""
-        return self.formula.unit.format(u=_GROWTH[self.sensor] if self.symbol == "K" else self.sensor.unit)
-
-
-class Entry(NamedTuple):
-    """A key with its number."""
-
-    name: str
-    value: float
-    unit: str
-    number: Number
-
-    @property
-    def remark(self) -> str:
-        """Unit and origin."""
-        return f"{self.unit}; {self.number.note}"
-
-
-def four(names: str, white: Formula = DENSITY, walk: Formula | None = None) -> tuple[Key, ...]:
-    """Return the four keys that most formats have: N and K of the accelerometer, then of the gyroscope."""
-    terms = ((ACCEL, "N"), (ACCEL, "K"), (GYRO, "N"), (GYRO, "K"))
-    return tuple(
-        Key(name, sensor, symbol, walk or white if symbol == "K" else white)
-        for name, (sensor, symbol) in zip(names.split(), terms, strict=True)
-    )
-
-
-def entries(numbers: Numbers, keys: Iterable[Key]) -> list[Entry]:
-    """Return the numbers of the keys whose sensor is in the log."""
-    found = []
-    for key in keys:
-        if key.sensor not in numbers.sensors:
-            continue
-        one_each = "{" in key.name
-        chosen = numbers.each(key.sensor, key.symbol) if one_each else (numbers.one(key.sensor, key.symbol),)
-        for i, number in enumerate(chosen):
-            value = key.formula.of(number.value, numbers.stream_hz)
-            found.append(Entry(key.name.format(i=i, axis="xyz"[i]), value, key.unit, number))
-    return found
-
-
-def lines(found: Iterable[Entry], layout: str = YAML_LINE) -> list[str]:
-    """Return one line a number; the layout knows name, value and remark (unit and origin)."""
-    return [layout.format(name=e.name, value=real(e.value), remark=e.remark) for e in found]
-
-
-@dataclass(frozen=True, slots=True)
-class KeyedBody:
-    """The body of a file of keys: the lines follow from their numbers."""
-
-    keys: tuple[Key, ...]
-    text: Callable[[Numbers, list[Entry]], Sequence[str]]
-
-    def __call__(self, numbers: Numbers) -> Body:
-        """Return the numbers of the keys, and the lines."""
-        found = entries(numbers, self.keys)
-        return [entry.number for entry in found], self.text(numbers, found)
-
-
-def keyed_body(
-    keys: tuple[Key, ...], *, above: Lines = (), below: Lines = (), indent: str = "", layout: str = YAML_LINE
-) -> KeyedBody:
-    """Return the body of a file of keys: the lines above, the keys (see `lines`), the lines below."""
-
-    def text(numbers: Numbers, found: list[Entry]) -> Sequence[str]:
-        head, tail = (part(numbers) if callable(part) else part for part in (above, below))
-        return [*head, *lines(found, indent + layout), *tail]
-
-    return KeyedBody(keys, text)
-
-
-def stream_rate(key: str, remark: str = "Hz, of the") -> Callable[[Numbers], Sequence[str]]:
-    """Return the line of a key that holds the rate of the file's stream; the remark ends with its sensor."""
-    return lambda numbers: [f"{key}: {real(numbers.stream_hz)}  # {remark} {numbers.sensors[0]}"]
-
-
-def json_object(name: str, members: Iterable[tuple[str, str]], indent: str = "  ") -> list[str]:
-    """Return a member of a JSON object that is an object, one of its members a line."""
-    inside = ",\n".join(f"{indent}  {quoted(key)}: {value}" for key, value in members).split("\n")
-    return [f"{indent}{quoted(name)}: {{", *inside, f"{indent}}}"]
-
-
-def json_origins(said: Iterable[str]) -> list[str]:
-    """Return where the numbers of a JSON object are from, which has no comments, as its member."""
-    inside = ",\n".join(f"    {quoted(each)}" for each in said).split("\n")
-    return ['  "_origin": [', *inside, "  ],"]
-
-
-def triads(numbers: Numbers, keys: Iterable[Key]) -> tuple[list[Number], list[tuple[str, str]]]:
-    """Return the numbers of all axes of the keys, and each key with their list as a file holds it."""
-    used, members = list[Number](), []
-    for key in keys:
-        if key.sensor in numbers.sensors:
-            chosen = numbers.each(key.sensor, key.symbol)
-            used += chosen
-            values = vector(key.formula.of(number.value, numbers.stream_hz) for number in chosen)
-            members.append((key.name, values))
-    return used, members

@@ -85,6 +85,17 @@ def test_a_step_is_found_and_taken_out(place: float, height: float, seed: int) -
     assert as_without(fit, noise(seed))
 
 
+def test_a_shift_that_takes_its_time_is_one_shift() -> None:
+    """Within a minute of 100: several jumps in one direction, said as one, with the time they take."""
+    fit = fitted(noise(23) + 4e-4 / (1 + np.exp(-(T - 3000) / 15)), rate_hz=10.0)
+    words = sentence(fit, "step").removeprefix("The level jumps by ").split()
+    assert float(words[0]) == pytest.approx(4e-4, rel=0.3)
+    assert words[2] == "from"
+    assert 2900 < float(words[3]) < 3000 < float(words[5]) < 3100
+    assert "and stays there" in sentence(fit, "step")
+    assert as_without(fit, noise(23))
+
+
 @pytest.mark.parametrize("lag", [0.0, 60.0])
 def test_a_temperature_is_taken_out_with_its_lag(lag: float) -> None:
     """A thermostat's cycle that the axis follows 60 s later, and at once; no cycle is said to be there."""

@@ -7,6 +7,7 @@ import pytest
 
 from imucal.readers.containers.container import Batch
 from imucal.readers.containers.mcap import (
+    ChunkIndex,
     ChunkTask,
     LooseTask,
     index_count,
@@ -14,7 +15,6 @@ from imucal.readers.containers.mcap import (
     unpack,
     walk_records,
 )
-from imucal.readers.containers.mcap_records import ChunkIndex
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record
 

@@ -10,8 +10,7 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.containers import mcap
-from imucal.readers.containers.mcap import McapFile
-from imucal.readers.containers.mcap_records import MAGIC
+from imucal.readers.containers.mcap import MAGIC, McapFile
 from imucal.readers.files import LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema, text
 

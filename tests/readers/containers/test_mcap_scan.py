@@ -7,8 +7,7 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.containers import mcap
-from imucal.readers.containers.mcap import Bookkeeping, scan
-from imucal.readers.containers.mcap_records import MAGIC
+from imucal.readers.containers.mcap import MAGIC, Bookkeeping, scan
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.readers.containers import Channel, mcap_records, ros1_records
+from imucal.readers.containers import Channel, mcap, ros1
 from imucal.readers.containers.container import Batch, gather
 from imucal.readers.containers.ros2_bag import open_files
 from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
@@ -22,28 +22,28 @@ def text(value: bytes) -> bytes:
 
 def test_a_schema_and_a_channel_of_an_mcap() -> None:
     body = struct.pack("<H", 3) + text(b"a/B") + text(b"ros2msg") + text(b"int8 x")
-    assert mcap_records.schema(body) == mcap_records.Schema(3, "a/B", "ros2msg", "int8 x")
+    assert mcap.parse_schema(body) == mcap.Schema(3, "a/B", "ros2msg", "int8 x")
     with pytest.raises(DamagedError, match=r"^a schema record is damaged$"):
-        mcap_records.schema(body[:-1])
+        mcap.parse_schema(body[:-1])
     body = struct.pack("<HH", 7, 3) + text(b"/imu") + text(b"cdr")
-    assert mcap_records.channel(body) == (3, Channel(key=7, topic="/imu", type="", encoding="cdr"))
+    assert mcap.parse_channel(body) == (3, Channel(key=7, topic="/imu", type="", encoding="cdr"))
     with pytest.raises(DamagedError, match=r"^a channel record is damaged$"):
-        mcap_records.channel(body[:3])
+        mcap.parse_channel(body[:3])
 
 
 def test_the_head_of_a_chunk() -> None:
     record = bytes(9) + struct.pack("<QQQI", 1, 2, 300, 99) + text(b"lz4") + struct.pack("<Q", 200)
-    expected = mcap_records.ChunkHead(size=300, crc=99, compression="lz4", data=len(record), stored=200)
-    assert mcap_records.chunk_head(record) == expected
+    expected = mcap.ChunkHead(size=300, crc=99, compression="lz4", data=len(record), stored=200)
+    assert mcap.parse_chunk_head(record) == expected
     with pytest.raises(DamagedError, match=r"^a chunk record is damaged$"):
-        mcap_records.chunk_head(record[:-1])
+        mcap.parse_chunk_head(record[:-1])
 
 
 def test_the_index_of_a_chunk() -> None:
     pairs = struct.pack("<HQHQ", 1, 500, 2, 600)
     tail = struct.pack("<Q", 44) + text(b"zstd")
     body = struct.pack("<QQQQI", 5, 9, 100, 300, len(pairs)) + pairs + tail
-    assert mcap_records.chunk_index(body) == mcap_records.ChunkIndex(
+    assert mcap.parse_chunk_index(body) == mcap.ChunkIndex(
         start=100,
         length=300,
         compression="zstd",
@@ -52,29 +52,29 @@ def test_the_index_of_a_chunk() -> None:
     )
     for size in (len(pairs) - 1, len(pairs) + 1, 100):
         with pytest.raises(DamagedError, match=r"^a chunk index record is damaged$"):
-            mcap_records.chunk_index(struct.pack("<QQQQI", 5, 9, 100, 300, size) + pairs + tail)
+            mcap.parse_chunk_index(struct.pack("<QQQQI", 5, 9, 100, 300, size) + pairs + tail)
 
 
 def test_the_statistics_of_an_mcap() -> None:
     pairs = struct.pack("<HQ", 1, 12)
     head = struct.pack("<QHIIIIQQ", 12, 1, 2, 3, 4, 6, 50, 90)
-    assert mcap_records.statistics(head + text(pairs)) == (12, 6, 50, 90, {1: 12})
+    assert mcap.parse_statistics(head + text(pairs)) == (12, 6, 50, 90, {1: 12})
     for body in (head + text(pairs)[:-1], head + text(pairs[:-1]), head[:-1]):
         with pytest.raises(DamagedError, match=r"^a statistics record is damaged$"):
-            mcap_records.statistics(body)
+            mcap.parse_statistics(body)
 
 
 def test_a_record_of_a_ros1_bag() -> None:
     head = text(text(b"op=\x02") + text(b"name=a=b"))
-    found = ros1_records.record(b"??" + head + text(b"12345"), 2)
+    found = ros1.record(b"??" + head + text(b"12345"), 2)
     assert found.head == {b"op": b"\x02", b"name": b"a=b"}
     assert (found.start, found.end) == (2 + len(head) + 4, 2 + len(head) + 4 + 5)
-    assert found.opcode == ros1_records.MESSAGE
+    assert found.opcode == ros1.MESSAGE
     # The data may reach beyond the buffer, the header and the size may not.
-    assert ros1_records.record(head + text(b"12345")[:4], 0).end == len(head) + 4 + 5
+    assert ros1.record(head + text(b"12345")[:4], 0).end == len(head) + 4 + 5
     for end in (0, 3, len(head) - 1, len(head) + 3):
         with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
-            ros1_records.record((head + text(b"12345"))[:end], 0)
+            ros1.record((head + text(b"12345"))[:end], 0)
 
 
 @pytest.mark.parametrize(("size", "whole"), [(1 << 20, True), ((1 << 20) + 1, False)])
@@ -82,28 +82,28 @@ def test_no_header_is_longer_than_a_megabyte(size: int, whole: bool) -> None:  #
     field = text(b"a=".ljust(size - 4, b"b"))
     buffer = text(field) + text(b"")
     if whole:
-        assert len(ros1_records.record(buffer, 0).head[b"a"]) == size - 6
+        assert len(ros1.record(buffer, 0).head[b"a"]) == size - 6
     else:
         with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
-            ros1_records.record(buffer, 0)
+            ros1.record(buffer, 0)
 
 
 @pytest.mark.parametrize("head", [{}, {b"op": b""}, {b"op": b"\x02\x00"}])
 def test_a_record_without_an_opcode_is_damaged(head: dict[bytes, bytes]) -> None:
     with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
-        _ = ros1_records.Record(head, 0, 0).opcode
+        _ = ros1.Record(head, 0, 0).opcode
 
 
 @pytest.mark.parametrize("broken", [text(b"op"), text(b"a=1")[:-1], text(b"")])
 def test_a_field_has_a_name_and_all_its_bytes(broken: bytes) -> None:
     with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
-        ros1_records.fields(broken)
+        ros1.fields(broken)
 
 
 def test_a_connection() -> None:
     data = text(b"type=a/B") + text(b"message_definition=int8 x")
     found = {b"conn": struct.pack("<I", 258), b"topic": b"/imu"}
-    assert ros1_records.connection(found, data) == Channel(
+    assert ros1.connection(found, data) == Channel(
         key=258,
         topic="/imu",
         type="a/B",
@@ -111,7 +111,7 @@ def test_a_connection() -> None:
         definition="int8 x",
         definition_kind="ros1msg",
     )
-    bare = ros1_records.connection({b"conn": bytes(4)}, b"")
+    bare = ros1.connection({b"conn": bytes(4)}, b"")
     assert bare == Channel(key=0, topic="", type="", encoding="ros1")
 
 

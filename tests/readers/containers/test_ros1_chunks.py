@@ -7,8 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack
-from imucal.readers.containers.ros1_records import walk
+from imucal.readers.containers.ros1 import BagChunk, BagChunkTask, unpack, walk
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.ros1_bytes import chunk, connection, index, message, record, stamp
 

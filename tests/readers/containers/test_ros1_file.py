@@ -6,9 +6,8 @@ from collections.abc import Callable
 import pytest
 
 from imucal.errors import ReadError
-from imucal.readers.containers import ros1_file
-from imucal.readers.containers.ros1_file import BagFile
-from imucal.readers.containers.ros1_records import time_ns
+from imucal.readers.containers import ros1
+from imucal.readers.containers.ros1 import BagFile, time_ns
 from imucal.readers.files import LogFile
 from tests.readers.containers.ros1_bytes import (
     MAGIC,
@@ -193,4 +192,4 @@ def test_a_time_has_eight_bytes() -> None:
     """Seconds and nanoseconds; anything else is none."""
     assert time_ns({b"time": stamp(3 * SECOND + 4)}, b"time") == 3 * SECOND + 4
     assert time_ns({b"time": bytes(7)}, b"time") == time_ns({}, b"time") == 0
-    assert ros1_file._MAX_INDEX == 2**31
+    assert ros1._MAX_INDEX == 2**31

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imucal.readers.containers.ros1_chunks import _guards
+from imucal.readers.containers.ros1 import _guards
 
 
 @pytest.mark.parametrize(

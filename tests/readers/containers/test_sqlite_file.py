@@ -3,15 +3,17 @@
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
 
 from imucal.readers.containers import sqlite
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.sqlite import SqliteFile, SqliteTask, batch_of_blobs
+from imucal.readers.containers.sqlite import SqliteFile, SqliteTask, batch_of_blobs, fetched
 from imucal.readers.files import DamagedError, Scratch
 
 TABLES = (
@@ -157,7 +159,7 @@ def test_a_range_has_room_for_each_of_its_rows(tmp_path: Path, monkeypatch: pyte
     """Whatever their topic; they come in the order of their ids, however many are fetched at once."""
     monkeypatch.setattr(sqlite, "_FETCH", 2)
     with closing(sqlite3.connect(database(tmp_path))) as base:
-        task = SqliteTask(base, [1, 2], (3, 9), 77)
+        task = SqliteTask(partial(fetched, base, Lock()), [1, 2], (3, 9), 77)
         assert (task.counts, task.size) == ({1: 7, 2: 7}, 77)
         found = {key: payloads(batch) for key, batch in task.load(Scratch())}
         assert found == {
@@ -172,20 +174,22 @@ def test_rows_of_other_types_are_damage(tmp_path: Path) -> None:
         path = database(tmp_path, [*ROWS, (11, 1, 5, wrong)])
         with closing(sqlite3.connect(path)) as base:
             with pytest.raises(DamagedError, match="the SQLite database is damaged"):
-                list(SqliteTask(base, [1], (1, 11), 1).load(Scratch()))
-            assert len(list(SqliteTask(base, [1], (1, 10), 1).load(Scratch()))) == 1
+                fetched(base, Lock(), 1, 1, 11)
+            assert fetched(base, Lock(), 1, 1, 10).n == 5
         path.unlink()
 
 
 def test_rows_over_several_pages_are_fetched_one_by_one(tmp_path: Path) -> None:
-    """Topic, time and data; one that is gone, or is no message, is left out."""
+    """Time and data; of a row that is gone, or of another topic, there is nothing."""
     long = b"x" * 9000
-    with closing(SqliteFile(database(tmp_path, [*ROWS, (11, 1, 5, long), (12, 2, 6, "text")]))) as file:
-        assert file._fetch([11, 2, 99, 12]) == [(1, 5, long), (1, 102, b"m2")]
+    path = database(tmp_path, [*ROWS, (11, 1, 5, long)])
+    with closing(SqliteFile(path)) as file:
         assert (1, 5, long) in messages(file, 1)
-        file.close()
-        with pytest.raises(DamagedError, match="the SQLite database is damaged"):
-            file._fetch([11])
+    with closing(sqlite3.connect(path)) as base:
+        assert payloads(fetched(base, Lock(), 1, 11, 11)) == [(5, long)]
+        assert fetched(base, Lock(), 2, 11, 11).n == fetched(base, Lock(), 1, 99, 99).n == 0
+    with pytest.raises(DamagedError, match="the SQLite database is damaged"):
+        fetched(base, Lock(), 1, 11, 11)
 
 
 @pytest.mark.parametrize("lost", [1, 4096])

@@ -17,7 +17,8 @@ from imucal.readers.containers.sqlite import (
     Leaves,
     PageTask,
     _integers,
-    _with,
+    _joined,
+    batch_of_blobs,
     connect_alone,
     find_leaves,
     page_size,
@@ -227,11 +228,11 @@ def test_messages_of_each_topic_in_their_order(tmp_path: Path) -> None:
 def test_what_a_page_can_not_hold_is_fetched(size: int, tmp_path: Path) -> None:
     """A record of up to 477 bytes lies in a page of 512; a longer one reaches over several."""
     rows = [(1, 1, 5, b"short"), (2, 1, 6, b"x" * size), (3, 2, 7, b"y" * size), (4, 1, 8, b"end")]
-    asked: list[list[int]] = []
+    asked: list[tuple[int, int, int]] = []
 
-    def fetch(ids: list[int]) -> list[tuple[int, int, bytes]]:
-        asked.append(ids)
-        return [row[1:] for row in rows if row[0] in ids]
+    def fetch(key: int, first: int, last: int) -> Batch:
+        asked.append((key, first, last))
+        return batch_of_blobs([rows[first - 1][3]], [rows[first - 1][2]])
 
     file = LogFile(bag(tmp_path, rows))
     try:
@@ -245,7 +246,7 @@ def test_what_a_page_can_not_hold_is_fetched(size: int, tmp_path: Path) -> None:
         assert sorted(messages) == [(5, b"short"), (6, b"x" * size), (8, b"end")]
         # The head of the record has six bytes, the time one, and topic 1 none.
         assert bool(asked) == (size + 7 > PAGE - 35)
-        assert all(ids == [2] for ids in asked)
+        assert all(question == (1, 2, 2) for question in asked)
     finally:
         file.close()
 
@@ -260,7 +261,7 @@ def test_damaged_rows_are_counted_where_sqlite_knows_better(tmp_path: Path) -> N
     path.write_bytes(data)
     file = LogFile(path)
     try:
-        for fetch, lost in ((lambda _: [], 1), (None, None)):
+        for fetch, lost in ((lambda *_: batch_of_blobs([], []), 1), (None, None)):
             (task,) = tasks_of(file, 6, [1, 2], fetch=fetch)
             (_, first), (_, second) = task.load(Scratch())
             assert (first.log_ns.tolist(), second.log_ns.tolist()) == ([2, 4], [1, 3, 5])
@@ -274,7 +275,7 @@ def test_damaged_rows_are_counted_where_sqlite_knows_better(tmp_path: Path) -> N
 def test_further_messages_take_their_place_in_time() -> None:
     """Those of the pages keep theirs where times are equal."""
     batch = Batch.of(b"abcdef", np.array([0, 3]), np.array([3, 3]), np.array([10, 30]))
-    whole = _with(batch, [(20, b"xy"), (30, b""), (5, b"z")])
+    whole = _joined([batch, batch_of_blobs([b"xy", b"", b"z"], [20, 30, 5])])
     assert whole.log_ns.tolist() == [5, 10, 20, 30, 30]
     sizes = np.broadcast_to(whole.sizes, whole.n).tolist()
     data = [bytes(whole.buffer[a : a + s]) for a, s in zip(whole.starts.tolist(), sizes, strict=True)]

@@ -13,7 +13,7 @@ import pytest
 from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import describe, read
 from imucal.readers.containers import Channel
-from imucal.readers.messages import protobuf_messages
+from imucal.readers.messages import schemas
 from imucal.readers.messages.leaves import Leaf, Leaves
 from imucal.readers.messages.message_types import parse_fields_text
 from imucal.recording import Recording
@@ -358,7 +358,7 @@ def test_a_schema_that_holds_itself() -> None:
         )
     schema = pb.FileDescriptorSet(file=[file]).SerializeToString()
     channel = Channel(key=1, topic="/a", type="a.A", encoding="protobuf", schema=schema)
-    assert protobuf_messages.leaves_of(channel) == []
+    assert schemas.protobuf_leaves(channel) == []
 
 
 def test_info_lists_the_fields(tmp_path: Path) -> None:

@@ -11,8 +11,17 @@ from numpy.typing import ArrayLike
 
 from imucal.arrays import IntArray
 from imucal.errors import ChoiceError, DataError
-from imucal.readers.flight_logs import _choose, _listed, _log_findings, _refuse_options, _timed
-from imucal.readers.flight_messages import PX4, FlightLog, Instance, samples_of
+from imucal.readers.flight_logs import (
+    PX4,
+    FlightLog,
+    Instance,
+    _choose,
+    _listed,
+    _log_findings,
+    _refuse_options,
+    _timed,
+    samples_of,
+)
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 

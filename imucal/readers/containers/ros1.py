@@ -1,0 +1,509 @@
+"""ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2.
+
+Records are a header of name=value fields, then data. Chunks are found by the index section or by a scan;
+messages by the index records behind their chunk, or by a walk through it.
+Source: https://wiki.ros.org/Bags/Format/2.0. `rosbags` reads intact bags and is the witness in the tests; it
+refuses unindexed and cut ones, and builds an object for each message when it opens a bag.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from imucal.arrays import IntArray
+from imucal.errors import ReadError
+from imucal.findings import Finding
+from imucal.readers.compression import KINDS, decompress, decompress_prefix
+from imucal.readers.containers.container import (
+    Alike,
+    Batch,
+    Bytes,
+    Channel,
+    Guard,
+    Loss,
+    MessageFile,
+    Task,
+    gather,
+    scan_finding,
+)
+from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+U32 = struct.Struct("<I")
+PAIR = struct.Struct("<II")
+#: Longest header of a record; a connection's is its topic's length.
+_MAX_HEADER = 1 << 20
+#: The index section has a few bytes for each chunk and connection; a larger one is damage.
+_MAX_INDEX = 1 << 31
+#: Bytes in which the head of the bag, and that of a chunk, is looked for.
+_HEAD_BLOCK = 1 << 12
+
+
+class Record(NamedTuple):
+    """A record: the fields of its header, and where its data start and end."""
+
+    head: Mapping[bytes, bytes]
+    start: int
+    end: int
+
+    @property
+    def opcode(self) -> int:
+        """What it is; raises DamagedError where the header doesn't say."""
+        return number(self.head, b"op", 1)
+
+    @property
+    def key(self) -> int:
+        """Its connection; raises DamagedError where the header doesn't say."""
+        return number(self.head, b"conn", 4)
+
+    @property
+    def compression(self) -> str:
+        """How a chunk is compressed."""
+        return self.head.get(b"compression", b"none").decode("ascii", "replace")
+
+
+def record(buffer: Bytes, at: int) -> Record:
+    """Return the record at `at`, which may reach beyond the buffer; raises DamagedError without a header."""
+    try:
+        end = at + 4 + U32.unpack_from(buffer, at)[0]
+        if end - at - 4 > _MAX_HEADER or end > len(buffer):
+            raise _broken()
+        head = _head(bytes(buffer[at + 4 : end]))
+        return Record(head, end + 4, end + 4 + U32.unpack_from(buffer, end)[0])
+    except struct.error as error:
+        raise _broken() from error
+
+
+def walk(raw: Bytes) -> Iterator[tuple[int, Record]]:
+    """Yield opcode and record of each whole record, up to the first that is not."""
+    at = 0
+    while True:
+        try:
+            entry = record(raw, at)
+            opcode = entry.opcode
+        except DamagedError:
+            return
+        if entry.end > len(raw):
+            return
+        yield opcode, entry
+        at = entry.end
+
+
+def fields(data: bytes) -> dict[bytes, bytes]:
+    """Return name -> value of the fields that stand one behind the other."""
+    found, place = {}, 0
+    while place + 4 <= len(data):
+        start = place + 4
+        place = start + U32.unpack_from(data, place)[0]
+        name, equals, value = data[start:place].partition(b"=")
+        if place > len(data) or not equals:
+            raise _broken()
+        found[name] = value
+    return found
+
+
+#: The fields of a header; those of index records are mostly what they were in the chunk before.
+_head = lru_cache(maxsize=128)(fields)
+
+
+def number(found: Mapping[bytes, bytes], name: bytes, size: int) -> int:
+    """Return a field that holds a little-endian number of `size` bytes."""
+    value = found.get(name)
+    if value is None or len(value) != size:
+        raise _broken()
+    return int.from_bytes(value, "little")
+
+
+def time_ns(found: Mapping[bytes, bytes], name: bytes) -> int:
+    """Return a field that holds seconds and nanoseconds, in ns; 0 where it is not eight bytes."""
+    value = found.get(name, b"")
+    if len(value) != PAIR.size:
+        return 0
+    seconds, rest = PAIR.unpack(value)
+    return int(seconds) * 1_000_000_000 + int(rest)
+
+
+def connection(found: Mapping[bytes, bytes], data: Bytes) -> Channel:
+    """Parse a connection record: its header, and the connection's own header as data."""
+    inner = fields(bytes(data))
+    definition = inner.get(b"message_definition", b"").decode("utf-8", "replace")
+    return Channel(
+        key=number(found, b"conn", 4),
+        topic=found.get(b"topic", b"").decode("utf-8", "replace"),
+        type=inner.get(b"type", b"").decode("utf-8", "replace"),
+        encoding="ros1",
+        definition=definition,
+        definition_kind="ros1msg" if definition else "",
+    )
+
+
+def _broken() -> DamagedError:
+    return DamagedError("a record header is damaged")
+
+
+@dataclass(slots=True, kw_only=True)
+class BagChunk:
+    """Where a chunk and its index records lie."""
+
+    #: From the chunk record to the end of its index records, in bytes.
+    start: int
+    size: int
+    #: Connection -> messages, as the file says.
+    counts: dict[int, int] = field(default_factory=dict)
+    #: Whether index records follow.
+    indexed: bool = True
+    #: Whether the end of the file cuts the chunk.
+    cut: bool = False
+    first_ns: int = 0
+    last_ns: int = 0
+
+
+class BagChunkTask:
+    """A chunk to load."""
+
+    def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
+        self._file = file
+        self._chunk = chunk
+        self.size = chunk.size
+        # An index entry has 12 bytes: a count beyond them is not believed.
+        most = chunk.size // 12 if chunk.indexed else chunk.size
+        self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
+
+    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+        """Yield the messages of each wanted connection; see `Task`."""
+        region = scratch.buffer(self.size)
+        self._file.into(self._chunk.start, region)
+        raw, end = unpack(region, cut=self._chunk.cut)
+        indexes = self._indexes(region[end:]) if self._chunk.indexed else {}
+        for key in self.counts:
+            if key in indexes:
+                yield key, _indexed(raw, key, indexes[key])
+            else:
+                loss = Loss(code="index", text="an index record is missing; its chunk was walked instead")
+                yield key, _walked(raw, key, loss if self._chunk.indexed else None)
+
+    def _indexes(self, behind: memoryview) -> dict[int, memoryview]:
+        """Return connection -> entries of its index record behind the chunk, up to the last wanted one."""
+        found: dict[int, memoryview] = {}
+        with suppress(DamagedError):
+            for opcode, entry in walk(behind):
+                size = entry.end - entry.start
+                if opcode != INDEX or size != 12 * number(entry.head, b"count", 4):
+                    break
+                found[entry.key] = behind[entry.start : entry.end]
+                if self.counts.keys() <= found.keys():
+                    break
+        return found
+
+
+def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
+    """Return what the chunk at the start of a region holds, and where it ends; raises DamagedError."""
+    entry = record(region, 0)
+    data = region[entry.start : entry.end]
+    damaged_if(entry.head.get(b"op") != bytes([CHUNK]), "a chunk's head is damaged")
+    size = number(entry.head, b"size", 4)
+    if cut:
+        return memoryview(decompress_prefix(entry.compression, data, size)), entry.end
+    damaged_if(entry.end > len(region), "a chunk is cut", code="truncated")
+    return decompress(entry.compression, data, size), entry.end
+
+
+def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
+    """Return the messages that an index record lists.
+
+    All records are compared with the last one, whose header repeats but for the time; the first may have
+    the connection's own record in front.
+    """
+    table = np.frombuffer(entries, "<u4").reshape(-1, 3)
+    starts = table[:, 2].astype(np.int64)
+    log_ns = table[:, 0].astype(np.int64)
+    log_ns *= 1_000_000_000
+    log_ns += table[:, 1]
+
+    def check() -> Batch:
+        return _checked(raw, key, starts, log_ns)
+
+    if not starts.size:
+        return Batch(buffer=raw, starts=starts, header=0, sizes=0, log_ns=log_ns)
+    last = int(starts[-1])
+    size = int.from_bytes(raw[last : last + 4], "little")
+    head = bytes(raw[last : last + size + 8])
+    time = head.find(b"time=") + 5
+    common = _message_head(head[:time] + bytes(8) + head[time + 8 :]) if time >= 5 else None
+    if common is None or common[0] != key:
+        return check()
+    return Batch(
+        buffer=raw,
+        starts=starts,
+        header=len(head),
+        sizes=common[1],
+        log_ns=log_ns,
+        guards=common[2],
+        check=check,
+    )
+
+
+@lru_cache(maxsize=64)
+def _message_head(head: bytes) -> tuple[int, int, tuple[Guard, ...]] | None:
+    """Return connection, bytes of data and guards by a message's header, its time blank; None for others."""
+    guards = _guards(head)
+    with suppress(DamagedError):
+        entry = record(head, 0)
+        if guards is not None and entry.opcode == MESSAGE and entry.start == len(head):
+            return entry.key, entry.end - entry.start, guards
+    return None
+
+
+def _guards(head: bytes) -> tuple[Guard, ...] | None:
+    """Return the bytes of a header, its lengths too, except the value of its time."""
+    at = head.find(b"time=") + 5
+    if at < 5:
+        return None
+    return tuple((start, part) for start, part in ((0, head[:at]), (at + 8, head[at + 8 :])) if part)
+
+
+def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> Batch:
+    """Check the header of every record; skip connection records; walk the chunk where that fails."""
+    payloads, sizes = starts.copy(), np.zeros(starts.size, dtype=np.int64)
+    try:
+        for row in _take_alike(raw, key, payloads, sizes).tolist():
+            payloads[row], sizes[row] = _message(raw, key, int(starts[row]))
+    except DamagedError:
+        loss = Loss(code="index", text="an index points to other records; its chunk was walked instead")
+        return _walked(raw, key, loss)
+    return Batch(buffer=raw, starts=payloads, header=0, sizes=sizes, log_ns=log_ns)
+
+
+def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) -> IntArray:
+    """Turn the starts of messages whose header is that of the last into their payloads; return the others.
+
+    Raises DamagedError if the last is no message of the connection.
+    """
+    last = int(payloads[-1])
+    head = bytes(raw[last : _message(raw, key, last)[0]])
+    guards = _guards(head[:-4])
+    if guards is None:
+        return np.arange(payloads.size)
+    rows = np.flatnonzero((payloads >= 0) & (payloads <= len(raw) - len(head)))
+    heads = gather(raw, payloads[rows], len(head))
+    length = np.ndarray(heads.shape, "<u4", buffer=heads, offset=len(head) - 4, strides=heads.strides).copy()
+    alike = Alike(guards, len(head)).each(heads) & (payloads[rows] + len(head) + length <= len(raw))
+    rows = rows[alike]
+    payloads[rows] += len(head)
+    sizes[rows] = length[alike]
+    return np.delete(np.arange(payloads.size), rows)
+
+
+def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
+    """Return payload and size of the message at `at`, or behind the connection records there."""
+    while (entry := record(raw, at)).end <= len(raw):
+        if entry.opcode == MESSAGE and entry.key == key:
+            return entry.start, entry.end - entry.start
+        if entry.opcode != CONNECTION:
+            break
+        at = entry.end
+    msg = "an index points to another record"
+    raise DamagedError(msg, code="index")
+
+
+def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
+    """Return the messages of a connection in a chunk, found by walking it."""
+    found = [
+        (entry.start, entry.end - entry.start, time_ns(entry.head, b"time"))
+        for opcode, entry in walk(raw)
+        if opcode == MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key
+    ]
+    starts, sizes, times = np.array(found, dtype=np.int64).reshape(-1, 3).T.copy()
+    return Batch(buffer=raw, starts=starts, header=0, sizes=sizes, log_ns=times, loss=loss)
+
+
+class BagFile(MessageFile):
+    """A container of the messages of a ROS 1 bag."""
+
+    format = "rosbag1"
+
+    def _read_index(self) -> None:
+        self._connections: dict[int, Channel] = {}
+        self._chunks: list[BagChunk] = []
+        magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
+        if magic != MAGIC:
+            _refuse(self.path, magic)
+        try:
+            self._read_section()
+        except (DamagedError, struct.error) as error:
+            self._connections.clear()
+            self._chunks.clear()
+            self._scan(error if isinstance(error, DamagedError) else DamagedError("it is damaged"))
+        self.compression = self._compression()
+        self.channels = self._channels()
+        self.start_ns = min((chunk.first_ns for chunk in self._chunks if chunk.first_ns), default=None)
+        self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
+
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that hold messages of some connections."""
+        for chunk in self._chunks:
+            task = BagChunkTask(self._file, chunk, keys)
+            if task.counts:
+                yield task
+
+    def _read_section(self) -> None:
+        """Read the index section; raises DamagedError if there is none, or it is damaged."""
+        head = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
+        if head.get(b"encryptor"):
+            name = head[b"encryptor"].decode("utf-8", "replace")
+            msg = f"{self.path}: the bag is encrypted by {name}; expected a plain bag, decrypt it first"
+            raise ReadError(msg)
+        start = number(head, b"index_pos", 8)
+        damaged_if(not start, "the bag was not closed and has no index", code="unindexed")
+        damaged_if(
+            not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX,
+            "the index lies beyond the end of the file",
+            code="truncated",
+        )
+        section = memoryview(self._file.read(start, self.size - start))
+        at = 0
+        while at < len(section):
+            at = self._read_entry(section, at)
+        chunks, connections = number(head, b"chunk_count", 4), number(head, b"conn_count", 4)
+        damaged_if(
+            len(self._chunks) < chunks or len(self._connections) < connections,
+            "the index is cut",
+            code="truncated",
+        )
+        self._set_ends(start)
+
+    def _read_entry(self, section: memoryview, at: int) -> int:
+        """Take one record of the index section; return where it ends."""
+        entry = record(section, at)
+        head, data, opcode = entry.head, section[entry.start : entry.end], entry.opcode
+        damaged_if(entry.end > len(section), "the index is cut", code="truncated")
+        if opcode == CONNECTION:
+            found = connection(head, data)
+            self._connections[found.key] = found
+        elif opcode == CHUNK_INFO:
+            damaged_if(len(data) % PAIR.size, "a chunk's entry in the index is damaged")
+            self._chunks.append(
+                BagChunk(
+                    start=number(head, b"chunk_pos", 8),
+                    size=0,
+                    counts=dict(PAIR.iter_unpack(data)),
+                    first_ns=time_ns(head, b"start_time"),
+                    last_ns=time_ns(head, b"end_time"),
+                )
+            )
+        return entry.end
+
+    def _set_ends(self, index: int) -> None:
+        """Let each chunk reach to the next one, the last to the index section."""
+        starts = sorted({chunk.start for chunk in self._chunks})
+        damaged_if(len(starts) != len(self._chunks), "the index lists chunks twice")
+        damaged_if(
+            starts and (starts[0] <= len(MAGIC) or starts[-1] >= index), "the index points beyond the file"
+        )
+        ends = dict(pairwise([*starts, index]))
+        for chunk in self._chunks:
+            chunk.size = ends[chunk.start] - chunk.start
+
+    # Without an index
+
+    def _scan(self, reason: DamagedError) -> None:
+        """Visit the records of the file."""
+        end = self._visit_all()
+        if not self._connections:
+            msg = f"{self.path}: {reason}, and no whole chunk was found; expected a ROS 1 bag"
+            raise ReadError(msg)
+        self.findings.append(scan_finding(reason, end, self.size))
+
+    def _visit_all(self) -> int:
+        """Visit records up to the first that is not whole; return where that is."""
+        at = len(MAGIC)
+        while True:
+            try:
+                (size,) = U32.unpack(self._file.read(at, U32.size))
+                entry = record(self._file.read(at, size + 8), 0)
+                opcode, after = entry.opcode, at + entry.end
+            except DamagedError:
+                return at
+            if opcode == CHUNK:
+                self._add_chunk(at, min(after, self.size) - at, cut=after > self.size)
+            if after > self.size:
+                return at
+            if opcode == CONNECTION:
+                self._add_connection(entry.head, self._file.read(at + entry.start, entry.end - entry.start))
+            at = after
+
+    def _add_connection(self, head: Mapping[bytes, bytes], data: Bytes) -> None:
+        """Take a connection record; a damaged one is as good as none."""
+        with suppress(DamagedError):
+            found = connection(head, data)
+            self._connections.setdefault(found.key, found)
+
+    def _add_chunk(self, at: int, size: int, *, cut: bool) -> None:
+        """Count the messages of a chunk, and learn the connections defined in it."""
+        chunk = BagChunk(start=at, size=size, indexed=False, cut=cut)
+        self._chunks.append(chunk)
+        try:
+            raw, _ = unpack(memoryview(self._file.read(at, size)), cut=cut)
+            for opcode, entry in walk(raw):
+                if opcode == CONNECTION:
+                    self._add_connection(entry.head, raw[entry.start : entry.end])
+                elif opcode == MESSAGE:
+                    key, time = entry.key, time_ns(entry.head, b"time")
+                    chunk.counts[key] = chunk.counts.get(key, 0) + 1
+                    chunk.first_ns = min(chunk.first_ns or time, time)
+                    chunk.last_ns = max(chunk.last_ns, time)
+        except DamagedError as error:
+            if not cut:
+                text = f"The log is damaged in one place: {error}."
+                self.findings.append(Finding(level="warning", code=error.code, text=text))
+
+    def _channels(self) -> list[Channel]:
+        counts: Counter[int] = Counter()
+        spans: dict[int, tuple[int, int]] = {}
+        for chunk in self._chunks:
+            counts.update(chunk.counts)
+            for key in chunk.counts:
+                first, last = spans.get(key, (chunk.first_ns, chunk.last_ns))
+                spans[key] = (min(first, chunk.first_ns), max(last, chunk.last_ns))
+        none = (None, None)
+        return [
+            replace(
+                found, count=counts[key], first_ns=spans.get(key, none)[0], last_ns=spans.get(key, none)[1]
+            )
+            for key, found in sorted(self._connections.items())
+        ]
+
+    def _compression(self) -> str:
+        """Return how the first chunk is compressed; all chunks of a bag are written alike."""
+        if not self._chunks:
+            return "none"
+        try:
+            at = self._chunks[0].start
+            kind = record(self._file.read(at, min(_HEAD_BLOCK, self.size - at)), 0).compression
+        except DamagedError:
+            return "unknown"
+        if kind not in KINDS:
+            msg = f"{self.path}: chunks are compressed by {kind!r}; expected none, lz4 or bz2"
+            raise ReadError(msg)
+        return kind
+
+
+def _refuse(path: Path, magic: bytes) -> None:
+    if magic.startswith(b"#ROSBAG V"):
+        version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
+        msg = f"{path}: a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
+        raise ReadError(msg)
+    msg = f"{path}: not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}"
+    raise ReadError(msg)
+
+
+open_files = BagFile.open_files

@@ -1,0 +1,134 @@
+"""Schemas of messages that are read into trees: which numbers they hold, and what parses them.
+
+ROS messages by rosbags, which reaches fields that stand in or behind lists of structures; protobuf messages
+by the schema in the log and the package `protobuf`, which is an extra.
+"""
+
+from collections.abc import Iterable, Iterator
+from itertools import count
+from typing import Any
+
+from imucal.readers.containers import Channel
+from imucal.readers.messages.definitions import ChannelDefinition, DefinitionError, Definitions, Field
+from imucal.readers.messages.leaves import Leaf
+from imucal.readers.messages.trees import Parse
+
+#: A type that nests deeper than this is not shown further, or refers to itself.
+_DEEP = 8
+#: Lines of a ROS type, and protobuf messages within messages, that are looked into.
+_LINES, _MESSAGES = 4000, 2000
+#: Type of a number -> NumPy code, by the names of the package's constants.
+_CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32": "u4", "UINT64": "u8",
+          "SINT32": "i4", "SINT64": "i8", "FIXED32": "u4", "FIXED64": "u8", "SFIXED32": "i4",
+          "SFIXED64": "i8"}  # fmt: skip
+
+
+def ros_leaves(given: ChannelDefinition) -> list[Leaf]:
+    """Return the numbers in messages of a type; a DefinitionError where its definition can't be read."""
+    known = Definitions(given.channel.type, given.text, ros1=given.ros1, more=given.more)
+    return list(_ros_leaves(known, known.name, "", 0, count()))
+
+
+def _ros_leaves(
+    known: Definitions, name: str, prefix: str, depth: int, steps: Iterator[int]
+) -> Iterator[Leaf]:
+    """Yield the numbers of a type at a prefix; `steps` counts the lines that were looked at."""
+    for line in known.lines(name):
+        if next(steps) >= _LINES:
+            return
+        path = prefix + line.name
+        own = f"{path}[0]" if line.array else path
+        if line.is_number:
+            brackets = f"[{'' if line.count is None else line.count}]" if line.array else ""
+            yield Leaf(path, line.kind + brackets)
+        elif line.is_time:
+            yield Leaf(f"{own}.sec", "int32")
+            yield Leaf(f"{own}.nanosec", "uint32")
+        elif not line.is_text and depth < _DEEP:
+            yield from _ros_leaves(known, known.resolve(name, line.kind), f"{own}.", depth + 1, steps)
+
+
+def ros_parser(given: ChannelDefinition) -> Parse:
+    """Return what parses messages of a type; a DefinitionError where its definition can't be read."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    name = _long(given.channel.type)
+    try:
+        own: dict[str, Any] = {}
+        package = name.partition("/")[0]
+        for other, body in (given.more or {}).items():
+            own |= get_types_from_msg(body, _long(other if other[0] != "/" else package + other))
+        own |= get_types_from_msg(given.text, name)
+        standard = get_typestore(Stores.ROS1_NOETIC if given.ros1 else Stores.LATEST).fielddefs
+        store = get_typestore(Stores.EMPTY)
+        store.register({**{kind: fields for kind, fields in standard.items() if kind not in own}, **own})
+    except Exception as error:
+        # rosbags has error classes of its own.
+        why = " ".join(str(error).split())[:80]
+        msg = f"its definition can't be read: {type(error).__name__} {why}"
+        raise DefinitionError(msg) from error
+
+    def parse(data: bytes) -> Any:  # noqa: ANN401 - rosbags makes the types
+        return store.deserialize_ros1(data, name) if given.ros1 else store.deserialize_cdr(data, name)
+
+    return parse
+
+
+def _long(name: str) -> str:
+    package, _, last = name.partition("/")
+    return name if "/msg/" in name else f"{package}/msg/{last}"
+
+
+def protobuf_parser(channel: Channel) -> Parse:
+    """Return what parses the messages of a channel; a DefinitionError where its schema is damaged."""
+    from google.protobuf.message_factory import GetMessageClass
+
+    parse: Parse = GetMessageClass(_descriptor(channel)).FromString
+    return parse
+
+
+def protobuf_leaves(channel: Channel) -> list[Leaf]:
+    """Return the numbers that the messages of a channel hold."""
+    return list(_protobuf_leaves(_descriptor(channel), "", 0, count()))
+
+
+def protobuf_fields(channel: Channel) -> list[Field]:
+    """Return the numbers as fields, to be recognised by their names; their layout is not a fixed one."""
+    codes = {name.lower(): code for name, code in _CODES.items()}
+    return [
+        Field(leaf.path, "number", codes[leaf.type])
+        for leaf in protobuf_leaves(channel)
+        if leaf.type in codes
+    ]
+
+
+def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an extra
+    try:
+        from google.protobuf.descriptor_pb2 import FileDescriptorSet
+        from google.protobuf.descriptor_pool import DescriptorPool
+    except ImportError as error:
+        msg = "its messages are protobuf, which an extra reads; install imucal-noise[protobuf]"
+        raise DefinitionError(msg) from error
+    try:
+        pool = DescriptorPool()
+        for file in FileDescriptorSet.FromString(channel.schema).file:
+            pool.Add(file)
+        return pool.FindMessageTypeByName(channel.type)
+    except Exception as error:
+        # The package has error classes of its own, and raises TypeError for what does not fit together.
+        msg = f"its protobuf schema can't be read: {type(error).__name__} {error}"
+        raise DefinitionError(msg) from error
+
+
+def _protobuf_leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[int]) -> Iterable[Leaf]:  # noqa: ANN401
+    from google.protobuf.descriptor import FieldDescriptor as Kinds
+
+    names = {getattr(Kinds, f"TYPE_{name}"): name.lower() for name in _CODES}
+    for field in descriptor.fields:
+        path = prefix + field.name
+        if field.message_type is not None:
+            if depth < _DEEP and next(steps) < _MESSAGES:
+                own = f"{path}[0]." if field.is_repeated else f"{path}."
+                yield from _protobuf_leaves(field.message_type, own, depth + 1, steps)
+        elif field.type in names:
+            yield Leaf(path, names[field.type] + ("[]" if field.is_repeated else ""))
