@@ -734,9 +734,11 @@ def times_of(path: Path) -> ExternalTime | None:
             column = parse_column(lines[0], 0)
             if len(lines) < 3 or column.role is not Role.TIME or not all(map(is_number, lines[1:])):
                 return None
-            cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
     except ImucalError:
         return None
+    # Damage behind its head is said, not passed over.
+    with open_text(path) as source:
+        cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
     unit = parse_time_unit(column.unit) if column.unit else None
     choice = TimeChoice(
         kind="stamp",
