@@ -23,8 +23,8 @@ _EVERY = 1_000_000
 _THOROUGH, _QUICK = ((25, _EVERY), (25, 40)), ((12, _EVERY), (38, 16))
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96
-#: Keeps logarithms and squares of inverses finite, in double and in single precision.
-_TINY, _SINGLE = 1e-140, np.float32(1e-15)
+#: Keeps logarithms and squares of inverses finite.
+_TINY = 1e-140
 
 
 def time_grid(ordinates: Ordinates, shortest: float) -> FloatArray:
@@ -160,19 +160,14 @@ def _mix(
     ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray, rounds: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weights after some rounds of multiplicative updates, and -log L."""
-    # Half the digits are enough for a start, and take half the time: in each bin as a multiple of its level.
-    level = np.maximum(ordinates.power, _TINY) / ordinates.size
-    seen = dictionary / level
-    largest = seen.max(axis=1)
-    single = (seen / largest[:, None]).astype(np.float32)
-    plenty = (single * ordinates.size.astype(np.float32)).T.copy()
-    share = (weights * largest).astype(np.float32)
+    plenty = np.ascontiguousarray((dictionary * ordinates.size).T)
+    transposed = np.ascontiguousarray(dictionary.T)
     for _ in range(rounds):
-        inverse = 1 / (share @ single + _SINGLE)
+        inverse = 1 / (weights @ dictionary + _TINY)
         push = inverse @ plenty
         inverse *= inverse
-        share *= np.sqrt((inverse @ plenty) / push)
-    weights = share / largest
+        inverse *= ordinates.power
+        weights = weights * np.sqrt((inverse @ transposed) / push)
     spectrum = weights @ dictionary + _TINY
     objective = 0.5 * (np.log(spectrum) * ordinates.size + ordinates.power / spectrum).sum(axis=1)
     return weights, objective
