@@ -29,7 +29,7 @@ from imucal.fitting.spectral.given_model import (
     record_tests,
     squared_coefficients,
 )
-from imucal.fleet.population import variance_between
+from imucal.fleet.population import random_mean
 from imucal.fleet.values import LogValue
 from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import TERMS
@@ -237,17 +237,16 @@ def _mean(
     """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
     from scipy.special import ndtri, stdtrit
 
-    dof = values.size - 1
-    spread = math.sqrt(variance_between(values, deviations)) if random else 0.0
-    weight = 1 / (deviations**2 + spread**2)
-    mean = float(np.average(values, weights=weight))
-    error = math.sqrt(1 / float(weight.sum()))
-    wide = float(ndtri((1 + level) / 2))
-    if random:
-        scatter = float(np.sum(weight * (values - mean) ** 2)) / dof
-        error *= math.sqrt(max(scatter, 1.0))
-        wide = float(stdtrit(dof, (1 + level) / 2))
-    return mean, mean - wide * error, mean + wide * error, spread
+    if not random:
+        weight = deviations**-2.0
+        mean, spread = float(np.average(values, weights=weight)), 0.0
+        reach = float(ndtri((1 + level) / 2)) / math.sqrt(float(weight.sum()))
+    else:
+        dof = values.size - 1
+        mean, error, spread = random_mean(values, deviations)
+        scatter = float(np.sum((values - mean) ** 2 / (deviations**2 + spread**2))) / dof
+        reach = float(stdtrit(dof, (1 + level) / 2)) * error * math.sqrt(max(scatter, 1.0))
+    return mean, mean - reach, mean + reach, spread
 
 
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:

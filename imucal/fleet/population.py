@@ -21,10 +21,12 @@ from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.posterior import (
+    TAILS,
     NextLog,
     Place,
     Posterior,
     UnitLikelihoods,
+    interval_of,
     place_of,
     posterior_of,
     scatters,
@@ -41,11 +43,15 @@ FALSE_SHARE = 0.05
 _MOSTLY = 0.5
 #: Units that are judged by the others alone at most, and up to which chance at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.2
-#: Quantile of the normal law at 95 %, two-sided; and where the interval and the median lie.
+#: Quantile of the normal law at 95 %, two-sided.
 _TWO_SIDED = 1.959963984540054
-_TAILS = (0.025, 0.5, 0.975)
 #: Probability with which the next unit lies in its limits.
 _CONTENT = 0.95
+_MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would say more than more units."
+_ALL_BOUNDED = (
+    "All logs together do not show this term: every number is an upper bound, and the spread between "
+    "units is not known. Longer logs would say more than more units."
+)
 #: Points of a mean square's likelihood, up to where its logarithm is so far below the peak.
 _POINTS, _NOTHING = 1001, -30.0
 #: How often its reach is doubled at most; and units that are added at a time.
@@ -140,22 +146,32 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     if len(values.names) < FEWEST:
         return _too_few(values, place, content, confidence)
     posterior = whole_posterior(values, place)
-    within = _interval(posterior.quantiles(posterior.omega, _TAILS))
+    within = interval_of(posterior.quantiles(posterior.omega, TAILS))
     units = _judged(values, unit_likelihoods(values, within.value, place), posterior, place)
     if only_bounded(values):
-        return _bounded(values, units, content, confidence, posterior.next_log())
+        highest, median = share_bound(values, content, confidence), rms_bound(values, TAILS[-1])
+        return Population(
+            units=units,
+            logs=len(logs),
+            median=Interval(value=median, low=0.0, high=median),
+            bounded=True,
+            prediction=(0.0, share_bound(values, _CONTENT, _CONTENT)),
+            quantile=min(share_bound(values, content, 0.5), highest),
+            tolerance=highest,
+            content=content,
+            confidence=confidence,
+            findings=_said("weak-term", _ALL_BOUNDED),
+            next_log=posterior.next_log(),
+        )
     share = float(np.mean(values.bounded))
-    weak = (
-        f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
-    )
     reach = posterior.mu + float(ndtri(content)) * posterior.tau
     quantile, tolerance = np.exp(posterior.quantiles(reach, (0.5, confidence))).tolist()
-    low, high = np.exp(posterior.prediction(_TAILS[::2])).tolist()
+    low, high = np.exp(posterior.prediction(TAILS[::2])).tolist()
     return Population(
         units=units,
         logs=len(logs),
-        median=_interval(np.exp(posterior.quantiles(posterior.mu, _TAILS))),
-        spread=_interval(posterior.quantiles(posterior.tau, _TAILS)),
+        median=interval_of(np.exp(posterior.quantiles(posterior.mu, TAILS))),
+        spread=interval_of(posterior.quantiles(posterior.tau, TAILS)),
         within=within if len(posterior.omega) > 1 else None,
         prediction=(low, high),
         quantile=quantile,
@@ -163,9 +179,13 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         content=content,
         confidence=confidence,
         # The median then leans on the bounds.
-        findings=(Finding(level="info", code="weak-term", text=weak),) if share > _MOSTLY else (),
+        findings=_said("weak-term", _MOSTLY_BOUNDED.format(100 * share)) if share > _MOSTLY else (),
         next_log=posterior.next_log(),
     )
+
+
+def _said(code: str, text: str) -> tuple[Finding, ...]:
+    return (Finding(level="info", code=code, text=text),)
 
 
 def membership(found: Population, new: LogValue) -> float:
@@ -192,34 +212,6 @@ def membership(found: Population, new: LogValue) -> float:
     return found.next_log.p_value(LogValues.of([new]))
 
 
-def _bounded(
-    values: LogValues,
-    units: tuple[UnitValue, ...],
-    content: float,
-    confidence: float,
-    next_log: NextLog,
-) -> Population:
-    """Return how large a coefficient can be that all logs together do not show."""
-    text = (
-        "All logs together do not show this term: every number is an upper bound, and the spread between "
-        "units is not known. Longer logs would say more than more units."
-    )
-    highest, median = share_bound(values, content, confidence), rms_bound(values, _TAILS[-1])
-    return Population(
-        units=units,
-        logs=values.unit.size,
-        median=Interval(value=median, low=0.0, high=median),
-        bounded=True,
-        prediction=(0.0, share_bound(values, _CONTENT, _CONTENT)),
-        quantile=min(share_bound(values, content, 0.5), highest),
-        tolerance=highest,
-        content=content,
-        confidence=confidence,
-        findings=(Finding(level="info", code="weak-term", text=text),),
-        next_log=next_log,
-    )
-
-
 def _too_few(values: LogValues, place: Place, content: float, confidence: float) -> Population:
     """Return one or two units as they are: they tell nothing of a spread between units."""
     n = len(values.names)
@@ -238,13 +230,8 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
         bounded=not told,
         content=content,
         confidence=confidence,
-        findings=(Finding(level="info", code="few-units", text=text),),
+        findings=_said("few-units", text),
     )
-
-
-def _interval(limits: FloatArray) -> Interval:
-    low, value, high = map(float, limits)
-    return Interval(value=value, low=low, high=high)
 
 
 def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
@@ -274,7 +261,7 @@ def _judged(
     units are known. The quick look is Student's t of well told units, else the posterior of all.
     """
     told = bool(units.normal.all())
-    squares = values.unit_squares(place.centre)
+    squares = values.squares.mean_by(values.unit, math.exp(2 * place.centre))
     scatter = posterior.quantiles(posterior.omega, [0.5])
     own = scatter / np.sqrt(np.bincount(values.unit))
     if told:
@@ -284,20 +271,19 @@ def _judged(
         quick = posterior.p_values(squares, own)
 
     def by_others(unit: int) -> float:
-        others = values.without(unit)
+        others = values.take(values.unit != unit)
         if len(others.names) < FEWEST:
             return 1.0
         alone = posterior_of(others, scatters(others) if told else scatter, place)
         if told:
-            return alone.p_value(*values.unit_centre(unit, alone.omega.ravel()))
+            return alone.p_value(values.take(values.unit == unit))
         return float(alone.p_values(squares[[unit]], own[[unit]])[0])
 
     p_values = oddest_by_others(quick, _SUSPECT, by_others)
+    chances = zip(p_values.tolist(), adjusted(p_values).tolist(), strict=True)
     return tuple(
         replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= FALSE_SHARE)
-        for unit, p, p_odd in zip(
-            _units(values, units), p_values.tolist(), adjusted(p_values).tolist(), strict=True
-        )
+        for unit, (p, p_odd) in zip(_units(values, units), chances, strict=True)
     )
 
 
@@ -350,15 +336,19 @@ def adjusted(p: FloatArray) -> FloatArray:
     return result
 
 
-def variance_between(values: FloatArray, errors: FloatArray) -> float:
-    """Return the variance of values, shape (n,), beyond their standard errors: by moments, 0 at least.
+def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
+    """Return the mean of values, shape (n,), that differ; its standard error, and their spread.
 
+    The spread beyond their standard errors is by moments, 0 at least; it is in the weights.
     Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
     """
     weight = errors**-2.0
     total = float(weight.sum())
     statistic = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
-    return max(statistic - (values.size - 1), 0.0) / (total - float(np.square(weight).sum()) / total)
+    between = max(statistic - (values.size - 1), 0.0) / (total - float(np.square(weight).sum()) / total)
+    weight = 1 / (errors**2 + between)
+    mean = float(np.average(values, weights=weight))
+    return mean, 1 / math.sqrt(float(weight.sum())), math.sqrt(between)
 
 
 def only_bounded(values: LogValues) -> bool:
@@ -411,14 +401,7 @@ def _of_different(units: Squares, confidence: float) -> float:
     """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
     from scipy.special import ndtr, ndtri
 
-    weight = units.sd**-2.0
-    error = units.deviation(max(float(np.average(units.estimate, weights=weight)), 0.0))
-    between = variance_between(units.estimate, error)
-    if not between:
-        return 0.0
-    weight = 1 / (error**2 + between)
-    mean = float(np.average(units.estimate, weights=weight))
-    error_of_mean = 1 / math.sqrt(float(np.sum(weight)))
-    beyond = (1 - confidence) * float(ndtr(mean / error_of_mean))
-    bound: float = mean - error_of_mean * float(ndtri(beyond))
-    return bound
+    at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
+    mean, error, spread = random_mean(units.estimate, units.deviation(at))
+    bound: float = mean - error * float(ndtri((1 - confidence) * float(ndtr(mean / error))))
+    return bound if spread else 0.0

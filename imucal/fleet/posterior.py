@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
+from imucal.fitting.noise_fit import Interval
 from imucal.fleet.values import LogValues, Squares
 
 #: Grid points of the coefficient of weakly told units, of mu, of tau and of omega.
@@ -54,6 +55,16 @@ _FARTHEST = 6.0
 _DRAWS = 4000
 #: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
 _GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+#: Where an interval begins, the median, and where it ends.
+TAILS = (0.025, 0.5, 0.975)
+
+
+def interval_of(quantiles: FloatArray) -> Interval:
+    """Return the interval of quantiles at `TAILS`."""
+    low, value, high = quantiles.tolist()
+    return Interval(value=value, low=low, high=high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +104,13 @@ class UnitLikelihoods:
 
 def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelihoods:
     """Return the likelihood of each unit, where logs of one unit scatter by `omega`."""
-    n = len(logs.names)
-    normal = np.bincount(logs.unit, ~logs.narrow, minlength=n) == 0
-    weights = 1 / (logs.log_deviation(place.centre) ** 2 + omega**2)
-    total = np.bincount(logs.unit, weights, minlength=n)
-    centre = np.bincount(logs.unit, weights * logs.centre, minlength=n) / np.maximum(total, 1e-300)
+    normal = np.bincount(logs.unit, ~logs.narrow) == 0
+    square = math.exp(2 * place.centre)
+    weak_error = logs.squares.deviation(square) / (2 * square)
+    error = np.where(logs.narrow | logs.by_limits, logs.deviation, weak_error)
+    weights = 1 / (error**2 + omega**2)
+    total = np.maximum(np.bincount(logs.unit, weights), _TINY)
+    centre = np.bincount(logs.unit, weights * logs.centre) / total
     own = normal[logs.unit]
     constant = 0.5 * float(
         np.sum(np.log(weights[own]) - weights[own] * (logs.centre - centre[logs.unit])[own] ** 2)
@@ -105,30 +118,25 @@ def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelih
     )
     reach = min(9 * place.scale, _DEEPEST)
     theta = np.linspace(place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale, _POINTS)
-    weak = _on_grid(logs, ~normal, theta, omega)
+    others = logs.take(~own)
+    each = others.log_likelihood(theta)
+    if omega > 0 and each.size:
+        top = each.max(axis=1, keepdims=True)
+        each = np.log(np.exp(each - top) @ _blur(theta, theta, omega).T + _TINY) + top
+    # The logs of a unit are multiplied.
+    weak = np.zeros((len(others.names), theta.size))
+    np.add.at(weak, others.unit, each)
     peaks = weak.max(axis=1, keepdims=True)
     return UnitLikelihoods(
         omega=omega,
         about=place.centre,
         normal=normal,
         centre=centre,
-        deviation=1 / np.sqrt(np.maximum(total, 1e-300)),
+        deviation=1 / np.sqrt(total),
         constant=constant + float(peaks.sum()),
         theta=theta,
         weak=np.exp(weak - peaks),
     )
-
-
-def _on_grid(logs: LogValues, units: BoolArray, theta: FloatArray, omega: float) -> FloatArray:
-    """Return the log-likelihoods of some units, shape (such units, theta), their logs multiplied."""
-    which = units[logs.unit]
-    each = logs.log_likelihood(which, theta)
-    if omega > 0 and each.size:
-        top = each.max(axis=1, keepdims=True)
-        each = np.log(np.exp(each - top) @ _blur(theta, theta, omega).T + _TINY) + top
-    result = np.zeros((int(np.count_nonzero(units)), theta.size))
-    np.add.at(result, (np.cumsum(units) - 1)[logs.unit[which]], each)
-    return result
 
 
 def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
@@ -145,6 +153,12 @@ def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
     kernel[:, 0] = cell * ndtr((theta[0] + step / 2 - theta_to) / wide)
     kernel[:, -1] = cell * ndtr((theta_to - theta[-1] + step / 2) / wide)
     result: FloatArray = kernel / kernel.sum(axis=1, keepdims=True)
+    return result
+
+
+def two_sided(chance: FloatArray) -> FloatArray:
+    """Return the chance of lying as far out on either side, from that of lying on one."""
+    result: FloatArray = 2 * np.minimum(chance, 1 - chance)
     return result
 
 
@@ -175,8 +189,7 @@ class NextLog:
             less = ndtr((new.centre[0] - at) / error)
         else:
             less = new.squares.below(np.exp(2 * np.minimum(at, _LARGEST / 2)))[0]
-        chance = float(less @ weight) / float(weight.sum())
-        return 2 * min(chance, 1 - chance)
+        return float(two_sided(less @ weight / weight.sum()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,30 +212,24 @@ class Posterior:
 
     def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
         """Return quantiles of the logarithm of a unit that was not seen."""
-        weight = self.weight.sum(axis=0)
-        law = _Law(self.mu[0], np.broadcast_to(self.tau[0], weight.shape), weight)
-        return np.interp(at, law.below(law.points), law.points)
+        return _Law(self.mu[0], self.tau[0], self.weight.sum(axis=0)).quantiles(at)
 
     def next_log(self) -> NextLog:
         """Return where a log of a unit that was not seen lies."""
         from scipy.special import ndtr
 
-        mu = np.broadcast_to(self.mu, self.weight.shape)
-        law = _Law(mu, np.broadcast_to(np.hypot(self.tau, self.omega), mu.shape), self.weight)
-        levels = ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))
-        points = np.unique(np.interp(levels, law.below(law.points), law.points))
+        law = _Law(self.mu, np.hypot(self.tau, self.omega), self.weight)
+        points = np.unique(law.quantiles(ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
         return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
 
-    def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
-        """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
-
-        Both, shape (omega,), are what its logs make at each scatter within a unit.
-        """
+    def p_value(self, unit: LogValues) -> float:
+        """Return the two-sided chance of the logs of one new unit, all of them narrow."""
         from scipy.special import ndtr
 
-        apart = centre[:, None, None] - self.mu
-        above = float(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + variance[:, None, None]))))
-        return 2 * min(above, 1 - above)
+        weight = 1 / (unit.deviation**2 + self.omega**2)
+        total = weight.sum(axis=-1, keepdims=True)
+        apart = weight @ unit.centre[:, None] / total - self.mu
+        return float(two_sided(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + 1 / total)))))
 
     def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
         """Return the two-sided chance of estimates of squared coefficients like these.
@@ -233,17 +240,16 @@ class Posterior:
 
         at = (np.arange(_DRAWS) + 0.5) / _DRAWS
         log, moved = self.prediction(at), ndtri((at * _DRAWS * _GOLDEN) % 1)
-        below = units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1)
-        result: FloatArray = 2 * np.minimum(below, 1 - below)
-        return result
+        return two_sided(units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1))
 
 
 class _Law:
-    """Normal laws about `mu`, `wide`, with weights, all of one shape; `points` are where they lie."""
+    """Normal laws about `mu`, `wide`, with weights, broadcast; `points` are where they lie."""
 
     def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
         keep = weight > _UNLIKELY * weight.max()
-        mu, wide, weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+        mu, wide, weight = (np.broadcast_to(part, weight.shape)[keep] for part in (mu, wide, weight))
+        weight /= weight.sum()
         # Laws that are nearly the same are one, with the mean and the variance of all of them.
         widths = np.floor(np.log(wide) / _ALIKE)
         places = np.floor(mu / (_BESIDE * np.exp(widths * _ALIKE)))
@@ -264,6 +270,10 @@ class _Law:
 
         # A point at a time: all of them would take more memory than the posterior itself.
         return np.array([float(ndtr((at - self._mu) / self._wide) @ self._weight) for at in points])
+
+    def quantiles(self, at: Sequence[float] | FloatArray) -> FloatArray:
+        """Return where the chance of less is `at`."""
+        return np.interp(at, self.below(self.points), self.points)
 
 
 def whole_posterior(values: LogValues, place: Place) -> Posterior:

@@ -8,7 +8,8 @@ import pytest
 
 from imucal.errors import DataError
 from imucal.fleet import LogValue, trend
-from imucal.fleet.trend import LabelledLogs, adjust, labelled_logs, slope_posterior
+from imucal.fleet.trend import adjust, labelled_logs, slope_posterior
+from imucal.fleet.values import LogValues
 from tests.benchmarks.fleet_trends import make_fleet, said
 
 
@@ -220,7 +221,7 @@ def test_bounds_with_a_variance_count_and_an_absent_term_is_refused() -> None:
 def test_the_posterior_is_that_of_dense_matrices() -> None:
     """Weights and mean slopes at points of the grid, against covariances of all logs written out."""
     rng = np.random.default_rng(65)
-    logs = labelled_logs(_fleet(rng, beta=0.004, gamma=0.1, spread=0.002, units=4))
+    logs, _ = labelled_logs(_fleet(rng, beta=0.004, gamma=0.1, spread=0.002, units=4))
     posterior = slope_posterior(logs)
     points = np.argsort(posterior.weight)[[-1, -5, -40]]
     heights = []
@@ -233,17 +234,17 @@ def test_the_posterior_is_that_of_dense_matrices() -> None:
     assert np.diff(heights) == pytest.approx(np.diff(expected), rel=1e-6)
 
 
-def _dense(logs: LabelledLogs, omega: float, tau: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _dense(logs: LogValues, omega: float, tau: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Return log-posterior, mean slopes and covariance by generalized least squares, levels beside slopes."""
     same = logs.unit[:, None] == logs.unit
-    cover = np.diag(logs.deviation**2 + omega**2) + same * ((logs.x * tau**2) @ logs.x.T)
-    design = np.column_stack([logs.x, np.eye(int(logs.unit[-1]) + 1)[logs.unit]])
+    cover = np.diag(logs.deviation**2 + omega**2) + same * ((logs.labels * tau**2) @ logs.labels.T)
+    design = np.column_stack([logs.labels, np.eye(int(logs.unit[-1]) + 1)[logs.unit]])
     inverse = np.linalg.inv(cover)
     covariance = np.linalg.inv(design.T @ inverse @ design)
-    beta = covariance @ design.T @ inverse @ logs.y
-    rest = logs.y - design @ beta
+    beta = covariance @ design.T @ inverse @ logs.centre
+    rest = logs.centre - design @ beta
     prior = math.log(omega**2 * np.sqrt(np.sum((logs.deviation**2 + omega**2) ** -2.0)))
-    for x, t in zip(logs.x.T, tau, strict=True):
+    for x, t in zip(logs.labels.T, tau, strict=True):
         weight = 1 / (logs.deviation**2 + omega**2)
         error2 = [
             1 / np.sum(w * (own - np.average(own, weights=w)) ** 2)
@@ -254,5 +255,5 @@ def _dense(logs: LabelledLogs, omega: float, tau: np.ndarray) -> tuple[float, np
     height = prior - 0.5 * (
         rest @ inverse @ rest + np.linalg.slogdet(cover)[1] - np.linalg.slogdet(covariance)[1]
     )
-    labels = logs.x.shape[1]
+    labels = logs.labels.shape[1]
     return float(height), beta[:labels], covariance[:labels, :labels]
