@@ -19,7 +19,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, keyed
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.estimates import MISFIT
 from imucal.fitting.spectral.given_model import (
@@ -49,12 +49,10 @@ class Homogeneity:
 
     Attributes
     ----------
-    statistic, dof
-        Twice the log-likelihood ratio of one coefficient for each record against one for all;
-        chi-squared with `dof` degrees of freedom where there is one. A weak term's is smaller, because no
-        variance is negative: it is found to differ more rarely.
-    p_value
-        Probability of so large a statistic by chance.
+    statistic, dof, p_value
+        Twice the log-likelihood ratio of one coefficient for each record against one for all; chi-squared
+        with `dof` degrees of freedom where there is one, and the chance of so much. A weak term's is
+        smaller, because no variance is negative: it is found to differ more rarely.
     spread
         Relative standard deviation of the coefficient between records, beyond what chance gives.
     values
@@ -104,12 +102,7 @@ class PooledFit:
     findings: tuple[Finding, ...]
 
     def __getitem__(self, key: str) -> Estimate:
-        for estimate in self.estimates:
-            if estimate.key == key:
-                return estimate
-        found = ", ".join(estimate.key for estimate in self.estimates)
-        msg = f"{key!r}; the fit has {found}"
-        raise KeyError(msg)
+        return keyed(self.estimates, key, "the fit has")
 
 
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
@@ -160,7 +153,7 @@ def pool_bins(
     # Where records differ in one term, the others are means over them, too.
     differ = any(test.p_value < CHANCE for test in tests)
     widened = _means(every, structure, tests, found.estimates, level) if differ else {}
-    estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
+    estimates = tuple(widened[e.key][0] if e.key in widened else e for e in found.estimates)
     homogeneity = tuple(
         Homogeneity(
             **{name: getattr(test, name) for name in ("key", "symbol", "statistic", "dof", "p_value")},
@@ -197,9 +190,7 @@ def _means(
     joint = {e.key: e for e in estimates}
     alone: list[dict[str, SquaredCoefficient]] = []
     means = {}
-    for test in tests:
-        if test.key not in joint:
-            continue
+    for test in (test for test in tests if test.key in joint):
         differs = test.p_value < CHANCE
         if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
             *limits, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
@@ -251,13 +242,10 @@ def _mean(
 
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
     """Return the model with the values of the estimates, without the terms that became bounded."""
-    kept = [term for term in model.terms if len(term.values) > 1 or term.symbol == "R"]
-    others = [
-        TERMS[e.symbol].of(e.value)
-        for e in estimates
-        if e.value is not None and len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R"
-    ]
-    return NoiseModel(terms=tuple(sorted((*others, *kept), key=lambda term: list(TERMS).index(term.symbol))))
+    terms = [term for term in model.terms if len(term.values) > 1 or term.symbol == "R"]
+    single = [e for e in estimates if len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R"]
+    terms += [e.term(e.value) for e in single if e.value is not None]
+    return NoiseModel(terms=tuple(sorted(terms, key=lambda term: list(TERMS).index(term.symbol))))
 
 
 def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> Iterator[Finding]:
@@ -306,10 +294,10 @@ def log_values(
     """
     found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level)
     squares = squared_coefficients(found)
-    values = {}
-    for e in found.estimates:
+
+    def said(e: Estimate) -> LogValue:
         square = squares.get(e.key)
-        values[e.key] = LogValue(
+        return LogValue(
             unit=unit,
             value=e.value,
             low=e.low,
@@ -322,7 +310,8 @@ def log_values(
             level=level,
             correlation_time=e.correlation_time.value if e.correlation_time else None,
         )
-    return values
+
+    return {e.key: said(e) for e in found.estimates}
 
 
 def _structure_of(model: str, level: float) -> tuple[str, ...]:

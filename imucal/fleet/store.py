@@ -15,7 +15,7 @@ import json
 import math
 import secrets
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -317,7 +317,7 @@ class FleetStore:
     def _read(
         self,
         table: str,
-        parts: Sequence[Path],
+        parts: list[Path],
         keys: pl.Series | None = None,
         columns: Collection[str] = (),
     ) -> pl.DataFrame:

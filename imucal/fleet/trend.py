@@ -11,10 +11,10 @@ likelihood that is left when what is flat is integrated out; Tiao & Tan (1965), 
 prior of a spread.
 """
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress, islice
 
 import numpy as np
 
@@ -51,18 +51,10 @@ _SUSPECT = 0.1
 class Slope:
     """How a coefficient moves by one label, of the fleet or of one unit of it.
 
-    Attributes
-    ----------
-    unit, label
-        Which unit, empty for the mean of the fleet; ``temperature_c`` or ``days``.
-    slope
-        Change of the natural logarithm a °C, or a year, with its 95 % interval.
-    p_value
-        Of the fleet: the chance of such a slope where there is none. Of a unit: where it moves as the others
-        do.
-    p_odd, odd
-        The same, adjusted for all that were looked at: Benjamini and Hochberg's false discovery rate; and
-        whether it is not chance.
+    `unit` is empty for the mean of the fleet; `label` is ``temperature_c`` or ``days``; `slope` is the change
+    of the natural logarithm a °C, or a year, with its 95 % interval. `p_value` is the chance of such a slope
+    where the fleet has none, or the unit moves as the others do; `p_odd` is adjusted for all that were looked
+    at (Benjamini and Hochberg), and `odd` says that it is not chance.
     """
 
     unit: str
@@ -77,12 +69,8 @@ class Slope:
 class Trend:
     """How a coefficient moves with temperature and time.
 
-    Attributes
-    ----------
-    means, slopes
-        Of the fleet, and of the units that tell one, for each label that tells a slope.
-    units
-        How many units the slopes are from.
+    `means` are of the fleet, `slopes` of the units that tell one, for each label that tells a slope; `units`
+    is how many units they are from.
     """
 
     means: tuple[Slope, ...]
@@ -117,7 +105,7 @@ def trend(logs: Sequence[LogValue]) -> Trend:
         logs do not show the term.
     """
     labelled, labels = labelled_logs(logs)
-    posterior = slope_posterior(labelled)
+    posterior = SlopePosterior(labelled)
     means: list[Slope] = []
     slopes: list[Slope] = []
     for place, label in enumerate(labels):
@@ -140,24 +128,20 @@ def adjust(trends: Sequence[Trend]) -> tuple[Trend, ...]:
 
     The means of the fleet are one family of tests, the units of it another.
     """
-    means = iter(_adjusted([mean for one in trends for mean in one.means]))
-    slopes = iter(_adjusted([slope for one in trends for slope in one.slopes]))
+
+    def judged(slopes: Sequence[Slope]) -> Iterator[Slope]:
+        p_values = adjusted(np.array([slope.p_value for slope in slopes])).tolist()
+        for slope, p in zip(slopes, p_values, strict=True):
+            yield replace(slope, p_odd=p, odd=p <= FALSE_SHARE)
+
+    means = judged([mean for one in trends for mean in one.means])
+    slopes = judged([slope for one in trends for slope in one.slopes])
     return tuple(
         replace(
-            one,
-            means=tuple(next(means) for _ in one.means),
-            slopes=tuple(next(slopes) for _ in one.slopes),
+            one, means=tuple(islice(means, len(one.means))), slopes=tuple(islice(slopes, len(one.slopes)))
         )
         for one in trends
     )
-
-
-def _adjusted(slopes: Sequence[Slope]) -> list[Slope]:
-    p_values = adjusted(np.array([slope.p_value for slope in slopes]))
-    return [
-        replace(slope, p_odd=p, odd=p <= FALSE_SHARE)
-        for slope, p in zip(slopes, p_values.tolist(), strict=True)
-    ]
 
 
 def _p_values(
@@ -172,8 +156,11 @@ def _p_values(
     quick = leave_one_out(mean, error, float(weight @ posterior.tau[:, place]))
 
     def by_others(i: int) -> float:
-        others = slope_posterior(logs.take(logs.unit != units[i]))
-        return others.beyond(logs.take(logs.unit == units[i]), place).two_sided()[0]
+        others = logs.take(logs.unit != units[i])
+        if not np.any(others.labels, axis=0).all():
+            # What only this unit shows, the others can't tell from its slope.
+            return 1.0
+        return SlopePosterior(others).beyond(logs.take(logs.unit == units[i]), place).two_sided()[0]
 
     p_values: list[float] = oddest_by_others(quick, _SUSPECT, by_others).tolist()
     return p_values
@@ -202,7 +189,7 @@ def labelled_logs(logs: Sequence[LogValue]) -> tuple[LogValues, tuple[str, ...]]
             "started, two different ones a unit at least"
         )
         raise DataError(msg)
-    keep, tells = np.concatenate(rows), told.any(axis=0)
+    keep, tells = np.concatenate(rows), np.any(told, axis=0)
     x = told[keep][:, tells] / np.array(_SCALE)[tells]
     if np.linalg.matrix_rank(x / np.linalg.norm(x, axis=0), tol=_SAME) < x.shape[1]:
         msg = (
@@ -210,17 +197,14 @@ def labelled_logs(logs: Sequence[LogValue]) -> tuple[LogValues, tuple[str, ...]]
             "record a unit at another temperature on the same day"
         )
         raise DataError(msg)
-    return replace(values.take(keep), labels=x), tuple(itertools.compress(NEAREST, tells))
+    return replace(values.take(keep), labels=x), tuple(compress(NEAREST, tells.tolist()))
 
 
 def _varying(labels: FloatArray) -> BoolArray:
     """Return which labels, shape (logs, labels), vary by enough over the logs that have them."""
-    result = [
-        known.size > 1 and float(np.ptp(known)) > near
-        for column, near in zip(labels.T, NEAREST.values(), strict=True)
-        for known in (column[np.isfinite(column)],)
-    ]
-    return np.array(result, dtype=np.bool_)
+    greatest, least = (of.reduce(labels, axis=0, initial=math.nan) for of in (np.fmax, np.fmin))
+    result: BoolArray = greatest - least > [*NEAREST.values()]
+    return result
 
 
 def _linear(values: LogValues) -> LogValues:
@@ -307,19 +291,34 @@ class Sums:
         )
 
 
-@dataclass(frozen=True, slots=True)
 class SlopePosterior:
-    """Points of the posterior of scatter and spreads, and the law of the mean slopes at each.
+    """Points of the posterior of scatter and spreads, on a grid that was narrowed until it fits its support.
 
     Of shapes (points,) and (points, labels) are `omega` and `tau`, of (points,) their `weight`, which adds up
-    to one; of (points, labels) and (points, labels, labels) `mean` and `covariance` of the mean slopes.
+    to one; of (points, labels) and (points, labels, labels) `mean` and `covariance` of the mean slopes there.
     """
 
-    omega: FloatArray
-    tau: FloatArray
-    weight: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
+    def __init__(self, logs: LogValues) -> None:
+        ranges = _ranges(logs)
+        for _ in range(_ROUNDS):
+            grids = [np.linspace(low, high, _POINTS if high > low else 1) for low, high in ranges]
+            omegas, *taus = (np.exp(grid) if grid.size > 1 else np.zeros(1) for grid in grids)
+            slices = [_at_scatter(logs, omega, taus) for omega in omegas.tolist()]
+            mean, covariance, height = (np.array(part) for part in zip(*slices, strict=True))
+            height -= height.max()
+            axes = range(height.ndim)
+            found = [
+                support(grid, np.max(height, axis=tuple(i for i in axes if i != axis)) > -_OUTSIDE)
+                for axis, grid in enumerate(grids)
+            ]
+            if np.all(2 * np.diff(found) >= np.diff(ranges)):
+                break
+            ranges = found
+        keep = height > -_NOTHING
+        self.omega, *tau = (np.broadcast_to(grid, height.shape)[keep] for grid in np.ix_(omegas, *taus))
+        self.tau = np.column_stack(tau)
+        self.weight: FloatArray = np.exp(height[keep]) / np.exp(height[keep]).sum()
+        self.mean, self.covariance = mean[keep], covariance[keep]
 
     def mean_slope(self, label: int) -> Normals:
         """Return the mean slope of a label."""
@@ -355,41 +354,18 @@ class SlopePosterior:
         return result
 
 
-def slope_posterior(logs: LogValues) -> SlopePosterior:
-    """Return the posterior on a grid that is narrowed until it fits its support."""
-    ranges = _ranges(logs)
-    for _ in range(_ROUNDS):
-        grids = [np.linspace(low, high, _POINTS if high > low else 1) for low, high in ranges]
-        omegas, *taus = (np.exp(grid) if grid.size > 1 else np.zeros(1) for grid in grids)
-        slices = [_at_scatter(logs, omega, taus) for omega in omegas.tolist()]
-        mean, covariance, height = (np.array(part) for part in zip(*slices, strict=True))
-        height -= height.max()
-        others = [tuple(i for i in range(height.ndim) if i != axis) for axis in range(height.ndim)]
-        found = [
-            support(grid, np.max(height, axis=rest) > -_OUTSIDE)
-            for grid, rest in zip(grids, others, strict=True)
-        ]
-        if all(2 * (new[1] - new[0]) >= old[1] - old[0] for new, old in zip(found, ranges, strict=True)):
-            break
-        ranges = found
-    keep = height > -_NOTHING
-    omega, *tau = (np.broadcast_to(grid, height.shape)[keep] for grid in np.ix_(omegas, *taus))
-    weight = np.exp(height[keep])
-    return SlopePosterior(omega, np.column_stack(tau), weight / weight.sum(), mean[keep], covariance[keep])
-
-
 def unit_sums(logs: LogValues, omega: FloatArray) -> Sums:
-    """Return what each unit tells of its slopes, for each scatter omega, shape (omega,)."""
+    """Return what each unit tells of its slopes, for each scatter omega, of any shape; (*shape, units, …)."""
     starts = np.flatnonzero(np.diff(logs.unit, prepend=-1))
-    w = 1 / (logs.deviation**2 + omega[:, None] ** 2)
+    w = 1 / (logs.deviation**2 + omega[..., None] ** 2)
 
     def total(values: FloatArray) -> FloatArray:
-        result: FloatArray = np.add.reduceat(values, starts, axis=1)
+        result: FloatArray = np.add.reduceat(values, starts, axis=omega.ndim)
         return result
 
     whole = total(w)
-    x = logs.labels - (total(w[..., None] * logs.labels) / whole[..., None])[:, logs.unit]
-    y = logs.centre - (total(w * logs.centre) / whole)[:, logs.unit]
+    x = logs.labels - (total(w[..., None] * logs.labels) / whole[..., None])[..., logs.unit, :]
+    y = logs.centre - (total(w * logs.centre) / whole)[..., logs.unit]
     return Sums(
         information=total(w[..., None, None] * x[..., None] * x[..., None, :]),
         score=total((w * y)[..., None] * x),
@@ -404,18 +380,16 @@ def _at_scatter(
 
     The prior is Jeffreys' of omega and of each spread, for a measure that is flat in their logarithms.
     """
-    each = unit_sums(logs, np.array([omega]))
-    errors = np.diagonal(each.information[0], axis1=-2, axis2=-1)
-    room = (None,) * (len(spreads) - 1)
-    each = Sums(each.information[room], each.score[room], each.height[room])
+    each = unit_sums(logs, np.full((1,) * len(spreads), omega))
+    errors = np.diagonal(each.information, axis1=-2, axis2=-1)
     prior = 2 * math.log(omega) + 0.5 * math.log(np.sum((logs.deviation**2 + omega**2) ** -2.0))
     height = np.full((1,) * len(spreads), prior)
-    for label, (tau, own) in enumerate(zip(np.ix_(*spreads), errors.T, strict=True)):
+    for label, tau in enumerate(np.ix_(*spreads)):
         if tau.any():
             each = each.spread(label, tau[..., None])
-            height = height + np.log(
-                tau**2 * np.sqrt(np.sum((own / (1 + tau[..., None] ** 2 * own)) ** 2, axis=-1))
-            )
+            own = errors[..., label]
+            told = np.sum((own / (1 + tau[..., None] ** 2 * own)) ** 2, axis=-1)
+            height = height + np.log(tau**2 * np.sqrt(told))
     covariance = np.linalg.inv(each.information.sum(axis=-3))
     score = each.score.sum(axis=-2)
     mean = np.einsum("...ij,...j->...i", covariance, score)
@@ -425,7 +399,7 @@ def _at_scatter(
 
 def _ranges(logs: LogValues) -> list[tuple[float, float]]:
     """Return the ranges of the logarithms of omega and the spreads; of no width where there is no telling."""
-    own = np.diagonal(unit_sums(logs, np.zeros(1)).information[0], axis1=-2, axis2=-1)
+    own = np.diagonal(unit_sums(logs, np.zeros(())).information, axis1=-2, axis2=-1)
     known = float(np.sqrt(np.mean(logs.deviation**2)))
     means = np.bincount(logs.unit, logs.centre) / np.bincount(logs.unit)
     scatter = float(np.sqrt(np.mean((logs.centre - means[logs.unit]) ** 2)))

@@ -33,12 +33,7 @@ _NUMBERS = attrgetter(
 class Squares:
     """Estimates, which may be negative, of squared coefficients; shape (n,) each.
 
-    Attributes
-    ----------
-    estimate
-        Of the square.
-    sd, growth
-        The standard deviation of an estimate is ``sd + growth * square``.
+    The standard deviation of an estimate is ``sd + growth * square``.
     """
 
     estimate: FloatArray
@@ -94,7 +89,8 @@ class Squares:
         sd = error(0.0)
         # The deviation of a mean is nearly linear too; any small square tells how it begins.
         far = at or _SMALL * float(sd.min())
-        return Squares(np.bincount(group, share * self.estimate), sd, (error(far) - sd) / far)
+        mean: FloatArray = np.bincount(group, share * self.estimate).astype(np.float64)
+        return Squares(mean, sd, (error(far) - sd) / far)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

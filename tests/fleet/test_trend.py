@@ -8,7 +8,7 @@ import pytest
 
 from imucal.errors import DataError
 from imucal.fleet import LogValue, trend
-from imucal.fleet.trend import adjust, labelled_logs, slope_posterior
+from imucal.fleet.trend import SlopePosterior, adjust, labelled_logs
 from imucal.fleet.values import LogValues
 from tests.benchmarks.fleet_trends import make_fleet, said
 
@@ -200,6 +200,20 @@ def test_temperature_and_time_that_move_together_are_refused() -> None:
         trend(logs)
 
 
+def test_a_unit_that_alone_tells_of_temperature_is_not_judged_by_the_others() -> None:
+    """It drifts away, but for all that the others tell it was the warmth."""
+    rng = np.random.default_rng(66)
+    logs = [
+        LogValue(unit=str(u), value=v, low=0.95 * v, high=1.05 * v, temperature_c=20 + t * (u == 0), days=d)
+        for u in range(6)
+        for t, d in ((0.0, 0.0), (10.0, 100.0), (5.0, 200.0), (20.0, 300.0), (3.0, 400.0))
+        for v in (math.exp(0.05 * rng.standard_normal() + 0.01 * d * (u == 0)),)
+    ]
+    found = trend(logs)
+    assert not any(slope.odd for slope in found.slopes)
+    assert {mean.label for mean in found.means} == {"temperature_c", "days"}
+
+
 def test_bounds_with_a_variance_count_and_an_absent_term_is_refused() -> None:
     """A weak log tells by its squared coefficient; where all of them are zero, there is no slope."""
     logs = [
@@ -222,7 +236,7 @@ def test_the_posterior_is_that_of_dense_matrices() -> None:
     """Weights and mean slopes at points of the grid, against covariances of all logs written out."""
     rng = np.random.default_rng(65)
     logs, _ = labelled_logs(_fleet(rng, beta=0.004, gamma=0.1, spread=0.002, units=4))
-    posterior = slope_posterior(logs)
+    posterior = SlopePosterior(logs)
     points = np.argsort(posterior.weight)[[-1, -5, -40]]
     heights = []
     for point in points:
