@@ -15,24 +15,15 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError, WriteError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
 from imucal.fleet_report.answers import Ask, Question, answer_texts
 from imucal.fleet_run.logs import at_hand, content_at, edge_at
-from imucal.fleet_run.on_dask import Lost, outcomes
-from imucal.fleet_run.plan import (
-    PATIENCE,
-    FleetPlan,
-    FleetSettings,
-    LogDone,
-    LogTask,
-    batches,
-    has_failed,
-)
+from imucal.fleet_run.on_dask import Lost, dask_workers
+from imucal.fleet_run.plan import PATIENCE, FleetPlan, FleetSettings, LogTask, batches, has_failed
 from imucal.processes import Answer, ChildProcess
 from imucal.readers.remote_logs import LocalLogs
 from imucal.recording import Recording
@@ -69,33 +60,11 @@ class RunCount:
     running: int = 0
     done_size: int = 0
 
-    def add(self, tasks: Sequence[LogTask], logs: Sequence[LogDone]) -> None:
-        """Count logs that are done."""
-        self.done += len(logs)
-        self.done_size += sum(task.size for task in tasks)
-        self.failed += sum(log.failed for log in logs)
-
 
 def run_plan(
-    plan: FleetPlan,
-    settings: FleetSettings,
-    *,
-    workers: int = 1,
-    scheduler: str | None = None,
-    tell: Callable[[RunCount], None] = lambda _: None,
+    plan: FleetPlan, settings: FleetSettings, *, tell: Callable[[RunCount], object] = lambda _: None
 ) -> RunCount:
-    """Do what a plan has to do, and commit it to the store.
-
-    Parameters
-    ----------
-    plan, settings
-        What, and how.
-    workers
-        How many logs are done at a time, each in a process of this machine's.
-    scheduler
-        Address of a Dask scheduler, whose workers do it instead.
-    tell
-        Called with the count whenever it changes.
+    """Do what a plan has to do, and commit it to the store; `tell` gets the count whenever it changes.
 
     Raises
     ------
@@ -104,10 +73,12 @@ def run_plan(
     EngineError
         If the workers of a cluster can't be reached, or are gone.
     """
-    count = RunCount(logs=len(plan.tasks), size=sum(task.size for task in plan.tasks))
-    if not plan.tasks:
+    tasks = plan.tasks
+    count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))
+    if not tasks:
         return count
-    waiting = batches(plan.tasks, workers=workers, seconds=BATCH_S if scheduler else OWN_BATCH_S)
+    seconds = BATCH_S if settings.scheduler else OWN_BATCH_S
+    waiting = batches(tasks, workers=settings.jobs, seconds=seconds)
     alone: deque[list[LogTask]] = deque()
     lost: set[str] = set()
 
@@ -119,94 +90,125 @@ def run_plan(
         return batch
 
     tell(count)
-    done: Iterator[tuple[list[LogTask], list[LogDone] | Lost]] = (
-        outcomes(take, partial(_on_worker, settings=settings), address=scheduler)
-        if scheduler
-        else here(take, partial(work_on_batch, settings), settings, workers)
-    )
-    for batch, outcome in done:
+    for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
-        if not isinstance(outcome, Lost):
-            count.add(batch, outcome)
-        elif len(batch) > 1 or batch[0].path not in lost:
+        if isinstance(failed, Lost):
             # It may have been another log's fault: each is done by itself. One that was alone gets one more
             # try: it may have been its worker's fault.
-            if len(batch) == 1:
-                lost.add(batch[0].path)
-            alone.extend([task] for task in batch)
-            continue
-        else:
-            reason = f"{batch[0].path}: {outcome.reason}"
-            count.add(batch, commit([failure(batch[0], settings, "crash", reason)], settings))
+            if len(batch) > 1 or batch[0].path not in lost:
+                lost.update(task.path for task in batch[:1] if len(batch) == 1)
+                alone.extend([task] for task in batch)
+                continue
+            reason = f"{batch[0].path}: {failed.reason}"
+            failed = commit([failure(batch[0], settings, "crash", reason)], settings)  # noqa: PLW2901
+        count.done += len(batch)
+        count.done_size += sum(task.size for task in batch)
+        count.failed += failed
         tell(count)
     return count
 
 
-def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None = None) -> Ask:
+def asking(settings: FleetSettings) -> Ask:
     """Return what has a fleet's questions answered by those who did its logs.
 
     What they do not answer, as where a process ends, is left to who asked.
     """
 
     def ask(questions: Sequence[Question]) -> list[str | None]:
-        groups = [list(questions[i : i + _QUESTIONS]) for i in range(0, len(questions), _QUESTIONS)]
-        waiting = iter(groups)
-
-        def in_child(batch: list[Question], child: ChildProcess) -> list[str] | Lost:
-            seconds = PATIENCE * len(batch)
-            answer = child.ask(answer_texts, batch, seconds=seconds, memory=settings.memory)
-            done = answer.outcome == "done"
-            return cast("list[str]", answer.value) if done else Lost(reason=answer.outcome)
-
-        take = partial(next, waiting, None)
-        done: Iterator[tuple[list[Question], list[str] | Lost]] = (
-            outcomes(take, answer_texts, address=scheduler)
-            if scheduler
-            else here(take, in_child, settings, workers)
-        )
+        groups = [questions[i : i + _QUESTIONS] for i in range(0, len(questions), _QUESTIONS)]
+        done = outcomes(partial(next, iter(groups), None), partial(_answered, settings), settings)
         texts = {id(group): said for group, said in done if not isinstance(said, Lost)}
         return [text for group in groups for text in texts.get(id(group), [None] * len(group))]
 
     return ask
 
 
-def here(
-    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings, workers: int
-) -> Iterator[tuple[T, R]]:
-    """Yield batches with what `work` makes of each with a child process of its own, as they are done.
+def _answered(
+    settings: FleetSettings, questions: Sequence[Question], child: ChildProcess
+) -> list[str] | Lost:
+    seconds = PATIENCE * len(questions)
+    answer = child.ask(answer_texts, questions, seconds=seconds, memory=settings.memory)
+    return cast("list[str]", answer.value) if answer.outcome == "done" else Lost(reason=answer.outcome)
 
-    However it ends, no child is left: what comes later may have another environment, such as other
+
+def outcomes(
+    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
+) -> Iterator[tuple[T, R | Lost]]:
+    """Yield batches with what `work` makes of each with a child process, as they are done.
+
+    Parameters
+    ----------
+    take
+        Returns the next batch, or None where there is none now; more may come of those that were lost.
+    work
+        A function of a module, which may be a `functools.partial`.
+    settings
+        Who does it: processes of this machine, or the workers of a cluster.
+
+    Raises
+    ------
+    EngineError
+        If the workers of a cluster can't be reached, or are gone.
+    """
+    there = partial(_on_worker, work, settings)
+    address = settings.scheduler
+    with dask_workers(address, there) if address else OwnWorkers(work, settings) as workers:
+        while True:
+            while workers.room() > 0 and (batch := take()) is not None:
+                workers.submit(batch)
+            if not workers.hands:
+                return
+            yield from workers.ended()
+
+
+class OwnWorkers(Generic[T, R]):
+    """Threads of this process, each with a child process of its own.
+
+    However a run ends, no child is left: what comes later may have another environment, such as other
     credentials.
     """
-    children = [child_process(settings) for _ in range(workers)]
-    free: SimpleQueue[ChildProcess] = SimpleQueue()
-    for child in children:
-        free.put(child)
 
-    def lent(batch: T) -> R:
-        child = free.get()
-        try:
-            return work(batch, child)
-        finally:
-            free.put(child)
+    def __init__(self, work: Callable[[T, ChildProcess], R], settings: FleetSettings) -> None:
+        self.hands: dict[Future[R], tuple[T, ChildProcess]] = {}
+        self._work, self._pool = work, ThreadPoolExecutor(settings.jobs)
+        self._children = [child_process(settings) for _ in range(settings.jobs)]
+        self._free = [*self._children]
 
-    hands: dict[Future[R], T] = {}
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            while True:
-                while len(hands) < workers and (batch := take()) is not None:
-                    hands[pool.submit(lent, batch)] = batch
-                if not hands:
-                    return
-                for future in wait(hands, return_when=FIRST_COMPLETED).done:
-                    yield hands.pop(future), future.result()
-        finally:
-            # Threads that wait for an answer are told that there will be none.
-            for child in children:
-                child.close()
-            pool.shutdown(cancel_futures=True)
-            for child in children:
-                child.end()
+    def __enter__(self) -> "OwnWorkers[T, R]":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # Threads that wait for an answer are told that there will be none.
+        for child in self._children:
+            child.close()
+        self._pool.shutdown(cancel_futures=True)
+        for child in self._children:
+            child.end()
+
+    def room(self) -> int:
+        """Return how many more batches may be handed out."""
+        return len(self._free)
+
+    def submit(self, batch: T) -> None:
+        """Hand out a batch."""
+        child = self._free.pop()
+        self.hands[self._pool.submit(self._work, batch, child)] = batch, child
+
+    def ended(self) -> Iterator[tuple[T, R]]:
+        """Wait, and yield batches with their results."""
+        for future in wait(self.hands, return_when=FIRST_COMPLETED).done:
+            batch, child = self.hands.pop(future)
+            self._free.append(child)
+            yield batch, future.result()
+
+
+def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, batch: T) -> R:
+    """Do a batch as a worker of a cluster."""
+    child = child_process(settings)
+    try:
+        return work(batch, child)
+    finally:
+        child.end()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,8 +220,8 @@ class LogRows:
     bins: list[dict[str, object]] = field(default_factory=list)
 
 
-def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> list[LogDone]:
-    """Do some logs in a child process and commit them, all or none.
+def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
+    """Do some logs in a child process and commit them, all or none; return how many failed.
 
     Raises
     ------
@@ -229,25 +231,15 @@ def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: Chil
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 
-def _on_worker(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
-    """Do some logs as a worker of a cluster."""
-    child = child_process(settings)
-    try:
-        return work_on_batch(settings, tasks, child)
-    finally:
-        child.end()
-
-
-def commit(rows: Sequence[LogRows], settings: FleetSettings) -> list[LogDone]:
-    """Write the rows of some logs into the store; return how they ended."""
+def commit(rows: Sequence[LogRows], settings: FleetSettings) -> int:
+    """Write the rows of some logs into the store; return how many gave no numbers that may be used."""
     FleetStore(settings.store).commit(
         [row.log for row in rows],
         [result for row in rows for result in row.results],
         [bins for row in rows for bins in row.bins],
-        shard=settings.shard,
+        shard=str(settings.shard[0]),
     )
-    said = ("path", "status", "reason", "verdict")
-    return [LogDone(**{name: str(row.log.get(name) or "") for name in said}) for row in rows]
+    return sum(has_failed(row.log["status"], row.log.get("verdict")) for row in rows)
 
 
 def first_row(task: LogTask, settings: FleetSettings) -> dict[str, object]:
@@ -290,7 +282,7 @@ def child_process(settings: FleetSettings) -> ChildProcess:
 
 
 def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRows:
-    seconds = settings.patience(task)
+    seconds, status = settings.patience(task), "crash"
     for _ in range(_ATTEMPTS):
         try:
             answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
@@ -299,20 +291,20 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
             return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")
         if answer.outcome == "done":
             return cast("LogRows", answer.value)
-        if answer.outcome == "late" or _took_memory(answer):
+        if answer.outcome == "late":
+            status = "timeout"
+            why = f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
             break
-    status = "crash"
-    if answer.outcome == "late":
-        status, why = "timeout", f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
-    elif _took_memory(answer):
-        status, why = "memory", _memory_reason(settings)
-    elif answer.outcome == "failed":
-        if answer.words.startswith(f"{WriteError.__name__}: "):
-            raise WriteError(answer.words.partition(": ")[2])
-        why = f"internal error ({answer.words}); please report it"
-    else:
-        how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
-        why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+        if _took_memory(answer):
+            status, why = "memory", _memory_reason(settings)
+            break
+        if answer.outcome == "failed":
+            why = f"internal error ({answer.words}); please report it"
+        else:
+            how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
+            why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+    if answer.outcome == "failed" and answer.words.startswith(f"{WriteError.__name__}: "):
+        raise WriteError(answer.words.partition(": ")[2])
     return failure(task, settings, status, f"{task.path}: {why}")
 
 
