@@ -14,11 +14,11 @@ BUDGET = {
     "fitting": Size(9683, 72517, 33),  # slow terms speak for K, cycles by chance, shifts by name
     "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4378, 24079, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
-    "cli": Size(3784, 24586, 24),  # --open, --figure, errors as JSON, defaults from a file
+    "cli": Size(3774, 24512, 24),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2367, 16510, 7),  # the law of the next log in a tenth of the time
     "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2076, 15107, 9),  # seals of a store's files
-    "fleet_run": Size(1547, 9328, 6),  # call and command are one flow with one set of settings
+    "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings
     "checking": Size(1269, 8596, 5),  # configs of filters read back
     "noise": Size(1249, 7843, 6),  # models with units
     "screening": Size(1161, 8488, 4),  # g only where the mean vector agrees

@@ -46,10 +46,11 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
 def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     copies = [log for log in plan.own() if log.copy_of]
+    done, again = plan.own("done"), plan.own("again")
     parts = {
         f"{number_of(plan.tasks, 'log')} to do, {data_size(sum(task.size for task in plan.tasks))}": True,
-        f"{len(plan.own('done'))} done before": plan.own("done"),
-        f"{len(plan.own('again'))} tried again": plan.own("again"),
+        f"{len(done)} done before": done,
+        f"{len(again)} tried again": again,
         f"{number_of(copies, 'copy', 'copies')} of others, counted once": copies,
     }
     say("; ".join(text for text, said in parts.items() if said), quiet=quiet)
@@ -61,9 +62,7 @@ def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
         say(f"No log has a label unit: logs stand one by one; {example}", quiet=quiet)
 
 
-def conclude(
-    ctx: click.Context, plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float, quiet: bool
-) -> None:
+def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float, quiet: bool) -> None:
     """Print what became of the logs asked for, and end with the exit code of it."""
     from imucal.fleet.store import FleetStore
 
@@ -81,12 +80,12 @@ def conclude(
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
         say(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read")
-        ctx.exit(3)
+        raise click.exceptions.Exit(3)
     if failed > max_failed * max(logs.height, 1):
         percent = f"{100 * failed / logs.height:.3g} %"
         share = f"{failed} of {number_of(logs.height, 'log')} failed ({percent})"
         say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
-        ctx.exit(4)
+        raise click.exceptions.Exit(4)
 
 
 def write_files(store: "FleetStore", *, quiet: bool, ask: "Ask | None" = None) -> None:

@@ -103,12 +103,11 @@ def command(
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import fleet_settings, planned, prepare
     from imucal.fleet_run.on_dask import unprotected
-    from imucal.fleet_run.plan import as_json
     from imucal.fleet_run.running import asking, run_plan
 
     if not (asked.logs or manifest or FleetStore(out).exists):
         misuse("Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet")
-    reading = as_json({**asked.options, "topic": topic, **part})
+    reading = {**asked.options, "topic": topic, **part}
     settings = fleet_settings(out, {**given, "reading": reading})
     tell = partial(say, quiet=quiet)
     lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in asked.logs)
@@ -121,22 +120,22 @@ def command(
     say_plan(plan, FleetStore(out), quiet=quiet)
     if warned := unprotected(settings.scheduler):
         say(f"warning: {warned}")
-    ctx = click.get_current_context()
-    with _saying_how_to_go_on(ctx, out):
+    with _saying_how_to_go_on(out):
         with fleet_progress(quiet=quiet or not plan.tasks) as progress:
             run_plan(plan, settings, tell=progress or (lambda _: None))
-        conclude(ctx, plan, out, ask=asking(settings), max_failed=max_failed, quiet=quiet)
+        conclude(plan, out, ask=asking(settings), max_failed=max_failed, quiet=quiet)
 
 
 @contextlib.contextmanager
-def _saying_how_to_go_on(ctx: click.Context, out: Path) -> Iterator[None]:
+def _saying_how_to_go_on(out: Path) -> Iterator[None]:
     """Print the command that goes on where a run ends early: as typed, less what must not be done again."""
     from imucal.remote import addresses
 
     try:
         yield
     except (KeyboardInterrupt, ImucalError):
-        kept = [addresses.shown(word) for word in ctx.obj or () if word not in {"--fresh", "-"}]
+        typed = click.get_current_context().obj or ()
+        kept = [addresses.shown(word) for word in typed if word not in {"--fresh", "-"}]
         resume = shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])
         say(f"What is done is kept; to go on: {resume}")
         raise

@@ -1,15 +1,19 @@
 """A fleet run by a call: what `imucal fleet run` does, without its lines."""
 
+import json
 import math
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imucal.errors import ArgumentError
+import polars as pl
+
+from imucal.errors import ArgumentError, ManifestError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report import Fleet, load_fleet
-from imucal.fleet_run.logs import label_pattern
+from imucal.fleet_run.logs import find_logs, label_pattern
 from imucal.fleet_run.on_dask import unprotected
 from imucal.fleet_run.plan import (
     LEAST_MEMORY,
@@ -17,9 +21,12 @@ from imucal.fleet_run.plan import (
     Column,
     FleetPlan,
     FleetSettings,
+    LogTask,
     as_json,
+    labels_in,
     meant,
-    planned,
+    plan_fleet,
+    read_manifest,
 )
 from imucal.fleet_run.running import asking, run_plan
 from imucal.noise import parse_structure, structure_text
@@ -39,6 +46,7 @@ _ARGUMENTS: dict[str, Column] = {
         bool,
     ),
     "timeout_s": ("seconds above 0", float, lambda seconds: 0 < seconds < math.inf),
+    "reading": ("arguments of imucal.read", as_json, lambda _: True),
     "reports": (f"one of {', '.join(REPORTS)}", str, REPORTS.__contains__),
 }
 
@@ -144,7 +152,7 @@ def run_fleet(
         "timeout_s": timeout_s,
         "reports": reports,
         "fresh": fresh,
-        "reading": as_json(reading or {}),
+        "reading": reading,
     }
     settings = fleet_settings(folder, asked)
     plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
@@ -199,6 +207,61 @@ def _meant(name: str, said: Any) -> Any:  # noqa: ANN401 - of any argument
     except ValueError as error:
         msg = f"{name} {said!r}, expected {error}"
         raise ArgumentError(msg) from error
+
+
+def planned(
+    settings: FleetSettings,
+    names: Collection[str],
+    *,
+    manifest: Path | None = None,
+    dry: bool = False,
+    say: Callable[[str], object] = lambda _: None,
+) -> FleetPlan:
+    """Return what is to be done of the logs that names and a manifest stand for.
+
+    `names` are those of `imucal.fleet_run.logs.find_logs`, `manifest` is a table of logs; what it says of one
+    that is named, too, holds. Without both they are the logs that the store's own manifest asks for. Labels
+    in the paths of logs that are named, or in the store, go before others that these have.
+
+    What of the store is damaged is removed; a `dry` run refuses it. `say` is told so, and how many paths do
+    not fit the labels.
+
+    Raises
+    ------
+    ReadError
+        If wildcards match nothing, a folder holds no log, or there is no store to ask.
+    ManifestError
+        If the manifest is wrong, or a label is.
+    StoreError
+        If the store is damaged.
+    """
+    store = FleetStore(settings.store)
+    if not settings.fresh:
+        if dry:
+            store.refuse_damage()
+        for part in store.mend():
+            say(f"{part}: is damaged; what it held is done again")
+    asked = {log.path: log for log in (read_manifest(manifest) if manifest else ())}
+    named = (LogTask(place=name) for name in find_logs(names))
+    unlike = 0
+    for log in named if names or manifest else _stored_logs(store.manifest()):
+        own = labels_in(log.path, settings.labels)
+        unlike += not own
+        first = asked.setdefault(log.path, replace(log, labels={**log.labels, **own}))
+        if first.place != log.place != log.path:
+            msg = f"{log.path}: two URLs that differ behind the question mark alone; expected one"
+            raise ManifestError(msg)
+    if settings.labels and unlike:
+        say(f"{unlike} of {len(asked)} logs do not fit {settings.labels}")
+    return plan_fleet(asked.values(), settings)
+
+
+def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
+    """Yield the logs of a store's manifest."""
+    for row in manifest.drop("copy_of").iter_rows(named=True):
+        path, reading = row.pop("path"), json.loads(row.pop("options") or "{}")
+        labels = {name: value for name, value in row.items() if value is not None}
+        yield LogTask(place=path, labels=labels, reading=reading)
 
 
 def prepare(plan: FleetPlan, settings: FleetSettings) -> None:

@@ -13,15 +13,13 @@ import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from imucal.errors import ArgumentError, ReadError
 from imucal.readers import FORMATS
 from imucal.readers.compression import crc32
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
-from imucal.readers.remote_logs import LocalLogs, local_logs
 from imucal.remote import RemoteLog, expand, fetched, identify, is_url
 from imucal.remote.addresses import has_wildcards, name_of
 from imucal.remote.stores import store_of
@@ -37,7 +35,6 @@ _ENDINGS = tuple(
     for packed in _PACKED
     if ending not in _VAGUE
 )
-_SUCH_AS = ".mcap, .bag, .db3, .csv"
 #: Bytes at the beginning and at the end of a file that make its edge.
 _EDGE = 1 << 16
 #: Bytes read at once. Their CRCs make the checksum: with another size every content would have a new one.
@@ -66,19 +63,17 @@ def _logs_of(name: str) -> list[str]:
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
-    logs, found = [], "no such file or folder; expected logs, or folders with logs in them"
+    logs: Iterable[str] = ()
+    found = "no such file or folder; expected logs, or folders with logs in them"
     if os.path.isdir(name):  # noqa: PTH112 - a name stays as it was typed
-        logs, found = (
-            [*_walk(name)],
-            f"no log in this folder; expected files that end in {_SUCH_AS} or others",
-        )
+        found = "no log in this folder; expected files that end in .mcap, .bag, .db3, .csv or others"
+        logs = _walk(name)
     elif os.path.lexists(name) or (not glob.has_magic(name) and name.lower().endswith(_ENDINGS)):
-        return [name]
+        logs = (name,)
     elif glob.has_magic(name):
-        logs, found = (
-            [*_matches(name)],
-            "no log has such a name; expected files, or folders with logs in them",
-        )
+        found = "no log has such a name; expected files, or folders with logs in them"
+        logs = _matches(name)
+    logs = list(logs)
     if not logs:
         msg = f"{name}: {found}"
         raise ReadError(msg)
@@ -119,8 +114,7 @@ def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
             yield name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stamp:
+class Stamp(NamedTuple):
     """What the file system says of a log: the bytes of all its files, and when the newest was written.
 
     `mtime_ns`, in ns since 1970, tells of the log with this size and path whether the content is still the
@@ -136,28 +130,15 @@ def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp]:
 
     One of which they say nothing, or that can't be read twice, is left out: reading it will say why.
     """
+    urls = [path for path, place in places.items() if is_url(place)]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        remote = {path: pool.submit(_stamp_of, place) for path, place in places.items() if is_url(place)}
-        found = {p: remote[p].result() if p in remote else _stamp_of(place) for p, place in places.items()}
-    return {path: stamp for path, stamp in found.items() if stamp}
+        asked = dict(zip(urls, pool.map(stamp_of, map(places.__getitem__, urls)), strict=True))
+    found = ((path, asked[path] if path in asked else stamp_of(place)) for path, place in places.items())
+    return {path: stamp for path, stamp in found if stamp}
 
 
-@contextmanager
-def at_hand(place: str) -> Iterator[tuple[LocalLogs, Stamp | None]]:
-    """Lend a log as files of this machine, with its stamp; what was fetched goes after use.
-
-    Raises
-    ------
-    ReadError
-        If it can't be fetched.
-    """
-    log = identify(place, keep=False) if is_url(place) else place
-    with local_logs([log]) as logs:
-        yield logs, _stamp_of(log)
-
-
-def _stamp_of(log: str | RemoteLog) -> Stamp | None:
-    """Return the stamp of a log; of a remote one its time is made of the ETag, which changes with it."""
+def stamp_of(log: str | RemoteLog) -> Stamp | None:
+    """Return the stamp of a log; None where nothing is said of it, or it can't be read twice."""
     try:
         known = identify(log) if isinstance(log, str) and is_url(log) else log
         if isinstance(known, RemoteLog):

@@ -92,27 +92,30 @@ class DaskWorkers(Generic[T, R]):
                 raise EngineError(msg)
         return WINDOW * max(self._threads, 1) - len(self.hands)
 
-    def submit(self, batch: T) -> None:
-        """Hand out a batch."""
-        self.hands[self._client.submit(self._work, batch, pure=False)] = batch
-
-    def ended(self) -> Iterator[tuple[T, R | Lost]]:
-        """Wait a moment, and yield batches with their results; hand out again those that have none."""
+    def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
+        """Do batches as long as `take` returns any, and yield them with their results as they are done."""
         from distributed import CancelledError, wait
 
-        # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
-        with suppress(TimeoutError, CancelledError, ValueError):
-            wait(list(self.hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
-        for future in [future for future in self.hands if future.done()]:
-            batch = self.hands.pop(future)
-            outcome = self.outcome(future)
-            future.release()
-            if outcome is None:
-                self.submit(batch)
-            else:
-                yield batch, outcome
+        while True:
+            while self.room() > 0 and (batch := take()) is not None:
+                self._submit(batch)
+            if not self.hands:
+                return
+            # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
+            with suppress(TimeoutError, CancelledError, ValueError):
+                wait(list(self.hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+            for future in [future for future in self.hands if future.done()]:
+                batch, outcome = self.hands.pop(future), self._outcome(future)
+                future.release()
+                if outcome is None:
+                    self._submit(batch)
+                else:
+                    yield batch, outcome
 
-    def outcome(self, future: "Future") -> R | Lost | None:
+    def _submit(self, batch: T) -> None:
+        self.hands[self._client.submit(self._work, batch, pure=False)] = batch
+
+    def _outcome(self, future: "Future") -> R | Lost | None:
         """Return the result of a batch that has ended; None where it is to be handed out again."""
         from distributed import KilledWorker
 
@@ -133,14 +136,10 @@ class DaskWorkers(Generic[T, R]):
 
 @contextmanager
 def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T, R]]:
-    """Yield the workers of a cluster, who do batches in times that `work` holds itself.
+    """Yield the workers of the cluster of a scheduler's address, who do batches.
 
-    Parameters
-    ----------
-    address
-        Of the scheduler.
-    work
-        What a worker does with a batch: a function of a module, which may be a `functools.partial`.
+    `work` is what they do with a batch, in a time that it holds itself: a function of a module, which may be
+    a `functools.partial`.
 
     Raises
     ------

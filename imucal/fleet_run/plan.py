@@ -20,7 +20,7 @@ import polars as pl
 from imucal._version import __version__
 from imucal.errors import ManifestError, ReadError
 from imucal.fleet.store import LABELS, MANIFEST, FleetStore
-from imucal.fleet_run.logs import Stamp, content_at, edge_at, find_logs, label_pattern, stamps_of
+from imucal.fleet_run.logs import Stamp, content_at, edge_at, label_pattern, stamps_of
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
@@ -66,7 +66,7 @@ class LogTask:
 
     place: str = field(repr=False)
     labels: Mapping[str, str | float] = field(default_factory=dict)
-    reading: Mapping[str, object] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)
     size: int = 0
     state: State = "run"
     copy_of: str | None = None
@@ -96,7 +96,7 @@ class FleetSettings:
     folder: str
     model: str = MODEL
     level: float = LEVEL
-    reading: Mapping[str, object] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)
     labels: str | None = None
     jobs: int = 1
     scheduler: str | None = None
@@ -130,7 +130,7 @@ class FleetPlan:
     @property
     def tasks(self) -> list[LogTask]:
         """The logs that this run does."""
-        return [*self.own("run"), *self.own("again")]
+        return self.own("run", "again")
 
     def own(self, *states: str) -> list[LogTask]:
         """Return the logs for which this run answers: those of its shard."""
@@ -141,7 +141,6 @@ class FleetPlan:
         free = sorted({name for log in self.logs for name in log.labels if name not in LABELS})
         rows = [
             {
-                **dict.fromkeys((*MANIFEST, *free)),
                 **log.labels,
                 "path": log.path,
                 "options": json.dumps(log.reading, sort_keys=True) if log.reading else None,
@@ -150,72 +149,6 @@ class FleetPlan:
             for log in self.logs
         ]
         return pl.DataFrame(rows, schema={**MANIFEST, **dict.fromkeys(free, pl.String())})
-
-
-def planned(
-    settings: FleetSettings,
-    names: Collection[str],
-    *,
-    manifest: Path | None = None,
-    dry: bool = False,
-    say: Callable[[str], object] = lambda _: None,
-) -> FleetPlan:
-    """Return what is to be done of the logs that names and a manifest stand for.
-
-    Without both they are the logs that the store's own manifest asks for. Labels in the paths of logs that
-    are named, or in the store, go before others that these have.
-
-    Parameters
-    ----------
-    settings
-        Of the fleet.
-    names
-        As `imucal.fleet_run.logs.find_logs` takes them.
-    manifest
-        A table of logs; what it says of one that is named, too, holds.
-    dry
-        Refuse what of the store is damaged; else it is removed.
-    say
-        Told what was damaged, and how many paths do not fit the labels.
-
-    Raises
-    ------
-    ReadError
-        If wildcards match nothing, a folder holds no log, or there is no store to ask.
-    ManifestError
-        If the manifest is wrong, or a label is.
-    StoreError
-        If the store is damaged.
-    """
-    store = FleetStore(settings.store)
-    if not settings.fresh:
-        if dry:
-            store.refuse_damage()
-        for part in store.mend():
-            say(f"{part}: is damaged; what it held is done again")
-    asked = {log.path: log for log in (read_manifest(manifest) if manifest else ())}
-    stored = not (names or manifest)
-    unlike = 0
-    for log in (
-        _stored_logs(store.manifest()) if stored else (LogTask(place=name) for name in find_logs(names))
-    ):
-        own = labels_in(log.path, settings.labels)
-        unlike += not own
-        first = asked.setdefault(log.path, replace(log, labels={**log.labels, **own}))
-        if first.place != log.place != log.path:
-            msg = f"{log.path}: two URLs that differ behind the question mark alone; expected one"
-            raise ManifestError(msg)
-    if settings.labels and unlike:
-        say(f"{unlike} of {len(asked)} logs do not fit {settings.labels}")
-    return plan_fleet(asked.values(), settings)
-
-
-def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
-    """Yield the logs of a store's manifest."""
-    for row in manifest.drop("copy_of").iter_rows(named=True):
-        path, reading = row.pop("path"), json.loads(row.pop("options") or "{}")
-        labels = {name: value for name, value in row.items() if value is not None}
-        yield LogTask(place=path, labels=labels, reading=reading)
 
 
 def labels_in(path: str, pattern: str | None) -> dict[str, str | float]:
@@ -249,24 +182,21 @@ def read_manifest(file: Path) -> list[LogTask]:
     """
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
-            rows = list(csv.reader(stream))
+            heading, *rows = [[cell.strip() for cell in row] for row in csv.reader(stream)] or [[]]
     except (OSError, UnicodeError, csv.Error) as error:
         msg = f"{file}: can't be read ({getattr(error, 'strerror', None) or error}); expected a CSV table"
         raise ManifestError(msg) from error
-    heading = [name.strip() for name in rows[0]] if rows else []
     logs: dict[str, LogTask] = {}
     line = 1
     try:
-        if "path" not in heading or len(set(heading)) < len(heading):
-            found = ", ".join(heading) or "nothing"
-            msg = f"the headings are {found}; expected each once, and 'path' among them"
-            raise ValueError(msg)  # noqa: TRY301 - all that is wrong with a line is said in one place
-        for line, row in enumerate(rows[1:], 2):  # noqa: B007 - its errors have it
-            if any(cell.strip() for cell in row):
-                log = _of_row(heading, [cell.strip() for cell in row], file.parent)
-                if logs.setdefault(log.path, log) is not log:
-                    msg = f"{log.path} stands twice; expected one row a log"
-                    raise ValueError(msg)  # noqa: TRY301
+        found = ", ".join(heading) or "nothing"
+        once = "path" in heading and len(set(heading)) == len(heading)
+        _refuse_unless(once, f"the headings are {found}; expected each once, and 'path' among them")
+        for line, row in enumerate(rows, 2):  # noqa: B007 - its errors have it
+            if any(row):
+                log = _of_row(heading, row, file.parent)
+                first = logs.setdefault(log.path, log) is log
+                _refuse_unless(first, f"{log.path} stands twice; expected one row a log")
     except ValueError as error:
         msg = f"{file}:{line}: {error}"
         raise ManifestError(msg) from error
@@ -275,23 +205,24 @@ def read_manifest(file: Path) -> list[LogTask]:
 
 def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask:
     """Return the log of a row; raise ValueError with what is wrong."""
-    if len(row) != len(heading):
-        msg = f"{len(row)} cells, expected {len(heading)} as in the headings"
-        raise ValueError(msg)
+    many = f"{len(row)} cells, expected {len(heading)} as in the headings"
+    _refuse_unless(len(row) == len(heading), many)
     said: dict[str, Any] = {}
     for name, text in zip(heading, row, strict=True):
-        if text:
-            try:
-                said[name] = meant(_COLUMNS.get(name, _ANY), text)
-            except ValueError as error:
-                msg = f"column {name!r} is {text!r}, expected {error}"
-                raise ValueError(msg) from error
+        try:
+            said |= {name: meant(_COLUMNS.get(name, _ANY), text)} if text else {}
+        except ValueError as error:
+            msg = f"column {name!r} is {text!r}, expected {error}"
+            raise ValueError(msg) from error
     place = said.pop("path", "")
-    if not place:
-        msg = "no path; expected that of a log"
-        raise ValueError(msg)
+    _refuse_unless(place, "no path; expected that of a log")
     reading = {name: said.pop(name) for name in _COLUMNS if name in said and name not in LABELS}
     return LogTask(place=place if is_url(place) else str(folder / place), labels=said, reading=reading)
+
+
+def _refuse_unless(right: object, text: str) -> None:
+    if not right:
+        raise ValueError(text)
 
 
 def meant(column: "Column", said: object) -> Any:  # noqa: ANN401 - what the column holds
@@ -398,7 +329,7 @@ def _contents(
 ) -> dict[str, str]:
     """Return checksums of the contents that are known, or that may be those of other logs."""
     done = {(log["path"], log["bytes"], log["mtime_ns"]): log for log in known if log["content"]}
-    found = {path: done.get((path, stamp.size, stamp.mtime_ns)) for path, stamp in stamps.items()}
+    found = {path: done.get((path, *stamp)) for path, stamp in stamps.items()}
     contents: dict[str, str] = {path: log["content"] for path, log in found.items() if log}
     new = [path for path in stamps if path not in contents]
     sizes = Counter([*(stamps[path].size for path in new), *{log["bytes"] for log in done.values()}])

@@ -6,27 +6,29 @@ this process's own, and speak with it through pipes that nobody else can reach. 
 one; the logs of a batch that such a worker did not bring back are tried by themselves.
 """
 
+import math
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError, WriteError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
 from imucal.fleet_report.answers import Ask, Question, answer_texts
-from imucal.fleet_run.logs import at_hand, content_at, edge_at
+from imucal.fleet_run.logs import content_at, edge_at, stamp_of
 from imucal.fleet_run.on_dask import Lost, dask_workers
 from imucal.fleet_run.plan import PATIENCE, FleetPlan, FleetSettings, LogTask, batches, has_failed
-from imucal.processes import Answer, ChildProcess
-from imucal.readers.remote_logs import LocalLogs
+from imucal.processes import ChildProcess
+from imucal.readers.remote_logs import LocalLogs, local_logs
 from imucal.recording import Recording
+from imucal.remote import identify, is_url
 from imucal.resources import MEMORY, POOLS, THREADS
 
 #: Seconds of work that a batch of a cluster has, so that handing it out costs little; and one done here.
@@ -44,6 +46,9 @@ _FIRST_DATE_NS = 946_684_800 * 10**9
 
 T = TypeVar("T")
 R = TypeVar("R")
+#: What is committed of a log: its row in the store's table of logs, and under ``results`` and ``bins`` those
+#: that it has there.
+LogRow: TypeAlias = dict[str, Any]
 
 
 @dataclass(slots=True)
@@ -95,12 +100,13 @@ def run_plan(
         if isinstance(failed, Lost):
             # It may have been another log's fault: each is done by itself. One that was alone gets one more
             # try: it may have been its worker's fault.
-            if len(batch) > 1 or batch[0].path not in lost:
-                lost.update(task.path for task in batch[:1] if len(batch) == 1)
-                alone.extend([task] for task in batch)
+            (task, *others) = batch
+            if others or task.path not in lost:
+                lost |= set() if others else {task.path}
+                alone.extend([one] for one in batch)
                 continue
-            reason = f"{batch[0].path}: {failed.reason}"
-            failed = commit([failure(batch[0], settings, "crash", reason)], settings)  # noqa: PLW2901
+            reason = f"{task.path}: {failed.reason}"
+            failed = commit([first_row(task, settings, status="crash", reason=reason)], settings)  # noqa: PLW2901
         count.done += len(batch)
         count.done_size += sum(task.size for task in batch)
         count.failed += failed
@@ -136,70 +142,50 @@ def outcomes(
 ) -> Iterator[tuple[T, R | Lost]]:
     """Yield batches with what `work` makes of each with a child process, as they are done.
 
-    Parameters
-    ----------
-    take
-        Returns the next batch, or None where there is none now; more may come of those that were lost.
-    work
-        A function of a module, which may be a `functools.partial`.
-    settings
-        Who does it: processes of this machine, or the workers of a cluster.
+    `take` returns the next batch, or None where there is none now; more may come of those that were lost.
+    `work` is a function of a module, which may be a `functools.partial`.
 
     Raises
     ------
     EngineError
         If the workers of a cluster can't be reached, or are gone.
     """
-    there = partial(_on_worker, work, settings)
-    address = settings.scheduler
-    with dask_workers(address, there) if address else OwnWorkers(work, settings) as workers:
-        while True:
-            while workers.room() > 0 and (batch := take()) is not None:
-                workers.submit(batch)
-            if not workers.hands:
-                return
-            yield from workers.ended()
+    if settings.scheduler:
+        with dask_workers(settings.scheduler, partial(_on_worker, work, settings)) as workers:
+            yield from workers.outcomes(take)
+    else:
+        yield from _here(take, work, settings)
 
 
-class OwnWorkers(Generic[T, R]):
-    """Threads of this process, each with a child process of its own.
+def _here(
+    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
+) -> Iterator[tuple[T, R]]:
+    """Yield batches as `outcomes`, by threads that ask child processes of this one.
 
-    However a run ends, no child is left: what comes later may have another environment, such as other
+    However it ends, no child is left: what comes later may have another environment, such as other
     credentials.
     """
-
-    def __init__(self, work: Callable[[T, ChildProcess], R], settings: FleetSettings) -> None:
-        self.hands: dict[Future[R], tuple[T, ChildProcess]] = {}
-        self._work, self._pool = work, ThreadPoolExecutor(settings.jobs)
-        self._children = [child_process(settings) for _ in range(settings.jobs)]
-        self._free = [*self._children]
-
-    def __enter__(self) -> "OwnWorkers[T, R]":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        # Threads that wait for an answer are told that there will be none.
-        for child in self._children:
-            child.close()
-        self._pool.shutdown(cancel_futures=True)
-        for child in self._children:
-            child.end()
-
-    def room(self) -> int:
-        """Return how many more batches may be handed out."""
-        return len(self._free)
-
-    def submit(self, batch: T) -> None:
-        """Hand out a batch."""
-        child = self._free.pop()
-        self.hands[self._pool.submit(self._work, batch, child)] = batch, child
-
-    def ended(self) -> Iterator[tuple[T, R]]:
-        """Wait, and yield batches with their results."""
-        for future in wait(self.hands, return_when=FIRST_COMPLETED).done:
-            batch, child = self.hands.pop(future)
-            self._free.append(child)
-            yield batch, future.result()
+    children = [child_process(settings) for _ in range(settings.jobs)]
+    free, hands = [*children], {}
+    with ThreadPoolExecutor(settings.jobs) as pool:
+        try:
+            while True:
+                while free and (batch := take()) is not None:
+                    child = free.pop()
+                    hands[pool.submit(work, batch, child)] = batch, child
+                if not hands:
+                    return
+                for future in wait(hands, return_when=FIRST_COMPLETED).done:
+                    batch, child = hands.pop(future)
+                    free.append(child)
+                    yield batch, future.result()
+        finally:
+            # Threads that wait for an answer are told that there will be none.
+            for child in children:
+                child.close()
+            pool.shutdown(cancel_futures=True)
+            for child in children:
+                child.end()
 
 
 def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, batch: T) -> R:
@@ -209,15 +195,6 @@ def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, ba
         return work(batch, child)
     finally:
         child.end()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogRows:
-    """What is committed of a log: rows with the columns of `imucal.fleet.store`."""
-
-    log: dict[str, object]
-    results: list[dict[str, object]] = field(default_factory=list)
-    bins: list[dict[str, object]] = field(default_factory=list)
 
 
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
@@ -231,36 +208,28 @@ def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: Chil
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 
-def commit(rows: Sequence[LogRows], settings: FleetSettings) -> int:
+def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
     """Write the rows of some logs into the store; return how many gave no numbers that may be used."""
-    FleetStore(settings.store).commit(
-        [row.log for row in rows],
-        [result for row in rows for result in row.results],
-        [bins for row in rows for bins in row.bins],
-        shard=str(settings.shard[0]),
-    )
-    return sum(has_failed(row.log["status"], row.log.get("verdict")) for row in rows)
+    results, bins = ([one for row in rows for one in row.get(name, ())] for name in ("results", "bins"))
+    FleetStore(settings.store).commit(rows, results, bins, shard=str(settings.shard[0]))
+    return sum(has_failed(row["status"], row.get("verdict")) for row in rows)
 
 
-def first_row(task: LogTask, settings: FleetSettings) -> dict[str, object]:
+def first_row(task: LogTask, settings: FleetSettings, *, status: str = "", reason: str = "") -> LogRow:
     """Return what is known of a log before it is looked at; its key is then one of its path."""
     return {
         "key": settings.key(f"path:{task.path}", task.reading),
         "content": "",
         "path": task.path,
         **{name: task.labels.get(name) for name in LABELS},
-        "reason": "",
+        "status": status,
+        "reason": reason,
         "findings": [],
         "bytes": task.size,
         "finished": time.time(),
         "report": "",
         "version": __version__,
     }
-
-
-def failure(task: LogTask, settings: FleetSettings, status: str, reason: str) -> LogRows:
-    """Return the rows of a log of which nothing is known but how it failed."""
-    return LogRows(log={**first_row(task, settings), "status": status, "reason": reason})
 
 
 def _memory_reason(settings: FleetSettings) -> str:
@@ -281,52 +250,49 @@ def child_process(settings: FleetSettings) -> ChildProcess:
     return ChildProcess(environment=environment, counted="data", folder=folder)
 
 
-def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRows:
+def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRow:
     seconds, status = settings.patience(task), "crash"
     for _ in range(_ATTEMPTS):
         try:
             answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
         except OSError as error:
-            why = f"its process can't be started ({error.strerror or error}), as when a machine is full"
-            return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")
+            said = f"its process can't be started ({error.strerror or error}), as when a machine is full"
+            why = f"{said}; run again where there is room"
+            break
         if answer.outcome == "done":
-            return cast("LogRows", answer.value)
+            return cast("LogRow", answer.value)
         if answer.outcome == "late":
             status = "timeout"
             why = f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
             break
-        if _took_memory(answer):
+        raised = answer.outcome == "failed"
+        if answer.words.startswith("MemoryError") if raised else any(map(answer.words.count, _NO_MEMORY)):
             status, why = "memory", _memory_reason(settings)
             break
-        if answer.outcome == "failed":
+        if raised:
+            if answer.words.startswith(f"{WriteError.__name__}: "):
+                raise WriteError(answer.words.partition(": ")[2])
             why = f"internal error ({answer.words}); please report it"
         else:
             how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
             why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
-    if answer.outcome == "failed" and answer.words.startswith(f"{WriteError.__name__}: "):
-        raise WriteError(answer.words.partition(": ")[2])
-    return failure(task, settings, status, f"{task.path}: {why}")
+    return first_row(task, settings, status=status, reason=f"{task.path}: {why}")
 
 
-def _took_memory(answer: Answer) -> bool:
-    if answer.outcome == "failed":
-        return answer.words.startswith("MemoryError")
-    return answer.outcome == "ended" and any(words in answer.words for words in _NO_MEMORY)
-
-
-def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
+def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     """Read and characterise a log, in the child process; whatever goes wrong with it is in its row."""
     log = first_row(task, settings)
     wall, cpu = time.perf_counter(), time.process_time()
-    rows = LogRows(log=log)
     try:
-        with at_hand(task.place) as (logs, stamp):
-            if stamp is not None:
+        place = identify(task.place, keep=False) if is_url(task.place) else task.place
+        # What was fetched goes after use.
+        with local_logs([place]) as logs:
+            if (stamp := stamp_of(place)) is not None:
                 path = str(logs.paths[0])
                 content = content_at(path)
                 log |= {"bytes": stamp.size, "mtime_ns": stamp.mtime_ns, "edge": edge_at(path)}
                 log |= {"content": content, "key": settings.key(content, task.reading)}
-            rows = _characterised(task, settings, log, logs)
+            log |= _characterised(task, settings, logs, key=log["key"])
         ended = "ok", ""
     except MemoryError:
         ended = "memory", _memory_reason(settings)
@@ -342,63 +308,58 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
     except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
         what = f"{type(error).__name__}: {error}"
         ended = "crash", f"{task.path}: internal error ({what}); please report it"
-    log["status"], log["reason"] = ended
-    log["wall_s"], log["cpu_s"] = time.perf_counter() - wall, time.process_time() - cpu
-    log["finished"] = time.time()
-    return rows
+    log |= {"status": ended[0], "reason": ended[1], "finished": time.time()}
+    log |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    return log
 
 
-def _characterised(
-    task: LogTask, settings: FleetSettings, log: dict[str, object], logs: LocalLogs
-) -> LogRows:
+def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, key: str) -> LogRow:
+    """Return what a log's row has beside what was known before it was read."""
     from imucal.fitting.bins import pack
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize
 
-    recording = logs.named(_read(logs.paths[0], task.reading))
+    recording = logs.named(_read(logs.paths[0], **task.reading))
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
     # One axis at a time: the other processors have other logs.
     report = characterize(recording, wanted, workers=1)
-    log |= {
+    results, bins, name = [], [], ""
+    for axis in report.axes:
+        where = {"key": key, "sensor": axis.sensor.value, "axis": axis.axis}
+        if axis.fit.bins is not None:
+            bins.append({**where, "bins": pack(axis.fit.bins)})
+        values = log_values("", axis.fit, model=settings.model, level=settings.level)
+        for term, value in values.items():
+            told = {field: getattr(value, field) for field in OF_VALUE}
+            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
+            results.append({**where, "term": term, "unit_si": unit, **told})
+    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
+        from imucal.report import write_report
+
+        name = f"reports/{key}"
+        write_report(report, Path(settings.store) / name, formats=())
+    return {
         "verdict": report.verdict.grade,
         "findings": sorted({finding.code for finding in report.all_findings if finding.level != "info"}),
         "samples": max(axis.samples for axis in report.axes),
         "seconds": max(axis.duration_s for axis in report.axes),
         "rate_hz": report.axes[0].rate_hz,
-        "started": log["started"] or _started(recording),
+        "started": task.labels.get("started") or _started(recording),
+        "report": name,
+        "results": results,
+        "bins": bins,
     }
-    rows = LogRows(log=log)
-    for axis in report.axes:
-        where = {"key": log["key"], "sensor": axis.sensor.value, "axis": axis.axis}
-        if axis.fit.bins is not None:
-            rows.bins.append({**where, "bins": pack(axis.fit.bins)})
-        values = log_values("", axis.fit, model=settings.model, level=settings.level)
-        for term, value in values.items():
-            told = {name: getattr(value, name) for name in OF_VALUE}
-            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
-            rows.results.append({**where, "term": term, "unit_si": unit, **told})
-    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
-        from imucal.report import write_report
-
-        name = f"reports/{log['key']}"
-        write_report(report, Path(settings.store) / name, formats=())
-        log["report"] = name
-    return rows
 
 
-def _read(path: Path, reading: Mapping[str, object]) -> Recording:
+def _read(path: Path, *, skip_s: float = 0.0, take_s: float = math.inf, **reading: Any) -> Recording:  # noqa: ANN401
     """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
     from imucal.readers import read
 
-    arguments: dict[str, Any] = dict(reading)
-    skip, take = float(arguments.pop("skip_s", 0.0)), arguments.pop("take_s", None)
-    recording: Recording = read(path, **arguments)
-    if not skip and take is None:
-        return recording
-    return recording.between(skip, float("inf") if take is None else skip + float(take))
+    recording: Recording = read(path, **reading)
+    return recording.between(skip_s, skip_s + take_s) if skip_s or take_s < math.inf else recording
 
 
 def _started(recording: Recording) -> str | None:

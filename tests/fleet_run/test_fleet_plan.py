@@ -13,7 +13,7 @@ from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, FleetSettings, LogTask
 from imucal.fleet_run.logs import content_at, edge_at, stamps_of
 from imucal.fleet_run.plan import batches, plan_fleet
-from imucal.fleet_run.running import LogRows, commit, failure, first_row
+from imucal.fleet_run.running import commit, first_row
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def finish(settings: FleetSettings, made: FleetPlan, status: str = "ok") -> None
         assert stamp is not None
         known = {"content": content_at(path), "edge": edge_at(path), "mtime_ns": stamp.mtime_ns}
         key = settings.key(known["content"], task.reading)  # type: ignore[arg-type] # a text
-        rows.append(LogRows(log={**first_row(task, settings), **known, "key": key, "status": status}))
+        rows.append({**first_row(task, settings, status=status), **known, "key": key})
     commit(rows, settings)
 
 
@@ -92,7 +92,7 @@ def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) 
     store = FleetStore(settings.store)
     store.create()
     store.add_to_manifest(plan(settings, "a").manifest())
-    commit([failure(LogTask(place="a"), settings, "unreadable", "no such file")], settings)
+    commit([first_row(LogTask(place="a"), settings, status="unreadable", reason="no such file")], settings)
     assert paths(plan(settings, "a").own("again")) == ["a"]
 
 
