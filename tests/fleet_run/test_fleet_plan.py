@@ -85,6 +85,9 @@ def test_what_may_go_better_is_tried_again(settings: FleetSettings, status: str,
     finish(settings, plan(settings, "a"), status)
     found = plan(settings, "a")
     assert paths(found.tasks) == paths(found.own("again")) == (["a"] if again else [])
+    # In the order of the logs, whatever became of them.
+    write(b="bb")
+    assert paths(plan(settings, "a", "b").tasks) == (["a", "b"] if again else ["b"])
 
 
 def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) -> None:
@@ -104,6 +107,10 @@ def test_equal_contents_are_done_once(settings: FleetSettings) -> None:
     assert paths(found.tasks) == ["a", "b", "d", "e"]
     assert copies(found) == {"c": "a"}
     assert found.manifest()["copy_of"].to_list() == [None, None, "a", None, None]
+    # A shard answers for its own logs; the manifest has all.
+    second = plan(replace(settings, shard=(2, 2)), "a", "b", "c", "d", "e")
+    assert paths(second.own()) == ["b", "d"]
+    assert second.manifest().equals(found.manifest())
 
 
 def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -> None:
