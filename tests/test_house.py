@@ -18,7 +18,7 @@ BUDGET = {
     "fleet": Size(2151, 15700, 7),  # its logs in one form for the population and the trend
     "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2076, 15107, 9),  # seals of a store's files
-    "fleet_run": Size(1680, 10101, 6),  # two runs into one folder take turns
+    "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings
     "checking": Size(1269, 8596, 5),  # configs of filters read back
     "noise": Size(1249, 7843, 6),  # models with units
     "screening": Size(1161, 8488, 4),  # g only where the mean vector agrees
