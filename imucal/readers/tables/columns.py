@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 from imucal.errors import ChoiceError
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, plain_name
 from imucal.recording import AXES, Axis, Sensor
-from imucal.units import parse_sample_unit
 
 #: A number of more letters is rounded in a message, which lists up to so many columns.
 _LONG, _LISTED = 9, 60
@@ -41,17 +41,40 @@ class ColumnsError(ChoiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triad:
-    """The x, y and z columns of one sensor, or those of its axes that there are, and its rows.
-
-    The unit is a key of `imucal.units.SAMPLE_UNITS`; None where the names don't say.
-    """
+    """The x, y and z columns of one sensor, or those of its axes that there are, and its rows."""
 
     sensor: Sensor
-    indices: tuple[int, ...]
-    headers: tuple[str, ...]
+    columns: tuple[NamedColumn, ...]
     axes: tuple[Axis, ...] = AXES
-    unit: str | None = None
     rows: Rows = None
+
+    @classmethod
+    def of(cls, sensor: Sensor, columns: Mapping[int, NamedColumn]) -> Self:
+        """Return the columns of some axes, of which 0 is x, as those of a sensor."""
+        places = sorted(columns)
+        axes = tuple(AXES[at] for at in places)
+        return cls(sensor=sensor, columns=tuple(columns[at] for at in places), axes=axes)
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Places of the columns in the table."""
+        return tuple(column.index for column in self.columns)
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(column.header for column in self.columns)
+
+    @property
+    def units(self) -> tuple[str | None, ...]:
+        """The unit that each name says, a key of `imucal.units.SAMPLE_UNITS`; None where it says none."""
+        return tuple(column.unit_of(self.sensor) for column in self.columns)
+
+    @property
+    def unit(self) -> str | None:
+        """The unit that the names say; None where they say none, or different ones."""
+        said = {*self.units} - {None}
+        return said.pop() if len(said) == 1 else None
 
     def text(self, rows: str = "") -> str:
         """Return the columns as a user gives them: ``g=1:4``, ``g=4+3+2``, ``gz=1``; `rows` is ``@I:0``."""
@@ -119,16 +142,15 @@ class NamedTable:
         return ColumnsError(message, problem=problem, example=example)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnSpec:
+class Asked(NamedTuple):
     """The columns a user gave: those of the sensors, gyroscope first; the others by index."""
 
     sensors: tuple[Triad, ...]
-    time: tuple[int, ...] = ()
-    temperature: int | None = None
+    time: tuple[int, ...]
+    temperature: int | None
 
 
-def parse_columns_text(text: str, table: NamedTable) -> ColumnSpec:
+def parse_columns_text(text: str, table: NamedTable) -> Asked:
     """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
 
     ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
@@ -154,10 +176,9 @@ def parse_columns_text(text: str, table: NamedTable) -> ColumnSpec:
         axes = AXES if letter in found else tuple(axis for axis in AXES if letter + axis in found)
         keys = [letter] if letter in found else [letter + axis for axis in axes]
         if keys:
-            columns = [table.columns[index] for key in keys for index in found[key]]
-            sensors.append(triad_of(sensor, columns, rows[keys[0]], axes))
-    temperature = next(iter(found.get("temp", ())), None)
-    return ColumnSpec(sensors=tuple(sensors), time=found.get("t", ()), temperature=temperature)
+            columns = tuple(table.columns[index] for key in keys for index in found[key])
+            sensors.append(Triad(sensor=sensor, columns=columns, axes=axes, rows=rows[keys[0]]))
+    return Asked(tuple(sensors), found.get("t", ()), next(iter(found.get("temp", ())), None))
 
 
 def _parts(text: str, table: NamedTable) -> tuple[dict[str, tuple[int, ...]], dict[str, Rows]]:
@@ -229,30 +250,3 @@ def _problem_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[st
     if key in found and len(found[key]) != 3:
         return f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"
     return ""
-
-
-def triad_of(
-    sensor: Sensor, columns: Sequence[NamedColumn], rows: Rows = None, axes: tuple[Axis, ...] = AXES
-) -> Triad:
-    """Return the columns of some axes as those of a sensor; without a unit where theirs differ."""
-    units = {unit_of(sensor, column) for column in columns} - {None}
-    return Triad(
-        sensor=sensor,
-        indices=tuple(column.index for column in columns),
-        headers=tuple(column.header for column in columns),
-        axes=axes,
-        unit=units.pop() if len(units) == 1 else None,
-        rows=rows,
-    )
-
-
-def triad_of_axes(sensor: Sensor, columns: Mapping[int, NamedColumn]) -> Triad:
-    """Return the columns of some axes, of which 0 is x, as those of a sensor."""
-    places = sorted(columns)
-    return triad_of(sensor, [columns[at] for at in places], axes=tuple(AXES[at] for at in places))
-
-
-def unit_of(sensor: Sensor, column: NamedColumn) -> str | None:
-    """Return the unit of a sensor's samples that a column's name says; None where it says none."""
-    parsed = parse_sample_unit(column.unit) if column.unit else None
-    return parsed[1] if parsed and parsed[0] is sensor else None
