@@ -32,6 +32,7 @@ from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.containers.container import gather
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.files import first_bytes
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
@@ -430,12 +431,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 -
 
 
 def _load(path: Path) -> FlightLog:
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(ULOG))
-    except OSError as error:
-        msg = f"{path}: can't be opened: {error.strerror or error}"
-        raise ReadError(msg) from error
+    head = first_bytes(path, len(ULOG))
     if head.startswith(ULOG[:4]):
         return isolated(path, ulog_content, "ULog")(path)
     require(path, "pymavlink", "a log of ArduPilot", extra="ardupilot")

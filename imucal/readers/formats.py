@@ -2,6 +2,7 @@
 
 import importlib
 import stat
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Protocol, cast
@@ -10,6 +11,7 @@ from imucal.errors import ReadError
 from imucal.readers.containers import Container
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.readers.contents import LogContents
+from imucal.readers.files import first_bytes
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.ways_out import way_out
 from imucal.recording import Recording
@@ -118,7 +120,15 @@ def detect(path: Path) -> Format:
         return text
     if is_folder(path):
         return text if _holds_tables(path) else next(e for e in FORMATS if e.folders)
-    return detect_head(path, _first_bytes(path))
+    with suppress(OSError):
+        if stat.S_ISFIFO(path.stat().st_mode):
+            msg = f"{path}: a pipe can be read only once; expected a file, or - with text on standard input"
+            raise ReadError(msg)
+    head = first_bytes(path, _HEAD)
+    if not head:
+        msg = f"{path}: the file is empty; expected a log"
+        raise ReadError(msg)
+    return detect_head(path, head)
 
 
 def detect_head(path: Path, head: bytes) -> Format:
@@ -205,19 +215,3 @@ def _holds_tables(folder: Path) -> bool:
     names = [entry.name.lower() for entry in folder.iterdir()]
     bag = any(name == "metadata.yaml" or ".db3" in name or ".mcap" in name for name in names)
     return not bag and any(name.endswith(FORMATS[-1].suffixes) for name in names)
-
-
-def _first_bytes(path: Path) -> bytes:
-    try:
-        if stat.S_ISFIFO(path.stat().st_mode):
-            msg = f"{path}: a pipe can be read only once; expected a file, or - with text on standard input"
-            raise ReadError(msg)
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except OSError as error:
-        msg = f"{path}: can't be opened: {error.strerror or error}"
-        raise ReadError(msg) from error
-    if not head:
-        msg = f"{path}: the file is empty; expected a log"
-        raise ReadError(msg)
-    return head

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import release
 from imucal.errors import ReadError
+from imucal.readers.files import first_bytes
 from imucal.readers.isolation import isolated, require
 from imucal.readers.store import allocated
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
@@ -88,7 +89,7 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
                 )
             parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), _WIDEST))}
         for label, part in parts.items():
-            head = scan.head(_HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
+            head = _parquet_series(path, name, part, _HEAD)
             columns.append(
                 TypedColumn(
                     name=label,
@@ -104,23 +105,21 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
 
 def parquet_values(path: Path, name: str, part: str | int | None) -> NDArray[Any]:
     """Return all values of a column of a Parquet file, or of a part of it."""
+    return np.asarray(_parquet_series(path, name, part).to_numpy())
+
+
+def _parquet_series(path: Path, name: str, part: str | int | None, rows: int | None = None) -> Any:  # noqa: ANN401 - polars is imported late
+    """Return a column, or a part of it, as polars' series; the first `rows` of it, or all."""
     import polars as pl
 
-    scan = pl.scan_parquet(path)
-    dtype = scan.collect_schema()[name]
-    return np.asarray(scan.select(_expression(dtype, name, part).alias("v")).collect()["v"].to_numpy())
-
-
-def _expression(dtype: Any, name: str, part: str | int | None) -> Any:  # noqa: ANN401 - polars is imported late
-    import polars as pl
-
-    column = pl.col(name)
+    scan, column = pl.scan_parquet(path), pl.col(name)
     if isinstance(part, str):
-        return column.struct.field(part)
-    if part is None:
-        return column
-    getter = column.list if isinstance(dtype, pl.List) else column.arr
-    return getter.get(part, null_on_oob=True)
+        column = column.struct.field(part)
+    elif part is not None:
+        listed = isinstance(scan.collect_schema()[name], pl.List)
+        column = (column.list if listed else column.arr).get(part, null_on_oob=True)
+    scan = scan if rows is None else scan.head(rows)
+    return scan.select(column.alias("v")).collect()["v"]
 
 
 class Arrays(NamedTuple):
@@ -186,7 +185,11 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
                 found.objects[name.replace("/", ".")] = kind
             elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
                 sets[name.replace("/", ".")] = node
-            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
+            for key, value in () if matlab else node.attrs.items():
+                # Attributes that are a number each, such as a sampling rate.
+                number = np.asarray(value)
+                if number.size == 1 and number.dtype.kind in "iuf":
+                    found.arrays[f"{name}/{key}".strip("/").replace("/", ".")] = number
         took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
         if took > most:
             msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
@@ -194,12 +197,6 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
         # MATLAB writes columns where others write rows.
         found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
-
-
-def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
-    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
-    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.
@@ -408,13 +405,11 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     ReadError
         If it can't be read, or is none of the formats.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        msg = f"{path}: can't be opened: {error.strerror or error}"
-        raise ReadError(msg) from error
-    kind = _kind(path, head)
+    head = first_bytes(path, 16)
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
+    if not kind and path.suffix.lower() != ".mat":
+        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
+        raise ReadError(msg)
     if kind == "Parquet":
         columns = isolated(path, parquet_columns, "Parquet")(path)
         each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
@@ -424,8 +419,14 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
         return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
-    if kind == "MAT":
-        _refuse_large_mat(path, share)
+    if kind in {"MAT", ""}:
+        if unpacks_to_more(path, share):
+            msg = (
+                f"{path}: its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
+                "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
+                f"or let {MEMORY} be four times what they hold"
+            )
+            raise ReadError(msg)
         return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
     try:
         if kind == "NPZ":
@@ -437,24 +438,6 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         msg = f"{path}: not a readable {kind} file: {text}"
         raise ReadError(msg) from error
     return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
-
-
-def _kind(path: Path, head: bytes) -> str:
-    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
-    if not kind and path.suffix.lower() != ".mat":
-        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
-        raise ReadError(msg)
-    return kind or "MAT"
-
-
-def _refuse_large_mat(path: Path, limit: int) -> None:
-    if unpacks_to_more(path, limit):
-        msg = (
-            f"{path}: its arrays unpack to more than {limit / 1e6:.4g} MB, and a MAT file is read whole; "
-            "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
-            f"or let {MEMORY} be four times what they hold"
-        )
-        raise ReadError(msg)
 
 
 def _of_arrays(
@@ -474,9 +457,9 @@ def _of_arrays(
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
     shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
     ways = [
-        f"{name} is a {kind} of MATLAB, which no other program reads; type there {way.format(name)}"
+        f"{name} is a {kind} of MATLAB, which no other program reads; type there "
+        + _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those").format(name)
         for name, kind in (objects or {}).items()
-        if (way := _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those"))
     ]
     return TableFile(
         format=form,
@@ -510,16 +493,13 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
     width = math.prod(array.shape[1:])
     if width > _WIDEST:
         return []
-    return [_plain(_label(name, at, width), array[:, *at], unit) for at in np.ndindex(array.shape[1:])]
-
-
-def _label(name: str, at: tuple[int, ...], width: int) -> str:
-    """Return the name of a column of an array; three are x, y and z, of others no number tells an axis."""
-    if len(at) > 1:
-        return f"{name}[{','.join(map(str, at))}]"
-    if not at or not name or width == 1:
-        return name
-    return f"{name}[{at[0]}]" if width == 3 else f"{name}[:,{at[0]}]"
+    columns = []
+    for at in np.ndindex(array.shape[1:]):
+        # Three columns are x, y and z; of others no number tells an axis.
+        place = f"[{','.join(map(str, at))}]" if len(at) > 1 or width == 3 else f"[:,{at[0] if at else 0}]"
+        named = len(at) > 1 or (len(at) == 1 and name and width > 1)
+        columns.append(_plain(name + place if named else name, array[:, *at], unit))
+    return columns
 
 
 def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:

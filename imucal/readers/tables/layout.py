@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import zip_longest
 from typing import TypeAlias
 
@@ -31,6 +32,9 @@ _WIDE = 50
 
 #: A delimiter is a candidate where it gives this share of the best one's cells.
 _CLOSE = 0.5
+
+#: The semicolons that end the lines of MATLAB's matrices.
+_ENDS = re.compile(rb"[; \t]+$", re.MULTILINE)
 
 _RATE = re.compile(
     r"(?:update|sampl\w*|output|data)[\s_]*(?:rate|freq\w*)[^0-9\n]{0,12}(?P<rate>\d+(?:\.\d+)?)\s*(?P<kilo>k?)hz\b"
@@ -153,59 +157,36 @@ def _layout(lines: Sequence[str], delimiter: str, *, narrow: bool) -> TextLayout
     """
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    rows, ended = _cells(lines, delimiter)
+    # A semicolon that parts no cells ends the lines, as those of MATLAB's matrices.
+    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
+    bare = [line.rstrip("; \t") for line in lines] if ended else lines
+    rows = [split_line(line, delimiter) if line.strip() else [] for line in bare]
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
     if not fitting:
         return None
     if width == 1:
-        rows = list(map(_one_cell, rows))
+        # A name with blanks is one name, such as "gz (deg/s)".
+        rows = [[" ".join(row)] if row else [] for row in rows]
     start = _start(fitting, len(lines))
     chosen = [i for i in fitting if i >= start]
+    stated = _RATE.search("\n".join(lines[:start]))
+    rate = float(stated["rate"] or stated["plain"]) if stated else 0.0
     table = TextLayout(
         delimiter=delimiter,
         decimal=decimal,
         width=width,
         start=start,
         rows=tuple(tuple(rows[i]) for i in chosen),
-        rate_hz=_stated_rate(lines[:start]),
+        rate_hz=(1000 * rate if stated and (stated["kilo"] or stated["kilos"]) else rate) or None,
         quoted=any('"' in lines[i] for i in chosen),
-        prepare=_without_ends if ended else None,
+        prepare=partial(_ENDS.sub, b"") if ended else None,
     )
-    return _with_header(table, lines, rows[:start])
-
-
-def _cells(lines: Sequence[str], delimiter: str) -> tuple[list[list[str]], bool]:
-    """Return the cells of lines, and whether a semicolon that parts none ends them, as MATLAB's matrices."""
-    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
-    bare = [line.rstrip("; \t") for line in lines] if ended else lines
-    return [split_line(line, delimiter) if line.strip() else [] for line in bare], ended
-
-
-def _with_header(table: TextLayout, lines: Sequence[str], above: Sequence[list[str]]) -> TextLayout:
-    """Return a layout with what stands before its rows, in `lines`, which are the rows `above` when cut."""
-    line, headers, units = _find_header(table, above)
+    line, headers, units = _find_header(table, rows[:start])
     headers, mismatch = _fitted_names(headers, table)
-    preamble = tuple(text for text in lines[: table.start if line is None else line] if text.strip())
+    preamble = tuple(text for text in lines[: start if line is None else line] if text.strip())
     return replace(table, headers=tuple(headers), units=tuple(units), preamble=preamble, mismatch=mismatch)
-
-
-def _stated_rate(lines: Sequence[str]) -> float | None:
-    """Return the sampling rate that a preamble states, in Hz."""
-    match = _RATE.search("\n".join(lines))
-    rate = float(match["rate"] or match["plain"]) if match else 0.0
-    return (rate * 1000 if match and (match["kilo"] or match["kilos"]) else rate) or None
-
-
-def _one_cell(row: Sequence[str]) -> list[str]:
-    """Return a row of one cell: a name with blanks is one name, such as "gz (deg/s)"."""
-    return [" ".join(row)] if row else []
-
-
-def _without_ends(block: bytes) -> bytes:
-    """Return a block without the semicolons that end its lines."""
-    return re.sub(rb"[; \t]+$", b"", block, flags=re.MULTILINE)
 
 
 def _fitting(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:

@@ -394,8 +394,10 @@ def _in_rows(
     """Return the columns of a sensor in the rows that a column names by `tags`; None where it has none."""
     names, triad = tags[sensor], found.get(sensor)
     if triad is None and names:
-        # The header names these columns for the other sensor, and not this one's unit.
-        cells, (other,) = _names_of_rows(table, names[0]), found.values()
+        # The header names these columns for the other sensor, and not this one's unit; a comment may.
+        comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
+        plain, (other,) = [f"column {column.index}" for column in table.columns], found.values()
+        cells = next((own for own in comments if own[0] == names[0] and len(own) >= len(plain)), plain)
         triad = Triad(sensor=sensor, columns=tuple(parse_column(cells[at], at) for at in other.indices))
     if triad is None or len(names) == 1:
         return triad and replace(triad, rows=(column.index, names[0]))
@@ -406,13 +408,6 @@ def _in_rows(
     said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
     problem = f"{said}; {which} the {sensor}"
     raise table.ask(problem, example=" or ".join(examples))
-
-
-def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
-    """Return the names that a comment gives the cells of tagged rows, or ``column 3`` and the like."""
-    comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
-    plain = [f"column {column.index}" for column in table.columns]
-    return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
 
 
 def _refuse_instances(table: NamedTable, found: Found) -> None:

@@ -97,18 +97,12 @@ def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
     whole = [axes for axes in counted.values() if sorted(axes) in ([0, 1, 2], [1, 2, 3])]
     sets += [{number - min(axes): column for number, column in axes.items()} for axes in whole]
     named = {column.index for axes in sets if len(axes) == len(AXES) for column in axes.values()}
-    return sets + _threes([column for column in free if column.index not in named])
-
-
-def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
-    """Return columns three by three where they stand side by side."""
-    found = []
+    plain = [column for column in free if column.index not in named]
     while plain:
         run = [column for at, column in enumerate(plain[:3]) if column.index == plain[0].index + at]
-        if len(run) == len(AXES):
-            found.append(dict(enumerate(run)))
+        sets += [dict(enumerate(run))] if len(run) == len(AXES) else []
         plain = plain[len(run) :]
-    return found
+    return sets
 
 
 def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
@@ -143,8 +137,11 @@ def _score(
     columns = [axes[at] for at in range(len(AXES))]
     score = (_TAGGED if tagged else 0) + _unknown(columns)
     if not others:
-        told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
-        return score + (_GRAVITY if told else 0)
+        cells = [column.filled for column in columns]
+        if sensor is not Sensor.ACCELEROMETER or several or len({*map(len, cells)}) > 1:
+            return score
+        rows = np.array(cells, dtype=np.float64).T
+        return score + (_GRAVITY if shows_gravity(rows[np.isfinite(rows).all(axis=1)]) else 0)
     if all(column.role is Role.VECTOR for column in columns):
         return score + _VECTOR
     theirs = others[0].columns
@@ -158,21 +155,12 @@ def _unknown(columns: Sequence[NamedColumn]) -> int:
     return _UNKNOWN if any(c.header.strip() and c.role is not Role.VECTOR for c in columns) else 0
 
 
-def _is_gravity(columns: Sequence[NamedColumn]) -> bool:
-    """Return whether the mean vector of three columns is gravity, in some unit."""
-    cells = [column.filled for column in columns]
-    if len({len(column) for column in cells}) > 1:
-        return False
-    rows = np.array([[float(cell) for cell in column] for column in cells]).T
-    return shows_gravity(rows[np.isfinite(rows).all(axis=1)])
-
-
 def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
     """Return a columns text for a table, such as ``t=0,g=1:4,a=4:7``; empty where not enough speaks for one.
 
     `name` is the file's, and `rows` says which rows are meant, such as ``@imu``.
     """
-    time = table.time or _text_time(table) or _onward(table)
+    time = _time(table)
     taken = [int(index) for index in time.split("+") if index]
     chosen = likely(table, taken=taken, tagged=bool(rows))
     if not any(chosen.values()):
@@ -192,22 +180,19 @@ def _one_axis(table: NamedTable, taken: Sequence[int], name: str) -> dict[Sensor
     return {sensor: Triad.of(sensor, {2: free[0]})}
 
 
-def _onward(table: NamedTable) -> str:
-    """Return the first column of numbers that only goes on, beside others."""
-    numeric = [column for column in table.columns if column.is_numeric]
-    for column in numeric if len(numeric) > 1 else ():
-        steps = [b - a for a, b in pairwise(map(float, column.filled))]
-        if steps and min(steps) >= 0 < max(steps):
-            return str(column.index)
-    return ""
-
-
-def _text_time(table: NamedTable) -> str:
-    """Return the columns of a time that is a text: a date with a time, or a date, a time and AM or PM."""
+def _time(table: NamedTable) -> str:
+    """Return the columns of the time: by name, as texts (a date, a time, AM or PM), or the first to go on."""
+    if table.time:
+        return table.time
     dated = {columns[0].index: columns for columns in dates_and_times(table)}
     for column in table.columns:
         if column.cells and all(map(is_text_stamp, column.cells)):
             return str(column.index)
         if column.index in dated:
             return "+".join(str(part.index) for part in dated[column.index])
+    numeric = [column for column in table.columns if column.is_numeric]
+    for column in numeric if len(numeric) > 1 else ():
+        steps = [b - a for a, b in pairwise(map(float, column.filled))]
+        if steps and min(steps) >= 0 < max(steps):
+            return str(column.index)
     return ""

@@ -43,7 +43,7 @@ from imucal.readers.tables.layout import (
     rows_of_tag,
     split_line,
 )
-from imucal.readers.tables.names import NamedColumn, Role, parse_column, sensor_of_name
+from imucal.readers.tables.names import Role, parse_column, sensor_of_name
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import (
@@ -90,27 +90,22 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
             f"the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
             "belongs to a column"
         )
-    table = NamedTable(path=path, columns=_nameless(layout))
-    raise table.ask(problem, example=_propose(table, lines, layout, options))
-
-
-def _nameless(layout: TextLayout) -> tuple[NamedColumn, ...]:
-    return tuple(parse_column("", index, cells=layout.cells(index)) for index in range(layout.width))
-
-
-def _propose(table: NamedTable, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
-    """Return a columns text that works on a table without names; empty where there is none."""
+    table = _nameless(path, layout)
     tags = _inertial_tags(lines, layout.delimiter)
-    if tags:
-        layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
-        table = replace(table, columns=_nameless(layout))
+    rows = rows_of_tag(lines, layout.delimiter, (-1, tags[0])) if tags else ()
+    tagged = _nameless(path, find_layout(rows) or layout)
+    numeric = [column.index for column in tagged.columns if all(map(is_number, column.cells))]
     gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
-    numeric = [column.index for column in table.columns if all(map(is_number, column.cells))]
     both = []
     if gyro and accel and len(numeric) == 4:
         axes = f"{numeric[1]}:{numeric[1] + 3}"
         both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    return propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
+    raise table.ask(problem, example=propose(tagged, options, first=both, rows=f"@{tags[0]}" if tags else ""))
+
+
+def _nameless(path: str, layout: TextLayout) -> NamedTable:
+    columns = (parse_column("", index, cells=layout.cells(index)) for index in range(layout.width))
+    return NamedTable(path=path, columns=tuple(columns))
 
 
 def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
@@ -267,8 +262,15 @@ class BlockReader:
                 self._note_bad(1, text)
             else:
                 rows.append(row)
-        columns = list(zip(*rows, strict=True)) if rows else [()] * len(self.kinds)
-        return {index: self._array(columns[place], index) for place, index in enumerate(self.kinds)}
+        values: dict[int, NDArray[Any]] = {}
+        for place, (index, kind) in enumerate(self.kinds.items()):
+            cells = [row[place] for row in rows]
+            if kind in _TEXTS:
+                values[index] = self._times(cast("list[str]", cells), kind)
+                continue
+            whole = kind == "integer" and not any(isinstance(value, float) for value in cells)
+            values[index] = np.array(cells, dtype=np.int64 if whole else np.float64)
+        return values
 
     def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
         """Return the wanted cells of a row as numbers; None for a bad row."""
@@ -279,13 +281,6 @@ class BlockReader:
         row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
         good = [value for value in row if value is not None]
         return good if len(good) == len(row) else None
-
-    def _array(self, values: Sequence[Any], index: int) -> NDArray[Any]:
-        kind = self.kinds[index]
-        if kind in _TEXTS:
-            return self._times(values, kind)
-        whole = kind == "integer" and not any(isinstance(value, float) for value in values)
-        return np.array(values, dtype=np.int64 if whole else np.float64)
 
     def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
         return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
@@ -326,16 +321,6 @@ def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
     before = rb"(?:" + cell + (rb")*?" if index < 0 else rb"){" + str(index).encode() + rb"}")
     tag = rb'[ \t]*"?' + re.escape(text.encode()) + rb'"?[ \t]*'
     return re.compile(rb"(?m)^" + start + before + tag + rb"(?:" + mark + rb"[^\n]*)?$")
-
-
-def without_start(blocks: Iterable[bytes], lines: int) -> Iterable[bytes]:
-    """Yield blocks without the first lines."""
-    for block in blocks:
-        start = 0
-        while lines and (end := block.find(b"\n", start)) >= 0:
-            start, lines = end + 1, lines - 1
-        if not lines:
-            yield block[start:] if start else block
 
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -384,10 +369,15 @@ def read_table(
             return read_table(source, replace(options, columns=columns), name=name, head=True)
 
         raise with_more(source.name, error, tried) from error
-    groups = _by_rows(plan, stamps)
+    # Sensors that are read from the same rows; times of a file of their own are those of all.
+    groups: dict[Rows, list[SensorPlan]] = {}
+    for sensor in plan.sensors:
+        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
+        groups.setdefault(sensor.triad.rows, []).append(timed)
     expected = 0 if head else source.expected_rows
     readers = [
-        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
+        _reader(source, layout, group, plan.temperature, options, expected=expected)
+        for group in groups.values()
     ]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
@@ -396,7 +386,7 @@ def read_table(
         raise ReadError(msg)
     findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
-    for reader, group in zip(readers, groups, strict=True):
+    for reader, group in zip(readers, groups.values(), strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
         if stamps is not None:
             if reader.bad or reader.good != stamps.values.size:
@@ -407,7 +397,17 @@ def read_table(
                 raise ReadError(msg)
             values[EXTERNAL] = stamps.values
         if reader.good:
-            sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
+            sensors += [
+                SensorColumns(
+                    plan=sensor,
+                    axes=[values[index] for index in sensor.triad.indices],
+                    time=[values[index] for index in sensor.time.indices] if sensor.time else (),
+                    log_time=[values[index] for index in sensor.log_time.indices] if sensor.log_time else (),
+                    temperature=values.get(plan.temperature) if plan.temperature is not None else None,
+                    sparse=not reader.needed.issuperset(sensor.triad.indices),
+                )
+                for sensor in group
+            ]
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
         raise DataError(msg)
@@ -420,15 +420,6 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, plan.topics)
-
-
-def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
-    """Return the sensors in groups that are read from the same rows; `stamps` are the times of all."""
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
-    return list(groups.values())
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -505,15 +496,20 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows; returns the last line where it may be cut, else an empty text."""
-    cut = ""
-    for block in without_start(blocks, layout.start):
-        whole = block
-        if not block.endswith(b"\n"):
-            end = block.rfind(b"\n") + 1
-            last = block[end:].decode("utf-8", "replace")
-            if block[end:].strip() and not _is_complete(last, layout):
-                cut, whole = last, block[:end]
+    """Read all rows behind the header; returns the last line where it may be cut, else an empty text."""
+    cut, before = "", layout.start
+    for block in blocks:
+        start = 0
+        while before and (end := block.find(b"\n", start)) >= 0:
+            start, before = end + 1, before - 1
+        if before:
+            continue
+        whole = block[start:] if start else block
+        if not whole.endswith(b"\n"):
+            end = whole.rfind(b"\n") + 1
+            last = whole[end:].decode("utf-8", "replace")
+            if last.strip() and not _is_complete(last, layout):
+                cut, whole = last, whole[:end]
         for reader in readers:
             reader.add(whole)
     return cut
@@ -522,11 +518,9 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
 def _is_complete(line: str, layout: TextLayout) -> bool:
     """Return whether a line without an end has all its cells, the last one as long as any other."""
     cells = split_line(line, layout.delimiter)
-    if len(cells) != layout.width:
-        return False
     lengths = [len(cell.partition(".")[2]) for cell in layout.cells(layout.width - 1)]
-    _, point, digits = cells[-1].partition(layout.decimal)
-    return bool(point) and len(digits) >= max(lengths, default=0)
+    _, point, digits = cells[-1].partition(layout.decimal) if cells else ("", "", "")
+    return len(cells) == layout.width and bool(point) and len(digits) >= max(lengths, default=0)
 
 
 def _row_findings(
@@ -550,23 +544,6 @@ def _row_findings(
         text = f"T{found[1:]}; it was dropped."
         findings.append(Finding(level="info", code="cut-line", text=text))
     return findings
-
-
-def _columns(
-    reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
-) -> SensorColumns:
-    def of(time: TimeChoice | None) -> tuple[Any, ...]:
-        return tuple(values[index] for index in time.indices) if time else ()
-
-    indices = sensor.triad.indices
-    return SensorColumns(
-        plan=sensor,
-        axes=[values[index] for index in indices],
-        time=of(sensor.time),
-        log_time=of(sensor.log_time),
-        temperature=values.get(temperature) if temperature is not None else None,
-        sparse=not reader.needed.issuperset(indices),
-    )
 
 
 _ZIP = b"PK\x03\x04"
@@ -698,7 +675,14 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    _refuse_other_times(path, names, parts)
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
     every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
@@ -713,17 +697,6 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
         findings=tuple(dict.fromkeys(findings)),
     )
-
-
-def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
-    clocks = [part.series[0].clock for part in parts]
-    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
-        msg = (
-            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
-            "read one file at a time"
-        )
-        raise ChoiceError(msg)
 
 
 def times_of(path: Path) -> ExternalTime | None:
