@@ -115,8 +115,13 @@ def _topics(
             asked = leaves.asked(wanted, options.time_unit)
             imus, reason = ({"": asked}, "") if isinstance(asked, ImuFields) else ({}, f"it has no {asked}")
         else:
-            imus = _known(channel, whole, options)
-            reason = "" if imus else _unreachable(leaves)
+            imus, reason = _known(channel, whole, options), ""
+            if not imus:
+                how = leaves.proposal()
+                reason = (
+                    "it has no angular velocity or linear acceleration by name; say which of its fields they "
+                    f"are by a fields text{f' such as {how!r}' if how else ''}; found {leaves.shown()}"
+                )
     except DefinitionError as error:
         reason = str(error)
     if not imus:
@@ -183,16 +188,6 @@ def _looks_like_imu(channel: Channel) -> bool:
     return "imu" in name.rpartition("/")[2] or name.endswith(("sensorcombined", "vehicleimu"))
 
 
-def _unreachable(leaves: Leaves) -> str:
-    """Return why nothing of a message is known as an IMU's, and what to say."""
-    how = leaves.proposal()
-    example = f" such as {how!r}" if how else ""
-    return (
-        "it has no angular velocity or linear acceleration by name; say which of its fields they are by a "
-        f"fields text{example}; found {leaves.shown()}"
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
     """A topic to read, the sensors to take from it, and how it was chosen."""
@@ -224,23 +219,20 @@ def choose(
         return _named(path, topics, options, live)
     carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
     if options.fields and not carrying:
-        raise _without_fields(path, topics)
+        lines = [
+            f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
+            for topic in topics
+            if topic.leaves.all or topic.reason
+        ]
+        listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
+        msg = f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}"
+        raise ChoiceError(msg)
     fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
     if len(fitting) == 1:
         return [_whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
         return _among(path, fitting, live)
     return _refuse(path, topics, carrying)
-
-
-def _without_fields(path: Path, topics: Sequence[Topic]) -> ChoiceError:
-    lines = [
-        f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
-        for topic in topics
-        if topic.leaves.all or topic.reason
-    ]
-    listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
-    return ChoiceError(f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}")
 
 
 def table(topics: Sequence[Topic]) -> str:

@@ -202,6 +202,8 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
 #: Pieces of memory in which they may lie; in more of them no samples are.
 _MOST_PIECES = 4096
 _SUFFIX = ".npy"
+#: Bytes unpacked at once.
+_PIECE = 1 << 20
 
 
 class _Header(NamedTuple):
@@ -242,7 +244,7 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
         for header in headers:
             with archive.open(header.info) as member:
                 most = 0 if size > limit and not heads else header.size
-                array = _read(cast("BinaryIO", member), header, heads=heads, most=most)
+                array = _read(cast("zipfile.ZipExtFile", member), header, heads=heads, most=most)
             arrays[header.info.filename.removesuffix(_SUFFIX)] = array
     return arrays
 
@@ -263,14 +265,21 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
     return header
 
 
-def _read(stream: BinaryIO, header: _Header, *, heads: bool, most: int) -> NDArray[Any]:
+def _read(stream: zipfile.ZipExtFile, header: _Header, *, heads: bool, most: int) -> NDArray[Any]:
     """Return an array, in a temporary file if it has more than `most` bytes; of `heads` the first values."""
     size = math.prod(header.shape)
     # Memory that nobody touches is never taken.
     flat = np.zeros(size, dtype=header.dtype) if heads else allocated(size, header.dtype, most)
     for part in _head(header) if heads else [slice(0, size)]:
         stream.seek(header.start + part.start * header.dtype.itemsize)
-        _fill(stream, flat[part].view(np.uint8))
+        target = flat[part].view(np.uint8)
+        for start in range(0, target.size, _PIECE):
+            piece = target[start : start + _PIECE]
+            got = stream.readinto(piece.data)
+            if got < piece.size:
+                msg = f"an array ends after {start + got} of {target.size} bytes"
+                raise ValueError(msg)
+            release(target)
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
 
 
@@ -286,24 +295,10 @@ def _head(header: _Header) -> list[slice]:
     return [slice(start, start + min(_HEAD, longest) * inner) for start in starts]
 
 
-def _fill(stream: BinaryIO, target: NDArray[np.uint8]) -> None:
-    """Read exactly as many bytes as fit; a ValueError where there are fewer."""
-    done = 0
-    while done < target.size:
-        piece = stream.read(min(target.size - done, 1 << 22))
-        if not piece:
-            msg = f"an array ends after {done} of {target.size} bytes"
-            raise ValueError(msg)
-        target[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
-        done += len(piece)
-        release(target)
-
-
-_HEADER, _COMPRESSED = 128, 15
+#: The type of an element of a MATLAB file that is a zlib stream.
+_COMPRESSED = 15
 #: No zlib stream grows by more than this factor. Source: zlib, "Maximum compression factor".
 MOST_GROWTH = 1032
-#: Bytes unpacked at once.
-_PIECE = 1 << 20
 
 
 def unpacks_to_more(path: Path, limit: int) -> bool:

@@ -103,21 +103,6 @@ def _heads(part: _Part) -> _Part:
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     """Choose the columns; of arrays of several lengths each length for itself."""
-    groups = _groups(path, table)
-    parts: list[_Part] = []
-    for group in groups if len(groups) > 1 and options.columns is None else ():
-        with suppress(ChoiceError):
-            parts.append(_part(path, group, options, table.shapes))
-    if not parts:
-        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
-        widest = max(groups, key=lambda group: (len(group), group[0].size))
-        return [_only_part(path, table, widest, options)]
-    _refuse_doubles(path, parts)
-    return parts
-
-
-def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
-    """Return the columns by their lengths; a ReadError where there are none of samples."""
     lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
     if not lengths:
         found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
@@ -127,10 +112,15 @@ def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
         )
         msg = f"{path}: {why}"
         raise ReadError(msg)
-    return [tuple(column for column in table.columns if column.size == length) for length in lengths]
-
-
-def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
+    groups = [tuple(column for column in table.columns if column.size == length) for length in lengths]
+    parts: list[_Part] = []
+    for group in groups if len(groups) > 1 and options.columns is None else ():
+        with suppress(ChoiceError):
+            parts.append(_part(path, group, options, table.shapes))
+    if not parts:
+        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
+        widest = max(groups, key=lambda group: (len(group), group[0].size))
+        return [_only_part(path, table, widest, options)]
     triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
     for sensor in Sensor:
         names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
@@ -140,6 +130,7 @@ def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
                 "expected one; give the columns"
             )
             raise ChoiceError(msg)
+    return parts
 
 
 def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
