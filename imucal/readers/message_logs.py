@@ -99,11 +99,7 @@ def describe_logs(
             topics = find_topics(containers, options)
         contents = [_contents(containers, topic) for topic in topics]
     if not any(entry.sensors for entry in contents):
-        # The fields text that might read a topic, where nothing else is said of it.
-        for at, (entry, topic) in enumerate(zip(contents, topics, strict=True)):
-            text = topic.leaves.proposal() if topic.count and not entry.note else None
-            if text:
-                contents[at] = replace(entry, note=f"may be read by a fields text such as {text!r}")
+        contents = [_with_proposal(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
     starts = [c.start_ns for c in containers if c.start_ns is not None]
     ends = [c.end_ns for c in containers if c.end_ns is not None]
     return LogContents(
@@ -116,6 +112,12 @@ def describe_logs(
         compression=", ".join(sorted({container.compression for container in containers})),
         findings=tuple(finding for container in containers for finding in container.findings),
     )
+
+
+def _with_proposal(entry: TopicContents, topic: Topic) -> TopicContents:
+    """Return an entry with the fields text that might read it, where nothing else is said of it."""
+    text = topic.leaves.proposal() if topic.count and not entry.note else None
+    return replace(entry, note=f"may be read by a fields text such as {text!r}") if text else entry
 
 
 def _contents(containers: Sequence[Container], topic: Topic) -> TopicContents:
@@ -225,17 +227,9 @@ def _add_topic(
     topic = choice.topic
     imu = topic.imu or ImuFields(stamp=None, vectors=())
     vectors = {vector.sensor: vector for vector in imu.vectors}
-    if imu.others:
-        read = " and ".join(vector.field for vector in imu.vectors)
-        text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
-        work.findings.append(Finding(level="warning", code="other-vectors", text=text))
+    work.findings += _other_vectors(topic, imu)
     work.findings += in_time_order(columns, work.room)
-    if imu.lists:
-        # Elements of lists that have no stamps of their own get their times.
-        stamps, log = work.room.copied(columns.stamps), work.room.copied(columns.log)
-        if imu.stamp is None or EACH not in imu.stamp.sec:
-            spread_times(columns.stamps, (stamps, log))
-        spread_times(columns.log, (log,))
+    spread_lists(imu, columns, work.room)
     reading = _clock(work, topic, columns, options)
     clock, order = reading.clock, reading.order
     label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
@@ -264,6 +258,13 @@ def _add_topic(
     work.add(unscaled, where=f"{work.path}: topic {topic.name}")
     if columns.temperature is not None and columns.temperature.any():
         work.add_temperature(columns.temperature, clock, order=order)
+
+
+def _other_vectors(topic: Topic, imu: ImuFields) -> Iterator[Finding]:
+    if imu.others:
+        read = " and ".join(vector.field for vector in imu.vectors)
+        text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
+        yield Finding(level="warning", code="other-vectors", text=text)
 
 
 def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
@@ -307,6 +308,16 @@ def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
         begun, highest = int(cuts[-1]), before[-1]
     if times.size - begun > 1:
         yield begun, times.size
+
+
+def spread_lists(imu: ImuFields, columns: Columns, room: Room) -> None:
+    """Give the elements of lists that have no stamps of their own their times."""
+    if not imu.lists:
+        return
+    stamps, log = room.copied(columns.stamps), room.copied(columns.log)
+    if imu.stamp is None or EACH not in imu.stamp.sec:
+        spread_times(columns.stamps, (stamps, log))
+    spread_times(columns.log, (log,))
 
 
 def in_time_order(columns: Columns, room: Room) -> list[Finding]:

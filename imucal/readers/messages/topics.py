@@ -219,20 +219,23 @@ def choose(
         return _named(path, topics, options, live)
     carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
     if options.fields and not carrying:
-        lines = [
-            f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
-            for topic in topics
-            if topic.leaves.all or topic.reason
-        ]
-        listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
-        msg = f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}"
-        raise ChoiceError(msg)
+        raise _without_fields(path, topics)
     fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
     if len(fitting) == 1:
         return [_whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
         return _among(path, fitting, live)
     return _refuse(path, topics, carrying)
+
+
+def _without_fields(path: Path, topics: Sequence[Topic]) -> ChoiceError:
+    lines = [
+        f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
+        for topic in topics
+        if topic.leaves.all or topic.reason
+    ]
+    listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
+    return ChoiceError(f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}")
 
 
 def table(topics: Sequence[Topic]) -> str:

@@ -1,6 +1,6 @@
 """Columns of a table, and how a user says which are the sensors': ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -166,10 +166,12 @@ def parse_columns_text(text: str, table: NamedTable) -> Asked:
     """
     try:
         found, rows = _parts(text, table)
-        _check(found, rows)
+        wrong = next(_problems(found, rows), "")
     except ValueError as error:
-        problem = f"columns text {text!r}: {error}"
-        raise table.ask(problem) from None
+        wrong = str(error)
+    if wrong:
+        problem = f"columns text {text!r}: {wrong}"
+        raise table.ask(problem)
     sensors = []
     for sensor in Sensor:
         letter = sensor.short[0]
@@ -217,36 +219,32 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
     return indices
 
 
-def _check(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> None:
-    """Raise a ValueError that says what is wrong with the columns, if anything is."""
-    problems = []
+def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
+    """Yield what is wrong with the columns, the worst first."""
     if not any(key[0] in "ga" for key in found):
-        problems.append("names neither gyroscope (g) nor accelerometer (a)")
+        yield "names neither gyroscope (g) nor accelerometer (a)"
     if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
-        problems.append("t takes up to three columns, temp one")
-    problems += [_problem_of(key, found, rows) for key in ("g", "a")]
+        yield "t takes up to three columns, temp one"
+    for key in ("g", "a"):
+        yield from _problems_of(key, found, rows)
     uses: dict[int, list[Rows]] = {}
     for key, indices in found.items():
         for index in indices:
             others = uses.setdefault(index, [])
             # A column may be the gyroscope's in some rows and the accelerometer's in others.
             if any(rows[key] is None or other is None or other == rows[key] for other in others):
-                problems.append(f"column {index} is named twice; a log of one axis has gz={index} alone")
+                yield f"column {index} is named twice; a log of one axis has gz={index} alone"
             others.append(rows[key])
-    problem = next(filter(None, problems), "")
-    if problem:
-        raise ValueError(problem)
 
 
-def _problem_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> str:
-    """Return what is wrong with the columns of one sensor, or an empty text."""
+def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
+    """Yield what is wrong with the columns of one sensor."""
     single = [key + axis for axis in AXES if key + axis in found]
     if key in found and single:
-        return f"{single[0]} is one of the three columns of {key}; name either"
+        yield f"{single[0]} is one of the three columns of {key}; name either"
     if any(len(found[one]) != 1 for one in single):
-        return f"{single[0]} takes one column"
+        yield f"{single[0]} takes one column"
     if len({rows[one] for one in single}) > 1:
-        return f"{' and '.join(single)} are of different rows, expected the same"
+        yield f"{' and '.join(single)} are of different rows, expected the same"
     if key in found and len(found[key]) != 3:
-        return f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"
-    return ""
+        yield f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"

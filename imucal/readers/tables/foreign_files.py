@@ -185,11 +185,7 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
                 found.objects[name.replace("/", ".")] = kind
             elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
                 sets[name.replace("/", ".")] = node
-            for key, value in () if matlab else node.attrs.items():
-                # Attributes that are a number each, such as a sampling rate.
-                number = np.asarray(value)
-                if number.size == 1 and number.dtype.kind in "iuf":
-                    found.arrays[f"{name}/{key}".strip("/").replace("/", ".")] = number
+            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
         took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
         if took > most:
             msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
@@ -197,6 +193,12 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
         # MATLAB writes columns where others write rows.
         found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
+
+
+def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
+    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
+    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 #: Pieces of memory in which they may lie; in more of them no samples are.
@@ -488,13 +490,16 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
     width = math.prod(array.shape[1:])
     if width > _WIDEST:
         return []
-    columns = []
-    for at in np.ndindex(array.shape[1:]):
-        # Three columns are x, y and z; of others no number tells an axis.
-        place = f"[{','.join(map(str, at))}]" if len(at) > 1 or width == 3 else f"[:,{at[0] if at else 0}]"
-        named = len(at) > 1 or (len(at) == 1 and name and width > 1)
-        columns.append(_plain(name + place if named else name, array[:, *at], unit))
-    return columns
+    return [_plain(_label(name, at, width), array[:, *at], unit) for at in np.ndindex(array.shape[1:])]
+
+
+def _label(name: str, at: tuple[int, ...], width: int) -> str:
+    """Return the name of a column of an array; three are x, y and z, of others no number tells an axis."""
+    if len(at) > 1:
+        return f"{name}[{','.join(map(str, at))}]"
+    if not at or not name or width == 1:
+        return name
+    return f"{name}[{at[0]}]" if width == 3 else f"{name}[:,{at[0]}]"
 
 
 def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:

@@ -193,19 +193,23 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
     times = choose_times(table, triad.sensor)
     stamps = [time for time in times if time.kind != "counter"]
     if options.time == "log":
-        if len(stamps) > 1:
-            return SensorPlan(triad=triad, time=stamps[1])
-        msg = (
-            f"{table.path}: there is no log time beside the stamps; found times: "
-            f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
-        )
-        raise ChoiceError(msg)
+        return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
         # Stamps that stand still are still the first choice: the clock says so and takes the log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
     return SensorPlan(triad=triad, time=next(iter(times), None))
+
+
+def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
+    if len(stamps) > 1:
+        return stamps[1]
+    msg = (
+        f"{table.path}: there is no log time beside the stamps; found times: "
+        f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
+    )
+    raise ChoiceError(msg)
 
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
@@ -394,10 +398,8 @@ def _in_rows(
     """Return the columns of a sensor in the rows that a column names by `tags`; None where it has none."""
     names, triad = tags[sensor], found.get(sensor)
     if triad is None and names:
-        # The header names these columns for the other sensor, and not this one's unit; a comment may.
-        comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
-        plain, (other,) = [f"column {column.index}" for column in table.columns], found.values()
-        cells = next((own for own in comments if own[0] == names[0] and len(own) >= len(plain)), plain)
+        # The header names these columns for the other sensor, and not this one's unit.
+        cells, (other,) = _names_of_rows(table, names[0]), found.values()
         triad = Triad(sensor=sensor, columns=tuple(parse_column(cells[at], at) for at in other.indices))
     if triad is None or len(names) == 1:
         return triad and replace(triad, rows=(column.index, names[0]))
@@ -408,6 +410,13 @@ def _in_rows(
     said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
     problem = f"{said}; {which} the {sensor}"
     raise table.ask(problem, example=" or ".join(examples))
+
+
+def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
+    """Return the names that a comment gives the cells of tagged rows, or ``column 3`` and the like."""
+    comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
+    plain = [f"column {column.index}" for column in table.columns]
+    return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
 
 
 def _refuse_instances(table: NamedTable, found: Found) -> None:

@@ -6,6 +6,7 @@ nothing is shown, as the x and y of a robot, or latitudes, are no gyroscope.
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -74,7 +75,8 @@ def _likeliest(
     used = {*taken, *(index for triad in others for index in triad.indices)}
     free = [c for c in table.columns if c.index not in used and may_be_samples(c)]
     several = len(free) > _NARROW
-    scored = [(_score(axes, sensor, others, tagged=tagged, several=several), axes) for axes in _sets(free)]
+    by_others = partial(_score, sensor=sensor, others=others, tagged=tagged, several=several)
+    scored = [(_name_score(axes, sensor) or by_others(axes), axes) for axes in _sets(free)]
     # Of equal ones the accelerometer is the last, as people write them.
     scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
     score, best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
@@ -97,12 +99,18 @@ def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
     whole = [axes for axes in counted.values() if sorted(axes) in ([0, 1, 2], [1, 2, 3])]
     sets += [{number - min(axes): column for number, column in axes.items()} for axes in whole]
     named = {column.index for axes in sets if len(axes) == len(AXES) for column in axes.values()}
-    plain = [column for column in free if column.index not in named]
+    return sets + _threes([column for column in free if column.index not in named])
+
+
+def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
+    """Return columns three by three where they stand side by side."""
+    found = []
     while plain:
         run = [column for at, column in enumerate(plain[:3]) if column.index == plain[0].index + at]
-        sets += [dict(enumerate(run))] if len(run) == len(AXES) else []
+        if len(run) == len(AXES):
+            found.append(dict(enumerate(run)))
         plain = plain[len(run) :]
-    return sets
+    return found
 
 
 def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
@@ -127,21 +135,17 @@ def _score(
     tagged: bool,
     several: bool,
 ) -> int:
-    """Return what speaks for a sensor in columns: their names, or else the columns of the other, or gravity.
+    """Return what speaks for a sensor in columns whose names don't: the columns of the other, or gravity.
 
     Beside the other sensor stand a bare vector, or neighbours of a kind; gravity tells of no `several`.
     """
-    by_name = _name_score(axes, sensor)
-    if by_name or len(axes) != len(AXES):
-        return by_name
+    if len(axes) != len(AXES):
+        return 0
     columns = [axes[at] for at in range(len(AXES))]
     score = (_TAGGED if tagged else 0) + _unknown(columns)
     if not others:
-        cells = [column.filled for column in columns]
-        if sensor is not Sensor.ACCELEROMETER or several or len({*map(len, cells)}) > 1:
-            return score
-        rows = np.array(cells, dtype=np.float64).T
-        return score + (_GRAVITY if shows_gravity(rows[np.isfinite(rows).all(axis=1)]) else 0)
+        told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
+        return score + (_GRAVITY if told else 0)
     if all(column.role is Role.VECTOR for column in columns):
         return score + _VECTOR
     theirs = others[0].columns
@@ -153,6 +157,15 @@ def _score(
 def _unknown(columns: Sequence[NamedColumn]) -> int:
     """Return what speaks against columns that are called by names of which nothing is known."""
     return _UNKNOWN if any(c.header.strip() and c.role is not Role.VECTOR for c in columns) else 0
+
+
+def _is_gravity(columns: Sequence[NamedColumn]) -> bool:
+    """Return whether the mean vector of three columns is gravity, in some unit."""
+    cells = [column.filled for column in columns]
+    if len({len(column) for column in cells}) > 1:
+        return False
+    rows = np.array([[float(cell) for cell in column] for column in cells]).T
+    return shows_gravity(rows[np.isfinite(rows).all(axis=1)])
 
 
 def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:

@@ -318,12 +318,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     Stamps come before counters; columns that are empty, or stand still over the first rows, come
     after those that go on.
     """
-    found = [*_pairs(table), *_dates(table)]
-    of_week = [column for column in table.columns if not set(_OF_WEEK).isdisjoint(column.words)]
-    tows = [column for column in of_week if column.role is Role.TIME]
-    weeks = [c for c in table.columns if "week" in c.words and c.axis is None and c not in of_week]
-    if weeks and tows:
-        found.append((60.0, _week(weeks[0], tows[0])))
+    found = [*_pairs(table), *_weeks(table), *_dates(table)]
     for date, time, *half in dates_and_times(table):
         found.append((_score(time, sensor), _texts(date, time, *half)))
     taken = {index for _, choice in found for index in choice.indices}
@@ -333,12 +328,13 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
             if choice is not None:
                 found.append((_score(column, sensor), choice))
     found.sort(key=lambda entry: -entry[0])
+    counters = [c for c in table.columns if c.role is Role.COUNTER and _goes_on(c.counts)]
     choices = [choice for score, choice in found if score > 0]
-    for column in (column for column in table.columns if column.role is Role.COUNTER):
-        steps = [after - before for before, after in pairwise(column.counts)]
-        if steps and sum(step > 0 for step in steps) > 0.5 * (len(steps) + 1):
-            choices.append(_joined(column, kind="counter"))
-    return choices
+    return choices + [_joined(counter, kind="counter") for counter in counters]
+
+
+def _goes_on(counts: Sequence[int]) -> bool:
+    return len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts)
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
@@ -493,6 +489,13 @@ def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
     source = f"{'text' if text else 'seconds'} + {beside}"
     join = _texts if text else _joined
     return join(coarse, fine, kind="pair", ns=ns if ns != _SECOND else None, source=source)
+
+
+def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    of_week = [column for column in table.columns if not set(_OF_WEEK).isdisjoint(column.words)]
+    times = [column for column in of_week if column.role is Role.TIME]
+    weeks = [c for c in table.columns if "week" in c.words and c.axis is None and c not in of_week]
+    return [(60.0, _week(weeks[0], times[0]))] if weeks and times else []
 
 
 def _is_week(first: NamedColumn, second: NamedColumn) -> bool:

@@ -84,23 +84,28 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     layout = name_columns(layout)
     if options.columns is not None or layout.headers:
         return layout
+    raise _unnamed(path, lines, layout, options)
+
+
+def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
+    """Return the error for a table without names, with a columns text that works on it where one is known."""
     problem = f"no header names the {layout.width} columns, and an order is not guessed"
     if layout.mismatch is not None:
         problem = (
             f"the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
             "belongs to a column"
         )
-    table = _nameless(path, layout)
     tags = _inertial_tags(lines, layout.delimiter)
     rows = rows_of_tag(lines, layout.delimiter, (-1, tags[0])) if tags else ()
-    tagged = _nameless(path, find_layout(rows) or layout)
-    numeric = [column.index for column in tagged.columns if all(map(is_number, column.cells))]
+    table = _nameless(path, find_layout(rows) or layout)
+    numeric = [column.index for column in table.columns if all(map(is_number, column.cells))]
     gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
     both = []
     if gyro and accel and len(numeric) == 4:
         axes = f"{numeric[1]}:{numeric[1] + 3}"
         both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    raise table.ask(problem, example=propose(tagged, options, first=both, rows=f"@{tags[0]}" if tags else ""))
+    example = propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
+    return _nameless(path, layout).ask(problem, example=example)
 
 
 def _nameless(path: str, layout: TextLayout) -> NamedTable:
@@ -369,15 +374,10 @@ def read_table(
             return read_table(source, replace(options, columns=columns), name=name, head=True)
 
         raise with_more(source.name, error, tried) from error
-    # Sensors that are read from the same rows; times of a file of their own are those of all.
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
+    groups = _by_rows(plan, stamps)
     expected = 0 if head else source.expected_rows
     readers = [
-        _reader(source, layout, group, plan.temperature, options, expected=expected)
-        for group in groups.values()
+        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
     ]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
@@ -386,7 +386,7 @@ def read_table(
         raise ReadError(msg)
     findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
-    for reader, group in zip(readers, groups.values(), strict=True):
+    for reader, group in zip(readers, groups, strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
         if stamps is not None:
             if reader.bad or reader.good != stamps.values.size:
@@ -397,17 +397,7 @@ def read_table(
                 raise ReadError(msg)
             values[EXTERNAL] = stamps.values
         if reader.good:
-            sensors += [
-                SensorColumns(
-                    plan=sensor,
-                    axes=[values[index] for index in sensor.triad.indices],
-                    time=[values[index] for index in sensor.time.indices] if sensor.time else (),
-                    log_time=[values[index] for index in sensor.log_time.indices] if sensor.log_time else (),
-                    temperature=values.get(plan.temperature) if plan.temperature is not None else None,
-                    sparse=not reader.needed.issuperset(sensor.triad.indices),
-                )
-                for sensor in group
-            ]
+            sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
         raise DataError(msg)
@@ -420,6 +410,15 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, plan.topics)
+
+
+def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
+    """Return the sensors in groups that are read from the same rows; `stamps` are the times of all."""
+    groups: dict[Rows, list[SensorPlan]] = {}
+    for sensor in plan.sensors:
+        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
+        groups.setdefault(sensor.triad.rows, []).append(timed)
+    return list(groups.values())
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -544,6 +543,23 @@ def _row_findings(
         text = f"T{found[1:]}; it was dropped."
         findings.append(Finding(level="info", code="cut-line", text=text))
     return findings
+
+
+def _columns(
+    reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
+) -> SensorColumns:
+    def of(time: TimeChoice | None) -> tuple[Any, ...]:
+        return tuple(values[index] for index in time.indices) if time else ()
+
+    indices = sensor.triad.indices
+    return SensorColumns(
+        plan=sensor,
+        axes=[values[index] for index in indices],
+        time=of(sensor.time),
+        log_time=of(sensor.log_time),
+        temperature=values.get(temperature) if temperature is not None else None,
+        sparse=not reader.needed.issuperset(indices),
+    )
 
 
 _ZIP = b"PK\x03\x04"
@@ -675,14 +691,7 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    clocks = [part.series[0].clock for part in parts]
-    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
-        msg = (
-            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
-            "read one file at a time"
-        )
-        raise ChoiceError(msg)
+    _refuse_other_times(path, names, parts)
     every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
@@ -697,6 +706,17 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
         findings=tuple(dict.fromkeys(findings)),
     )
+
+
+def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
 
 
 def times_of(path: Path) -> ExternalTime | None:

@@ -121,6 +121,11 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         # The indices in a columns text, and in the error that proposes one, are those of the widest table.
         widest = max(groups, key=lambda group: (len(group), group[0].size))
         return [_only_part(path, table, widest, options)]
+    _refuse_doubles(path, parts)
+    return parts
+
+
+def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
     triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
     for sensor in Sensor:
         names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
@@ -130,7 +135,6 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
                 "expected one; give the columns"
             )
             raise ChoiceError(msg)
-    return parts
 
 
 def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
