@@ -142,16 +142,16 @@ def _score(
     if len(axes) != len(AXES):
         return 0
     columns = [axes[at] for at in range(len(AXES))]
-    score = (_TAGGED if tagged else 0) + _unknown(columns)
+    score = _TAGGED * tagged + _unknown(columns)
     if not others:
         told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
-        return score + (_GRAVITY if told else 0)
+        return score + _GRAVITY * told
     if all(column.role is Role.VECTOR for column in columns):
         return score + _VECTOR
     theirs = others[0].columns
     near = min(abs(a.index - b.index) for a in columns for b in theirs) <= _APART
     alike = not any(column.sensor for column in theirs) and _unknown(theirs) == _unknown(columns)
-    return score + (_BESIDE if near and alike else 0)
+    return score + _BESIDE * (near and alike)
 
 
 def _unknown(columns: Sequence[NamedColumn]) -> int:

@@ -103,16 +103,7 @@ def _heads(part: _Part) -> _Part:
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     """Choose the columns; of arrays of several lengths each length for itself."""
-    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
-    if not lengths:
-        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
-        why = table.way or (
-            f"no columns of samples, found {found}; expected arrays of the gyroscope or the accelerometer "
-            "with a row per sample and up to 64 columns; save those columns alone"
-        )
-        msg = f"{path}: {why}"
-        raise ReadError(msg)
-    groups = [tuple(column for column in table.columns if column.size == length) for length in lengths]
+    groups = _groups(path, table)
     parts: list[_Part] = []
     for group in groups if len(groups) > 1 and options.columns is None else ():
         with suppress(ChoiceError):
@@ -123,6 +114,20 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         return [_only_part(path, table, widest, options)]
     _refuse_doubles(path, parts)
     return parts
+
+
+def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
+    """Return the columns by their lengths; a ReadError where there are none of samples."""
+    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
+    if not lengths:
+        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
+        why = table.way or (
+            f"no columns of samples, found {found}; expected arrays of the gyroscope or the accelerometer "
+            "with a row per sample and up to 64 columns; save those columns alone"
+        )
+        msg = f"{path}: {why}"
+        raise ReadError(msg)
+    return [tuple(column for column in table.columns if column.size == length) for length in lengths]
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
