@@ -400,7 +400,13 @@ def _timed(
             same = (read for known, read in done.values() if np.array_equal(known.stamps, samples.stamps))
             reading = next(same, None)
             if reading is None or reading.order is not None:
-                reading = _clock(path, instance, samples, options)
+                reading = clock_from_stamps(
+                    samples.stamps,
+                    source=f"timestamp of {instance.name}",
+                    where=f"{path}: {instance.name}",
+                    rate_hz=options.rate_hz,
+                    repeated=repeats(samples.stamps, samples.vectors.T),
+                )
             done[sensor] = (samples, reading)
     return {sensor: done[sensor] for sensor in Sensor if sensor in done}
 
@@ -491,14 +497,4 @@ def _listed(instances: Sequence[Instance]) -> str:
         f"{instance.name} ({' and '.join(instance.sensors)}, {instance.count} samples"
         + (f", {instance.rate_hz:.4g} Hz)" if instance.rate_hz else ")")
         for instance in instances
-    )
-
-
-def _clock(path: Path, instance: Instance, samples: Samples, options: ReadOptions) -> ClockReading:
-    return clock_from_stamps(
-        samples.stamps,
-        source=f"timestamp of {instance.name}",
-        where=f"{path}: {instance.name}",
-        rate_hz=options.rate_hz,
-        repeated=repeats(samples.stamps, samples.vectors.T),
     )
