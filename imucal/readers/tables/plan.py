@@ -8,6 +8,7 @@ a sensor was not found.
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import PurePath
 from typing import TypeAlias
 
@@ -214,11 +215,11 @@ def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[T
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
     """Return the error for a table without a complete triad."""
-    partial = [f"{c.header} ({c.role})" for c in table.columns if c.sensor]
+    single = [f"{c.header} ({c.role})" for c in table.columns if c.sensor]
     if not any(column.header for column in table.columns):
         problem = f"nothing names the {len(table.columns)} columns, and their order is not guessed"
-    elif partial:
-        problem = f"x, y and z of one sensor are needed, found only {', '.join(partial)}"
+    elif single:
+        problem = f"x, y and z of one sensor are needed, found only {', '.join(single)}"
     else:
         problem = "no column is named as an axis of a gyroscope or an accelerometer"
     return table.ask(f"{shape}: {problem}" if shape else problem)
@@ -387,13 +388,13 @@ def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
         tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
         if len(texts) <= _MOST_TAGS and any(tags.values()) and not any(map(is_number, texts)):
             how = f"in the rows that column {column.header or column.index} names"
-            return _each(lambda sensor: _in_rows(table, found, sensor, column, tags)), how  # noqa: B023 - at once
+            return _each(partial(_in_rows, table, found, column=column, tags=tags)), how
     _refuse_instances(table, found)
     return found, ""
 
 
 def _in_rows(
-    table: NamedTable, found: Found, sensor: Sensor, column: NamedColumn, tags: dict[Sensor, list[str]]
+    table: NamedTable, found: Found, sensor: Sensor, *, column: NamedColumn, tags: dict[Sensor, list[str]]
 ) -> Triad | None:
     """Return the columns of a sensor in the rows that a column names by `tags`; None where it has none."""
     names, triad = tags[sensor], found.get(sensor)
