@@ -1,4 +1,4 @@
-"""Thousands of real logs of 10 s through ``imucal fleet run``: ``python -m tests.benchmarks.fleet_short_logs``.
+"""Many real logs of 10 s through ``imucal fleet run``: ``python -m tests.benchmarks.fleet_short_logs``.
 
 Each log is a stretch of the two runs of an ADIS16405 at rest in the folder that IMUCAL_REAL_DATA names. They
 begin so far apart that all fit in, for 5000 logs 4 s: neighbours share samples, so that statistics of the
@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -39,7 +40,8 @@ def make_logs(folder: Path, logs: int) -> None:
         gyro, accel = (np.column_stack([s[first : first + length] for s in sensors[k]]) for k in sensors)
         path = folder / f"u{number // OF_A_UNIT:04}" / f"{number % OF_A_UNIT}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, **{"time (s)": stamps, "gyro (rad/s)": gyro, "accel (m/s^2)": accel})
+        columns: dict[str, Any] = {"time (s)": stamps, "gyro (rad/s)": gyro, "accel (m/s^2)": accel}
+        np.savez(path, **columns)
 
 
 def main() -> None:

@@ -264,8 +264,8 @@ def find_band(
     Its correlation times are `shortest` samples at least; its Q counts only where the response is flat,
     because both bend the top of the spectrum. Terms that the caller gave are believed where those with a
     time of any length describe the whole band beside white noise. Every model has the regressors `common`.
-    Where the whole spectrum asks for a response, the band up to `near`, a fraction of Nyquist, is tried first,
-    and taken if it has a sound description; without `narrow` no band but the whole one is.
+    Where the whole spectrum asks for a response, the band up to `near`, a fraction of Nyquist, is tried
+    first, and taken if it has a sound description; without `narrow` no band but the whole one is.
     """
     if flat := flat_band(ordinates, rich, shortest=shortest, common=common, given=given):
         return flat
