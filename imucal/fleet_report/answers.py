@@ -8,7 +8,6 @@ was mended.
 
 import functools
 import hashlib
-import itertools
 import json
 import math
 import types
@@ -16,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 from imucal._version import __version__
@@ -78,7 +78,7 @@ class TermQuestion:
     @property
     def key(self) -> str:
         """Of the same question the same."""
-        rows = [[getattr(log, field.name) for field in fields(LogValue)] for log in self.logs]
+        rows = list(map(attrgetter(*(field.name for field in fields(LogValue))), self.logs))
         return _key(TermAnswer, rows, self.content, self.confidence)
 
     def answer(self) -> TermAnswer:
@@ -293,21 +293,29 @@ def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[lis
         ]
 
 
-#: Field names and types of a dataclass.
-_hints = functools.cache(get_type_hints)
-
-
 def _read_as(kind: Any, said: Any) -> Any:  # noqa: ANN401 - of any type
     """Return what JSON says as a value of a type: a dataclass, a tuple, something or None, or plain."""
-    options, origin = get_args(kind), get_origin(kind)
+    read = _reader(kind)
+    return said if read is None or said is None else read(said)
+
+
+@functools.cache
+def _reader(kind: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - of any type
+    """Return what makes a value of a type of what JSON says, found out once; None where that is the value."""
     if isinstance(kind, type) and is_dataclass(kind):
-        return kind(**{name: _read_as(_hints(kind)[name], value) for name, value in said.items()})
-    if said is not None and origin is types.UnionType:
-        return _read_as(options[0], said)
-    if origin is tuple:
-        kinds = itertools.repeat(options[0]) if options[-1] is Ellipsis else options
-        return tuple(map(_read_as, kinds, said))
-    return said
+        hints = get_type_hints(kind)
+        deeper = [(name, read) for name, hint in hints.items() if (read := _reader(hint))]
+        if not deeper:
+            return lambda said: kind(**said)
+        kinds = {name: hints[name] for name, _ in deeper}
+        return lambda said: kind(**said | {name: _read_as(kinds[name], said[name]) for name in kinds})
+    options, origin = get_args(kind), get_origin(kind)
+    if origin is types.UnionType:
+        return _reader(options[0])
+    if origin is tuple and options[-1] is Ellipsis:
+        one = _reader(options[0])
+        return tuple if one is None else lambda said: tuple(map(one, said))
+    return (lambda said: tuple(map(_read_as, options, said))) if origin is tuple else None
 
 
 def symbol_of(term: str) -> str:

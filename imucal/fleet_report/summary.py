@@ -344,8 +344,12 @@ def _grouped(results: "pl.DataFrame", counted: Mapping[str, str]) -> dict[TermKe
     return {(str(key[0]), str(key[1]), str(key[2]), str(key[3])): rows for key, rows in found.items()}
 
 
+#: What a row of results says of a log, beside its unit.
+_TOLD = tuple(field.name for field in fields(LogValue) if field.name != "unit")
+
+
 def _value(row: Row, unit: str) -> LogValue:
-    told = {field.name: row[field.name] for field in fields(LogValue) if field.name != "unit"}
+    told = {name: row[name] for name in _TOLD}
     # A term without a square has none that could grow.
     told["variance_growth"] = told["variance_growth"] or 0.0
     return LogValue(unit=unit, **told)
