@@ -110,9 +110,8 @@ def characterize(
     long = max((series.n for series in recording.series), default=0) >= _LONG
     findings = recording.findings + look(recording, workers=workers if long else 1)
 
-    if any(finding.code == "motion" and finding.level == "error" for finding in findings):
-        # No part of the spectrum of a moved IMU is noise: a search for one takes long and finds none.
-        settings = replace(settings, narrow=False)
+    # No part of the spectrum of a moved IMU is noise: a search for one takes long and finds none.
+    settings = replace(settings, narrow=not _moved(findings))
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
@@ -138,6 +137,11 @@ def characterize(
         version=__version__,
         findings=(*_of_no_result(findings, axes, failures), *failures),
     )
+
+
+def _moved(findings: Sequence[Finding]) -> bool:
+    """Return whether a screening says that the IMU was moved."""
+    return any(finding.code == "motion" and finding.level == "error" for finding in findings)
 
 
 def _load_libraries() -> None:
@@ -173,7 +177,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     as `workers` are worked on at a time; the findings are the same for any number.
     """
     findings = screen_values(recording, workers=workers)
-    if any(finding.code == "motion" and finding.level == "error" for finding in findings):
+    if _moved(findings):
         return findings
 
     def look(series: AxisSeries) -> tuple[Finding, ...]:
