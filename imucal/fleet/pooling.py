@@ -291,7 +291,10 @@ def log_values(
     DataError, ValueError
         As `pool`.
     """
-    found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level)
+    # The band of its own fit, which it would find again.
+    fraction = fit.settings.get("band_fraction")
+    near = fraction if isinstance(fraction, float) else None
+    found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level, near=near)
     squares = squared_coefficients(found)
 
     def said(e: Estimate) -> LogValue:

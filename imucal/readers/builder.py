@@ -13,7 +13,7 @@ from imucal.readers.clocks.period import RATES
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled, find_units
 from imucal.readers.store import Room
-from imucal.recording import AXES, Axis, AxisSeries, Recording, Sensor, Source, Temperature
+from imucal.recording import AxisSeries, Recording, Source, Temperature
 from imucal.units import SAMPLE_UNITS
 
 
@@ -67,7 +67,7 @@ class RecordingBuilder:
             sensor, unit = entry.sensor, units[entry.sensor]
             self.decide(f"{sensor} unit", f"{unit.unit}, {unit.reason}")
             scale = SAMPLE_UNITS[sensor][unit.unit or ""] if unit.scale is None else unit.scale
-            self.add_sensor(sensor, entry.rows, entry.clock, scale=scale, order=entry.order, names=entry.axes)
+            self.add_sensor(entry, scale)
 
     def _refuse_rate(self, clock: Clock, where: str) -> None:
         given = self.options.rate_hz is not None or self.options.time_unit is not None
@@ -79,31 +79,11 @@ class RecordingBuilder:
         )
         raise ChoiceError(msg)
 
-    def add_sensor(
-        self,
-        sensor: Sensor,
-        axes: Sequence[FloatArray] | FloatArray,
-        clock: Clock,
-        *,
-        scale: float,
-        order: IntArray | None = None,
-        names: Sequence[Axis] = AXES,
-    ) -> None:
-        """Add the axes of a sensor.
-
-        Parameters
-        ----------
-        axes
-            The axes that `names` names, shape (n,) each and no two the same memory; scaled in place where
-            they are this package's own.
-        scale
-            SI per unit of the samples.
-        order
-            Samples to keep, in order, shape (clock.n,); None for all.
-        """
-        for axis, values in zip(names, axes, strict=True):
-            samples = _scaled(_kept(values, order, self.room), scale, self.room)
-            self.series.append(AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=clock))
+    def add_sensor(self, entry: Unscaled, scale: float) -> None:
+        """Add the axes of a sensor, `scale` SI a unit; scaled in place where the memory is this package's."""
+        for axis, values in zip(entry.axes, entry.rows, strict=True):
+            samples = _scaled(_kept(values, entry.order, self.room), scale, self.room)
+            self.series.append(AxisSeries(sensor=entry.sensor, axis=axis, samples=samples, clock=entry.clock))
 
     def add_temperature(self, samples: FloatArray, clock: Clock, *, order: IntArray | None = None) -> None:
         """Add a temperature in degrees Celsius, shape (n,); only the first one is kept."""

@@ -21,6 +21,16 @@ def damaged_if(wrong: object, text: str, *, code: str = "damaged") -> None:
         raise DamagedError(text, code=code)
 
 
+def first_bytes(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file; a ReadError if it can't be opened."""
+    try:
+        with path.open("rb") as file:
+            return file.read(size)
+    except OSError as error:
+        msg = f"{path}: can't be opened: {error.strerror or error}"
+        raise ReadError(msg) from error
+
+
 class LogFile:
     """A file read by absolute position; safe to share between threads.
 

@@ -32,6 +32,7 @@ from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.containers.container import gather
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.files import first_bytes
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
@@ -399,7 +400,13 @@ def _timed(
             same = (read for known, read in done.values() if np.array_equal(known.stamps, samples.stamps))
             reading = next(same, None)
             if reading is None or reading.order is not None:
-                reading = _clock(path, instance, samples, options)
+                reading = clock_from_stamps(
+                    samples.stamps,
+                    source=f"timestamp of {instance.name}",
+                    where=f"{path}: {instance.name}",
+                    rate_hz=options.rate_hz,
+                    repeated=repeats(samples.stamps, samples.vectors.T),
+                )
             done[sensor] = (samples, reading)
     return {sensor: done[sensor] for sensor in Sensor if sensor in done}
 
@@ -430,12 +437,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 -
 
 
 def _load(path: Path) -> FlightLog:
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(ULOG))
-    except OSError as error:
-        msg = f"{path}: can't be opened: {error.strerror or error}"
-        raise ReadError(msg) from error
+    head = first_bytes(path, len(ULOG))
     if head.startswith(ULOG[:4]):
         return isolated(path, ulog_content, "ULog")(path)
     require(path, "pymavlink", "a log of ArduPilot", extra="ardupilot")
@@ -495,14 +497,4 @@ def _listed(instances: Sequence[Instance]) -> str:
         f"{instance.name} ({' and '.join(instance.sensors)}, {instance.count} samples"
         + (f", {instance.rate_hz:.4g} Hz)" if instance.rate_hz else ")")
         for instance in instances
-    )
-
-
-def _clock(path: Path, instance: Instance, samples: Samples, options: ReadOptions) -> ClockReading:
-    return clock_from_stamps(
-        samples.stamps,
-        source=f"timestamp of {instance.name}",
-        where=f"{path}: {instance.name}",
-        rate_hz=options.rate_hz,
-        repeated=repeats(samples.stamps, samples.vectors.T),
     )

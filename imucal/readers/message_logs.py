@@ -158,7 +158,10 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
         work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
-            raise _no_message(path, choice.topic, decoding.losses, work.findings)
+            seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
+            why = seen[0] if seen else "the log holds none"
+            msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
+            raise ReadError(msg)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
     beside = None
     if work.temperature is None:
@@ -171,12 +174,6 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         topics=[choice.topic.name for choice in choices],
         message_types=[choice.topic.type for choice in choices],
     )
-
-
-def _no_message(path: Path, topic: Topic, losses: Sequence[Loss], findings: Sequence[Finding]) -> ReadError:
-    seen = [loss.text for loss in losses] + [finding.text for finding in findings]
-    why = seen[0] if seen else "the log holds none"
-    return ReadError(f"{path}: no message of topic {topic.name} could be read: {why}")
 
 
 def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -> None:

@@ -95,24 +95,26 @@ def _differences(parts: Sequence[Recording]) -> str:
         what = "topics" if parts[0].source.message_types else "columns"
         return f"their {what} differ ({' and '.join(dict.fromkeys(topics))})"
     for question in _COMMON:
-        answers = dict.fromkeys(_answer(part, question) for part in parts)
+        whole = (dict(part.source.decisions).get(question, "none") for part in parts)
+        # Of a unit without the reason, but a scale with it.
+        answers = dict.fromkeys(one if one.startswith("count") else one.partition(",")[0] for one in whole)
         if len(answers) > 1:
             return f"their {question}s differ ({' and '.join(answers)})"
     return ""
 
 
-def _answer(part: Recording, question: str) -> str:
-    """Return what was decided; of a unit without the reason, but a scale with it."""
-    answer = dict(part.source.decisions).get(question, "none")
-    return answer if answer.startswith("count") else answer.partition(",")[0]
-
-
 def _scales(names: Sequence[str], parts: Sequence[Recording]) -> str:
-    """Return how the scales of two recordings differ, as their samples show it."""
+    """Return how the scales of two recordings differ, as their samples show it: steps, gravity, noise."""
     for i, part in enumerate(parts[1:], start=1):
         for sensor in Sensor:
             first, other = _rows(parts[0], sensor), _rows(part, sensor)
-            found = _scale_differs(sensor, first, other) if first.size and other.size else ""
+            if not first.size or not other.size:
+                continue
+            found, one, two = "", converter_step(first), converter_step(other)
+            if one and two and _apart(one, two) > _SAME_STEP:
+                found = f"steps of {one:.4g} and {two:.4g} {sensor.unit}"
+            elif first.shape[1] == other.shape[1]:
+                found = (_gravity_differs if sensor is Sensor.ACCELEROMETER else _noise_differs)(first, other)
             if found:
                 return f"the {sensor} of {names[0]} and that of {names[i]} differ in scale: {found}"
     return ""
@@ -121,15 +123,6 @@ def _scales(names: Sequence[str], parts: Sequence[Recording]) -> str:
 def _rows(part: Recording, sensor: Sensor) -> FloatArray:
     axes = [series.samples for series in part.series if series.sensor is sensor]
     return sample_rows(axes) if axes else np.empty((0, 3))
-
-
-def _scale_differs(sensor: Sensor, first: FloatArray, other: FloatArray) -> str:
-    steps = converter_step(first), converter_step(other)
-    if steps[0] and steps[1] and _apart(steps[0], steps[1]) > _SAME_STEP:
-        return f"steps of {steps[0]:.4g} and {steps[1]:.4g} {sensor.unit}"
-    if first.shape[1] != other.shape[1]:
-        return ""
-    return (_gravity_differs if sensor is Sensor.ACCELEROMETER else _noise_differs)(first, other)
 
 
 def _gravity_differs(first: FloatArray, other: FloatArray) -> str:

@@ -20,14 +20,15 @@ def test_samples_are_scaled() -> None:
     builder = RecordingBuilder(path="log", format="csv")
     own, fixed = np.arange(9.0).reshape(3, 3), np.arange(9.0).reshape(3, 3)
     fixed.flags.writeable = False
-    builder.add_sensor(Sensor.GYROSCOPE, own, CLOCK, scale=1.0)
-    builder.add_sensor(Sensor.ACCELEROMETER, fixed, CLOCK, scale=2.0)
+    gyro = Unscaled(sensor=Sensor.GYROSCOPE, rows=own, clock=CLOCK)
+    builder.add_sensor(gyro, 1.0)
+    builder.add_sensor(Unscaled(sensor=Sensor.ACCELEROMETER, rows=fixed, clock=CLOCK), 2.0)
     found = builder.build(topics=("t",))
     assert [series.name for series in found.series] == [f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"]
     npt.assert_array_equal([series.samples for series in found.series[:3]], np.arange(9.0).reshape(3, 3))
     npt.assert_array_equal([series.samples for series in found.series[3:]], 2 * np.arange(9.0).reshape(3, 3))
     npt.assert_array_equal(fixed, np.arange(9.0).reshape(3, 3))
-    builder.add_sensor(Sensor.GYROSCOPE, own, CLOCK, scale=0.5)
+    builder.add_sensor(gyro, 0.5)
     npt.assert_array_equal(own, 0.5 * np.arange(9.0).reshape(3, 3))
 
 
@@ -35,7 +36,9 @@ def test_samples_are_kept_in_an_order() -> None:
     """Some of them, of a sensor or a temperature; the first temperature counts."""
     builder = RecordingBuilder(path="log", format="csv")
     order = np.array([3, 0, 2])
-    builder.add_sensor(Sensor.GYROSCOPE, [np.arange(4.0)], CLOCK, scale=1.0, order=order, names=("z",))
+    builder.add_sensor(
+        Unscaled(sensor=Sensor.GYROSCOPE, rows=[np.arange(4.0)], clock=CLOCK, order=order, axes=("z",)), 1.0
+    )
     builder.add_temperature(np.arange(4.0) + 20, CLOCK, order=order)
     builder.add_temperature(np.arange(3.0), CLOCK)
     found = builder.build(topics=())
@@ -50,7 +53,8 @@ def test_what_is_said_twice_is_kept_once() -> None:
     builder = RecordingBuilder(path="log", format="csv", decisions=[("unit", "SI")])
     first, second = (Finding(level="info", code=code, text=code) for code in ("a", "b"))
     builder.findings += [second, first, second]
-    builder.add_sensor(Sensor.GYROSCOPE, [np.arange(3.0)], CLOCK, scale=1.0, names=("x",))
+    one = Unscaled(sensor=Sensor.GYROSCOPE, rows=[np.arange(3.0)], clock=CLOCK, axes=("x",))
+    builder.add_sensor(one, 1.0)
     found = builder.build(topics=("t",), message_types=("m",))
     assert found.findings == (second, first)
     assert (found.source.topics, found.source.message_types) == (("t",), ("m",))

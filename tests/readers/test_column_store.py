@@ -7,6 +7,7 @@ import pytest
 from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
+from imucal.readers.scales import Unscaled
 from imucal.readers.store import Columns, GrowingColumn
 from imucal.recording import Sensor
 
@@ -59,8 +60,9 @@ def test_a_recording_keeps_order_scale_and_each_finding_once() -> None:
     clock, order = Clock.even(3, 100.0), np.array([2, 0, 1])
     samples = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
     samples.flags.writeable = False
-    builder.add_sensor(Sensor.ACCELEROMETER, samples, clock, order=order, scale=2.0)
-    builder.add_sensor(Sensor.GYROSCOPE, samples, clock, scale=0.5)
+    accel = Unscaled(sensor=Sensor.ACCELEROMETER, rows=samples, clock=clock, order=order)
+    builder.add_sensor(accel, 2.0)
+    builder.add_sensor(Unscaled(sensor=Sensor.GYROSCOPE, rows=samples, clock=clock), 0.5)
     builder.add_temperature(np.array([20.0, 21.0, 22.0]), clock, order=order)
     builder.add_temperature(np.zeros(3), clock)
     builder.findings += 2 * [Finding(level="info", code="gaps", text="One.")]

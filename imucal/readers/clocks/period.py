@@ -102,7 +102,10 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     wide = _mean_step(runs)
     if not positive.size or not wide > 0:
         return None
-    quantum = _resolution(steps[:100_000])
+    # The resolution: whole us stay so as floats of seconds since 1970.
+    some = steps[:100_000]
+    whole = 1000 * np.rint(some / 1000).astype(np.int64)
+    quantum = int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
     late, conserved = _late(runs, steps, wide, quantum)
     # The usual short step.
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
@@ -163,13 +166,6 @@ def _mean_step(runs: list[IntArray]) -> float:
     spans = [each[width:] - each[:-width] for each in runs if each.size > width] if run.size > 48 else []
     usual = median(np.concatenate(spans)) / width if spans else 0.0
     return usual if usual > 0 else (int(run[-1]) - int(run[0])) / max(run.size - 1, 1)
-
-
-def _resolution(steps: IntArray) -> int:
-    """Return the greatest common divisor of steps in ns; whole us stay so as floats of seconds since 1970."""
-    whole = np.rint(steps / 1000).astype(np.int64)
-    rounded = whole.any() and np.abs(steps - 1000 * whole).max() <= 250
-    return int(np.gcd.reduce(np.abs(1000 * whole if rounded else steps)))
 
 
 def _whole_unit(positive: IntArray, short: float) -> float:

@@ -150,7 +150,7 @@ class Vector:
     @property
     def field(self) -> str:
         """The field it is: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
-        return _field_name(self.paths)
+        return self.paths[0] if len(self.paths) == 1 else self.paths[0][:-2]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +233,7 @@ def _imu(
         vectors=vectors,
         temperature=next((path for path in _floats(free) if _TEMPERATURE.search(path)), ""),
         standard=standard,
-        others=tuple(_field_name(paths) for paths in spare),
+        others=tuple(Vector(sensor=_GYRO, paths=paths).field for paths in spare),
     )
 
 
@@ -309,11 +309,6 @@ def _called(fields: Sequence[Field], stem: str) -> list[tuple[str, tuple[str, ..
             paths = _xyz(fields, field.path.removesuffix("x"))
             vectors += [(above if last == "x" else owner, paths)] if paths else []
     return vectors
-
-
-def _field_name(paths: tuple[str, ...]) -> str:
-    """Return the field of a vector: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
-    return paths[0] if len(paths) == 1 else paths[0][:-2]
 
 
 def _floats(fields: Sequence[Field]) -> list[str]:

@@ -115,8 +115,13 @@ def _topics(
             asked = leaves.asked(wanted, options.time_unit)
             imus, reason = ({"": asked}, "") if isinstance(asked, ImuFields) else ({}, f"it has no {asked}")
         else:
-            imus = _known(channel, whole, options)
-            reason = "" if imus else _unreachable(leaves)
+            imus, reason = _known(channel, whole, options), ""
+            if not imus:
+                how = leaves.proposal()
+                reason = (
+                    "it has no angular velocity or linear acceleration by name; say which of its fields they "
+                    f"are by a fields text{f' such as {how!r}' if how else ''}; found {leaves.shown()}"
+                )
     except DefinitionError as error:
         reason = str(error)
     if not imus:
@@ -181,16 +186,6 @@ def _said(name: str, options: ReadOptions) -> Sensor | None:
 def _looks_like_imu(channel: Channel) -> bool:
     name = plain_type(channel.type).lower()
     return "imu" in name.rpartition("/")[2] or name.endswith(("sensorcombined", "vehicleimu"))
-
-
-def _unreachable(leaves: Leaves) -> str:
-    """Return why nothing of a message is known as an IMU's, and what to say."""
-    how = leaves.proposal()
-    example = f" such as {how!r}" if how else ""
-    return (
-        "it has no angular velocity or linear acceleration by name; say which of its fields they are by a "
-        f"fields text{example}; found {leaves.shown()}"
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

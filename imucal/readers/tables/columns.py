@@ -1,14 +1,14 @@
 """Columns of a table, and how a user says which are the sensors': ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 from imucal.errors import ChoiceError
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, plain_name
 from imucal.recording import AXES, Axis, Sensor
-from imucal.units import parse_sample_unit
 
 #: A number of more letters is rounded in a message, which lists up to so many columns.
 _LONG, _LISTED = 9, 60
@@ -41,17 +41,40 @@ class ColumnsError(ChoiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triad:
-    """The x, y and z columns of one sensor, or those of its axes that there are, and its rows.
-
-    The unit is a key of `imucal.units.SAMPLE_UNITS`; None where the names don't say.
-    """
+    """The x, y and z columns of one sensor, or those of its axes that there are, and its rows."""
 
     sensor: Sensor
-    indices: tuple[int, ...]
-    headers: tuple[str, ...]
+    columns: tuple[NamedColumn, ...]
     axes: tuple[Axis, ...] = AXES
-    unit: str | None = None
     rows: Rows = None
+
+    @classmethod
+    def of(cls, sensor: Sensor, columns: Mapping[int, NamedColumn]) -> Self:
+        """Return the columns of some axes, of which 0 is x, as those of a sensor."""
+        places = sorted(columns)
+        axes = tuple(AXES[at] for at in places)
+        return cls(sensor=sensor, columns=tuple(columns[at] for at in places), axes=axes)
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Places of the columns in the table."""
+        return tuple(column.index for column in self.columns)
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(column.header for column in self.columns)
+
+    @property
+    def units(self) -> tuple[str | None, ...]:
+        """The unit that each name says, a key of `imucal.units.SAMPLE_UNITS`; None where it says none."""
+        return tuple(column.unit_of(self.sensor) for column in self.columns)
+
+    @property
+    def unit(self) -> str | None:
+        """The unit that the names say; None where they say none, or different ones."""
+        said = {*self.units} - {None}
+        return said.pop() if len(said) == 1 else None
 
     def text(self, rows: str = "") -> str:
         """Return the columns as a user gives them: ``g=1:4``, ``g=4+3+2``, ``gz=1``; `rows` is ``@I:0``."""
@@ -119,16 +142,15 @@ class NamedTable:
         return ColumnsError(message, problem=problem, example=example)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnSpec:
+class Asked(NamedTuple):
     """The columns a user gave: those of the sensors, gyroscope first; the others by index."""
 
     sensors: tuple[Triad, ...]
-    time: tuple[int, ...] = ()
-    temperature: int | None = None
+    time: tuple[int, ...]
+    temperature: int | None
 
 
-def parse_columns_text(text: str, table: NamedTable) -> ColumnSpec:
+def parse_columns_text(text: str, table: NamedTable) -> Asked:
     """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
 
     ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
@@ -144,20 +166,21 @@ def parse_columns_text(text: str, table: NamedTable) -> ColumnSpec:
     """
     try:
         found, rows = _parts(text, table)
-        _check(found, rows)
+        wrong = next(_problems(found, rows), "")
     except ValueError as error:
-        problem = f"columns text {text!r}: {error}"
-        raise table.ask(problem) from None
+        wrong = str(error)
+    if wrong:
+        problem = f"columns text {text!r}: {wrong}"
+        raise table.ask(problem)
     sensors = []
     for sensor in Sensor:
         letter = sensor.short[0]
         axes = AXES if letter in found else tuple(axis for axis in AXES if letter + axis in found)
         keys = [letter] if letter in found else [letter + axis for axis in axes]
         if keys:
-            columns = [table.columns[index] for key in keys for index in found[key]]
-            sensors.append(triad_of(sensor, columns, rows[keys[0]], axes))
-    temperature = next(iter(found.get("temp", ())), None)
-    return ColumnSpec(sensors=tuple(sensors), time=found.get("t", ()), temperature=temperature)
+            columns = tuple(table.columns[index] for key in keys for index in found[key])
+            sensors.append(Triad(sensor=sensor, columns=columns, axes=axes, rows=rows[keys[0]]))
+    return Asked(tuple(sensors), found.get("t", ()), next(iter(found.get("temp", ())), None))
 
 
 def _parts(text: str, table: NamedTable) -> tuple[dict[str, tuple[int, ...]], dict[str, Rows]]:
@@ -196,63 +219,32 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
     return indices
 
 
-def _check(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> None:
-    """Raise a ValueError that says what is wrong with the columns, if anything is."""
-    problems = []
+def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
+    """Yield what is wrong with the columns, the worst first."""
     if not any(key[0] in "ga" for key in found):
-        problems.append("names neither gyroscope (g) nor accelerometer (a)")
+        yield "names neither gyroscope (g) nor accelerometer (a)"
     if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
-        problems.append("t takes up to three columns, temp one")
-    problems += [_problem_of(key, found, rows) for key in ("g", "a")]
+        yield "t takes up to three columns, temp one"
+    for key in ("g", "a"):
+        yield from _problems_of(key, found, rows)
     uses: dict[int, list[Rows]] = {}
     for key, indices in found.items():
         for index in indices:
             others = uses.setdefault(index, [])
             # A column may be the gyroscope's in some rows and the accelerometer's in others.
             if any(rows[key] is None or other is None or other == rows[key] for other in others):
-                problems.append(f"column {index} is named twice; a log of one axis has gz={index} alone")
+                yield f"column {index} is named twice; a log of one axis has gz={index} alone"
             others.append(rows[key])
-    problem = next(filter(None, problems), "")
-    if problem:
-        raise ValueError(problem)
 
 
-def _problem_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> str:
-    """Return what is wrong with the columns of one sensor, or an empty text."""
+def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
+    """Yield what is wrong with the columns of one sensor."""
     single = [key + axis for axis in AXES if key + axis in found]
     if key in found and single:
-        return f"{single[0]} is one of the three columns of {key}; name either"
+        yield f"{single[0]} is one of the three columns of {key}; name either"
     if any(len(found[one]) != 1 for one in single):
-        return f"{single[0]} takes one column"
+        yield f"{single[0]} takes one column"
     if len({rows[one] for one in single}) > 1:
-        return f"{' and '.join(single)} are of different rows, expected the same"
+        yield f"{' and '.join(single)} are of different rows, expected the same"
     if key in found and len(found[key]) != 3:
-        return f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"
-    return ""
-
-
-def triad_of(
-    sensor: Sensor, columns: Sequence[NamedColumn], rows: Rows = None, axes: tuple[Axis, ...] = AXES
-) -> Triad:
-    """Return the columns of some axes as those of a sensor; without a unit where theirs differ."""
-    units = {unit_of(sensor, column) for column in columns} - {None}
-    return Triad(
-        sensor=sensor,
-        indices=tuple(column.index for column in columns),
-        headers=tuple(column.header for column in columns),
-        axes=axes,
-        unit=units.pop() if len(units) == 1 else None,
-        rows=rows,
-    )
-
-
-def triad_of_axes(sensor: Sensor, columns: Mapping[int, NamedColumn]) -> Triad:
-    """Return the columns of some axes, of which 0 is x, as those of a sensor."""
-    places = sorted(columns)
-    return triad_of(sensor, [columns[at] for at in places], axes=tuple(AXES[at] for at in places))
-
-
-def unit_of(sensor: Sensor, column: NamedColumn) -> str | None:
-    """Return the unit of a sensor's samples that a column's name says; None where it says none."""
-    parsed = parse_sample_unit(column.unit) if column.unit else None
-    return parsed[1] if parsed and parsed[0] is sensor else None
+        yield f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"

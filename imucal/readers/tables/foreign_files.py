@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import release
 from imucal.errors import ReadError
+from imucal.readers.files import first_bytes
 from imucal.readers.isolation import isolated, require
 from imucal.readers.store import allocated
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
@@ -88,7 +89,7 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
                 )
             parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), _WIDEST))}
         for label, part in parts.items():
-            head = scan.head(_HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
+            head = _parquet_series(path, name, part, _HEAD)
             columns.append(
                 TypedColumn(
                     name=label,
@@ -104,23 +105,21 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
 
 def parquet_values(path: Path, name: str, part: str | int | None) -> NDArray[Any]:
     """Return all values of a column of a Parquet file, or of a part of it."""
+    return np.asarray(_parquet_series(path, name, part).to_numpy())
+
+
+def _parquet_series(path: Path, name: str, part: str | int | None, rows: int | None = None) -> Any:  # noqa: ANN401 - polars is imported late
+    """Return a column, or a part of it, as polars' series; the first `rows` of it, or all."""
     import polars as pl
 
-    scan = pl.scan_parquet(path)
-    dtype = scan.collect_schema()[name]
-    return np.asarray(scan.select(_expression(dtype, name, part).alias("v")).collect()["v"].to_numpy())
-
-
-def _expression(dtype: Any, name: str, part: str | int | None) -> Any:  # noqa: ANN401 - polars is imported late
-    import polars as pl
-
-    column = pl.col(name)
+    scan, column = pl.scan_parquet(path), pl.col(name)
     if isinstance(part, str):
-        return column.struct.field(part)
-    if part is None:
-        return column
-    getter = column.list if isinstance(dtype, pl.List) else column.arr
-    return getter.get(part, null_on_oob=True)
+        column = column.struct.field(part)
+    elif part is not None:
+        listed = isinstance(scan.collect_schema()[name], pl.List)
+        column = (column.list if listed else column.arr).get(part, null_on_oob=True)
+    scan = scan if rows is None else scan.head(rows)
+    return scan.select(column.alias("v")).collect()["v"]
 
 
 class Arrays(NamedTuple):
@@ -205,6 +204,8 @@ def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDAr
 #: Pieces of memory in which they may lie; in more of them no samples are.
 _MOST_PIECES = 4096
 _SUFFIX = ".npy"
+#: Bytes unpacked at once.
+_PIECE = 1 << 20
 
 
 class _Header(NamedTuple):
@@ -245,7 +246,7 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
         for header in headers:
             with archive.open(header.info) as member:
                 most = 0 if size > limit and not heads else header.size
-                array = _read(cast("BinaryIO", member), header, heads=heads, most=most)
+                array = _read(cast("zipfile.ZipExtFile", member), header, heads=heads, most=most)
             arrays[header.info.filename.removesuffix(_SUFFIX)] = array
     return arrays
 
@@ -266,14 +267,21 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
     return header
 
 
-def _read(stream: BinaryIO, header: _Header, *, heads: bool, most: int) -> NDArray[Any]:
+def _read(stream: zipfile.ZipExtFile, header: _Header, *, heads: bool, most: int) -> NDArray[Any]:
     """Return an array, in a temporary file if it has more than `most` bytes; of `heads` the first values."""
     size = math.prod(header.shape)
     # Memory that nobody touches is never taken.
     flat = np.zeros(size, dtype=header.dtype) if heads else allocated(size, header.dtype, most)
     for part in _head(header) if heads else [slice(0, size)]:
         stream.seek(header.start + part.start * header.dtype.itemsize)
-        _fill(stream, flat[part].view(np.uint8))
+        target = flat[part].view(np.uint8)
+        for start in range(0, target.size, _PIECE):
+            piece = target[start : start + _PIECE]
+            got = stream.readinto(piece.data)
+            if got < piece.size:
+                msg = f"an array ends after {start + got} of {target.size} bytes"
+                raise ValueError(msg)
+            release(target)
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
 
 
@@ -289,24 +297,10 @@ def _head(header: _Header) -> list[slice]:
     return [slice(start, start + min(_HEAD, longest) * inner) for start in starts]
 
 
-def _fill(stream: BinaryIO, target: NDArray[np.uint8]) -> None:
-    """Read exactly as many bytes as fit; a ValueError where there are fewer."""
-    done = 0
-    while done < target.size:
-        piece = stream.read(min(target.size - done, 1 << 22))
-        if not piece:
-            msg = f"an array ends after {done} of {target.size} bytes"
-            raise ValueError(msg)
-        target[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
-        done += len(piece)
-        release(target)
-
-
-_HEADER, _COMPRESSED = 128, 15
+#: The type of an element of a MATLAB file that is a zlib stream.
+_COMPRESSED = 15
 #: No zlib stream grows by more than this factor. Source: zlib, "Maximum compression factor".
 MOST_GROWTH = 1032
-#: Bytes unpacked at once.
-_PIECE = 1 << 20
 
 
 def unpacks_to_more(path: Path, limit: int) -> bool:
@@ -408,13 +402,11 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     ReadError
         If it can't be read, or is none of the formats.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        msg = f"{path}: can't be opened: {error.strerror or error}"
-        raise ReadError(msg) from error
-    kind = _kind(path, head)
+    head = first_bytes(path, 16)
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
+    if not kind and path.suffix.lower() != ".mat":
+        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
+        raise ReadError(msg)
     if kind == "Parquet":
         columns = isolated(path, parquet_columns, "Parquet")(path)
         each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
@@ -424,8 +416,14 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
         return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
-    if kind == "MAT":
-        _refuse_large_mat(path, share)
+    if kind in {"MAT", ""}:
+        if unpacks_to_more(path, share):
+            msg = (
+                f"{path}: its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
+                "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
+                f"or let {MEMORY} be four times what they hold"
+            )
+            raise ReadError(msg)
         return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
     try:
         if kind == "NPZ":
@@ -437,24 +435,6 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         msg = f"{path}: not a readable {kind} file: {text}"
         raise ReadError(msg) from error
     return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
-
-
-def _kind(path: Path, head: bytes) -> str:
-    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
-    if not kind and path.suffix.lower() != ".mat":
-        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
-        raise ReadError(msg)
-    return kind or "MAT"
-
-
-def _refuse_large_mat(path: Path, limit: int) -> None:
-    if unpacks_to_more(path, limit):
-        msg = (
-            f"{path}: its arrays unpack to more than {limit / 1e6:.4g} MB, and a MAT file is read whole; "
-            "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
-            f"or let {MEMORY} be four times what they hold"
-        )
-        raise ReadError(msg)
 
 
 def _of_arrays(
@@ -474,9 +454,9 @@ def _of_arrays(
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
     shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
     ways = [
-        f"{name} is a {kind} of MATLAB, which no other program reads; type there {way.format(name)}"
+        f"{name} is a {kind} of MATLAB, which no other program reads; type there "
+        + _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those").format(name)
         for name, kind in (objects or {}).items()
-        if (way := _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those"))
     ]
     return TableFile(
         format=form,

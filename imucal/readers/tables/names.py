@@ -57,9 +57,14 @@ class NamedColumn:
         return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []
 
     @property
-    def family(self) -> tuple[str, ...]:
-        """What the three columns of a triad have in common."""
-        return (str(self.role), *self.words)
+    def sensor(self) -> Sensor | None:
+        """The sensor that the name says."""
+        return next((sensor for sensor in Sensor if self.role is Role(str(sensor))), None)
+
+    def unit_of(self, sensor: Sensor) -> str | None:
+        """Return the unit of a sensor's samples that the name says; None where it says none."""
+        parsed = parse_sample_unit(self.unit) if self.unit else None
+        return parsed[1] if parsed and parsed[0] is sensor else None
 
 
 #: A word of a name: camelCase, capitals, digits.

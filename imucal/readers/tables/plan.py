@@ -8,27 +8,24 @@ a sensor was not found.
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import PurePath
+from typing import TypeAlias
 
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess
-from imucal.readers.tables.columns import (
-    ColumnsError,
-    NamedTable,
-    Triad,
-    parse_columns_text,
-    triad_of,
-    triad_of_axes,
-    unit_of,
-)
+from imucal.readers.tables.columns import ColumnsError, NamedTable, Triad, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name, sensor_of_name
 from imucal.readers.tables.proposals import likely, may_be_samples, proposal
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import AXES, Sensor
+
+#: The columns of each sensor that is there, gyroscope first.
+Found: TypeAlias = dict[Sensor, Triad]
 
 #: Names of the two clocks of a message; for a table they are not columns.
 _CLOCKS = ("header", "log")
@@ -132,64 +129,63 @@ def make_plan(
 def _as_asked(table: NamedTable, text: str, options: ReadOptions) -> TablePlan:
     asked = parse_columns_text(text, table)
     time = time_of_columns(table, asked.time) if asked.time else None
-    sensors = [
-        SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
-        for triad in asked.sensors
-    ]
-    return _plan(table, sensors, asked.temperature, "as given")
+    return _plan(table, asked.sensors, asked.temperature, "as given", options, time=time)
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
-    gyro, accel, reason = _sensors(table, options, name)
-    if gyro is None and accel is None:
+    found, reason = _sensors(table, options, name)
+    if not found:
         raise _nothing_found(table, shape)
     if reason == _BY_NAME:
-        gyro, accel, rows = _rows_of_sensors(table, gyro, accel)
+        found, rows = _rows_of_sensors(table, found)
         reason += f", {rows}" if rows else ""
-    found = [triad for triad in (gyro, accel) if triad is not None]
-    near = [index for triad in found for index in triad.indices]
-    sensors = [_with_time(table, triad, options) for triad in found]
-    plan = _plan(table, sensors, find_temperature(table.columns, near=near), reason)
-    return replace(plan, findings=_missing(table, {Sensor.GYROSCOPE: gyro, Sensor.ACCELEROMETER: accel}))
+    near = [index for triad in found.values() for index in triad.indices]
+    plan = _plan(table, list(found.values()), find_temperature(table.columns, near=near), reason, options)
+    return replace(plan, findings=_missing(table, found))
 
 
 def _plan(
-    table: NamedTable, sensors: Sequence[SensorPlan], temperature: int | None, reason: str
+    table: NamedTable,
+    triads: Sequence[Triad],
+    temperature: int | None,
+    reason: str,
+    options: ReadOptions,
+    *,
+    time: TimeChoice | None = None,
 ) -> TablePlan:
-    decisions = []
-    for triad in (plan.triad for plan in sensors):
-        named = zip(triad.headers, triad.indices, strict=True)
-        shown = ", ".join(header or f"column {index}" for header, index in named)
+    """Return the plan for the columns of sensors; without a `time` of all, each has the one that fits it."""
+    decisions, sensors = [], []
+    for triad in triads:
+        shown = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
         decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
+        plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
+        usual = table.dialect.unit_of(triad.sensor) if table.dialect else None
+        if triad.unit is not None:
+            plan = replace(plan, stated=UnitGuess(unit=triad.unit, reason="from the column header"))
+        elif table.dialect and usual:
+            plan = replace(plan, stated=UnitGuess(unit=usual, reason=f"as {table.dialect.name} logs it"))
+        sensors.append(plan)
     if table.dialect is not None:
         decisions.append(("layout", f"{table.dialect.name}, from the column names"))
     return TablePlan(
-        sensors=tuple(replace(plan, stated=_stated_unit(plan.triad, table.dialect)) for plan in sensors),
-        temperature=temperature,
-        dialect=table.dialect,
-        decisions=tuple(decisions),
+        sensors=tuple(sensors), temperature=temperature, dialect=table.dialect, decisions=tuple(decisions)
     )
 
 
-def _stated_unit(triad: Triad, dialect: Dialect | None) -> UnitGuess | None:
-    if triad.unit is not None:
-        return UnitGuess(unit=triad.unit, reason="from the column header")
-    usual = dialect.unit_of(triad.sensor) if dialect is not None else None
-    return UnitGuess(unit=usual, reason=f"as {dialect.name} logs it") if dialect and usual else None
-
-
-def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
-    """Return gyroscope and accelerometer, and how they were found."""
+def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Found, str]:
+    """Return the columns of each sensor that is there, and how they were found."""
     given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
     triads = find_triads(table, units_given=given)
     if triads:
-        return _pick(table, triads, Sensor.GYROSCOPE), _pick(table, triads, Sensor.ACCELEROMETER), _BY_NAME
-    bare = find_bare_triads(table, name)
-    if any(bare[:2]):
-        return bare
+        return _each(lambda sensor: _pick(table, triads, sensor)), _BY_NAME
+    bare, how = find_bare_triads(table, name)
     # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
-    gyro, accel = (_single_axes(table, sensor) for sensor in Sensor)
-    return gyro, accel, _BY_NAME
+    return (bare, how) if bare else (_each(lambda sensor: _single_axes(table, sensor)), _BY_NAME)
+
+
+def _each(find: Callable[[Sensor], Triad | None]) -> Found:
+    """Return what is found of each sensor, gyroscope first."""
+    return {sensor: triad for sensor in Sensor if (triad := find(sensor)) is not None}
 
 
 def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorPlan:
@@ -219,11 +215,11 @@ def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[T
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
     """Return the error for a table without a complete triad."""
-    partial = [f"{c.header} ({c.role})" for c in table.columns if c.role in {*map(Role, Sensor)}]
+    single = [f"{c.header} ({c.role})" for c in table.columns if c.sensor]
     if not any(column.header for column in table.columns):
         problem = f"nothing names the {len(table.columns)} columns, and their order is not guessed"
-    elif partial:
-        problem = f"x, y and z of one sensor are needed, found only {', '.join(partial)}"
+    elif single:
+        problem = f"x, y and z of one sensor are needed, found only {', '.join(single)}"
     else:
         problem = "no column is named as an axis of a gyroscope or an accelerometer"
     return table.ask(f"{shape}: {problem}" if shape else problem)
@@ -237,7 +233,7 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
     families: dict[tuple[str, ...], list[NamedColumn]] = {}
     for column in table.columns:
         if column.axis is not None and column.role in roles:
-            families.setdefault(column.family, []).append(column)
+            families.setdefault((str(column.role), *column.words), []).append(column)
     for members in families.values():
         numbers = sorted(column.axis or 0 for column in members)
         first = 1 if numbers == [1, 2, 3] and all(column.numbered for column in members) else 0
@@ -250,9 +246,9 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
         yield axes
 
 
-def _is_whole(axes: dict[int, NamedColumn]) -> bool:
-    """Return whether x, y and z are there; of more numbers, such as those of a matrix, none tells an axis."""
-    return axes.keys() == {0, 1, 2}
+def _whole(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
+    """Yield the sets of x, y and z; of more numbers, such as those of a matrix, none tells an axis."""
+    return (axes for axes in _families(table, *roles) if axes.keys() == {0, 1, 2})
 
 
 def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
@@ -261,21 +257,18 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
     A vector without a sensor (bare x, y, z) is not among them. Two columns of the same name are a
     ChoiceError, and so are different units in one triad of which the caller gave none.
     """
-    triads = []
-    for axes in filter(_is_whole, _families(table, *map(Role, Sensor))):
-        sensor, columns = Sensor(str(axes[0].role)), [axes[at] for at in range(3)]
-        units = [unit_of(sensor, column) for column in columns]
+    triads = [Triad.of(Sensor(str(axes[0].role)), axes) for axes in _whole(table, *map(Role, Sensor))]
+    for triad in triads:
         # A unit behind one name is that of the others too: wx(rad/s), wy, wz.
-        if sensor not in units_given and len({*units} - {None}) > 1:
-            named = zip(columns, units, strict=True)
-            shown = ", ".join(f"{column.header} in {unit or 'no unit'}" for column, unit in named)
+        if triad.sensor not in units_given and len({*triad.units} - {None}) > 1:
+            named = zip(triad.headers, triad.units, strict=True)
+            shown = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
             msg = (
-                f"{table.path}: the axes of the {sensor} carry different units ({shown}), so at least one of "
-                f"them is wrong; expected one unit; give the unit of the {sensor}, or correct the header; "
-                f"found columns: {table.listed}"
+                f"{table.path}: the axes of the {triad.sensor} carry different units ({shown}), so at least "
+                f"one of them is wrong; expected one unit; give the unit of the {triad.sensor}, or correct "
+                f"the header; found columns: {table.listed}"
             )
             raise ChoiceError(msg)
-        triads.append(triad_of(sensor, columns))
 
     def is_linear(triad: Triad) -> bool:
         # Linear acceleration, which phones give without gravity.
@@ -293,12 +286,10 @@ def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
     None where axes are numbered, carry different units, or belong to several sets.
     """
     sets = list(_families(table, Role(str(sensor))))
-    if len(sets) != 1:
+    if len(sets) != 1 or any(column.numbered for column in sets[0].values()):
         return None
-    units = {unit_of(sensor, column) for column in sets[0].values()} - {None}
-    if len(units) > 1 or any(column.numbered for column in sets[0].values()):
-        return None
-    return triad_of_axes(sensor, sets[0])
+    triad = Triad.of(sensor, sets[0])
+    return triad if len({*triad.units} - {None}) <= 1 else None
 
 
 def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | None:
@@ -306,20 +297,20 @@ def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad |
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return next(iter(found), None)
-    texts = [table.columns_text(*pair) for pair in _pairs(table, triads)]
+    texts = [table.columns_text(*pair) for pair in _pairs(triads)]
     problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
     raise table.ask(problem, example=" or ".join(texts))
 
 
-def _pairs(table: NamedTable, triads: Sequence[Triad]) -> list[tuple[Triad, ...]]:
+def _pairs(triads: Sequence[Triad]) -> list[tuple[Triad, ...]]:
     """Return a gyroscope and the accelerometer that goes with it: by the words they share, then by place."""
     gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
     accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
 
     def likeness(pair: tuple[Triad, ...]) -> tuple[int, int]:
-        first, second = (set(table.columns[triad.indices[0]].words) for triad in pair)
-        apart = abs(pair[0].indices[0] - pair[1].indices[0])
-        return len(first & second) - len(first ^ second), -apart
+        gyro, accel = (triad.columns[0] for triad in pair)
+        first, second = {*gyro.words}, {*accel.words}
+        return len(first & second) - len(first ^ second), -abs(gyro.index - accel.index)
 
     pairs: list[tuple[Triad, ...]] = [(triad,) for triad in triads]
     if gyros and len(gyros) >= len(accels) > 0:
@@ -335,34 +326,31 @@ def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
-def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad | None, str]:
-    """Return the sensors of bare columns x, y, z: by a column of tags, or by the name of the file.
+def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
+    """Return the sensors of bare columns x, y, z, and how they were found: by tags, or the file's name.
 
-    Gyroscope, accelerometer, and how they were found; None twice where there are no such columns. A
-    ChoiceError where nothing says which sensor they are.
+    Nothing where there are no such columns. A ChoiceError where nothing says which sensor they are.
     """
-    axes = next(filter(_is_whole, _families(table, Role.VECTOR)), None)
+    axes = next(_whole(table, Role.VECTOR), None)
     if axes is None:
-        return None, None, ""
-    both = {sensor: triad_of(sensor, [axes[at] for at in range(3)]) for sensor in Sensor}
-    gyro, accel = both.values()
+        return {}, ""
+    both = {sensor: Triad.of(sensor, axes) for sensor in Sensor}
     for column in table.columns:
         tags = _tags({cell for cell in column.filled if not is_number(cell)})
         several = max(map(len, tags.values()))
         if several > 1:
             raise _several_rows(table, both, tags)
         if several:
-            gyros, accels = (
-                replace(both[sensor], rows=(column.index, names[0])) if names else None
-                for sensor, names in tags.items()
-            )
-            return gyros, accels, f"by the tags of column {column.header or column.index}"
+            tagged = {
+                s: replace(both[s], rows=(column.index, names[0])) for s, names in tags.items() if names
+            }
+            return tagged, f"by the tags of column {column.header or column.index}"
     sensor = sensor_of_name(name)
     if sensor is None:
+        gyro, accel = both.values()
         problem = f"x, y and z are there ({', '.join(gyro.headers)}), but not of which sensor"
         raise table.ask(problem, example=f"{table.columns_text(gyro)} or {table.columns_text(accel)}")
-    by_name = "by the name of the file"
-    return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
+    return {sensor: both[sensor]}, "by the name of the file"
 
 
 def _several_rows(
@@ -388,41 +376,41 @@ def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
     return {Sensor.GYROSCOPE: gyros, Sensor.ACCELEROMETER: accels}
 
 
-def _rows_of_sensors(
-    table: NamedTable, gyro: Triad | None, accel: Triad | None
-) -> tuple[Triad | None, Triad | None, str]:
+def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
     """Restrict columns that were found by name to the rows of their sensor, where a column of text names it.
 
     The accelerometer's rows may use the columns that the header names for the gyroscope, and the other
     way round. Also returns how the rows were found; empty where all rows are of the sensors. A ChoiceError
     if rows of several sensors can't be told apart; the message says how to choose.
     """
-    found = _tag_column(table)
-    if found is None:
-        _refuse_instances(table, gyro, accel)
-        return gyro, accel, ""
-    column, tags = found
-    both: list[Triad | None] = []
-    for sensor, own, other in ((Sensor.GYROSCOPE, gyro, accel), (Sensor.ACCELEROMETER, accel, gyro)):
-        names, triad = tags[sensor], own
-        if triad is None and other is not None and names:
-            # The header names these columns for the other sensor, and not this one's unit.
-            cells = _names_of_rows(table, names[0])
-            triad = triad_of(sensor, [parse_column(cells[at], at) for at in other.indices])
-        if triad is not None and len(names) != 1:
-            raise _unclear(table, column, triad, tags)
-        both.append(replace(triad, rows=(column.index, names[0])) if triad is not None else None)
-    return both[0], both[1], f"in the rows that column {column.header or column.index} names"
-
-
-def _tag_column(table: NamedTable) -> tuple[NamedColumn, dict[Sensor, list[str]]] | None:
-    """Return the column of text that names the sensors of rows, and which text names which."""
     for column in table.columns:
         texts = [] if column.role is Role.TIME else sorted({*column.filled})
         tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
         if len(texts) <= _MOST_TAGS and any(tags.values()) and not any(map(is_number, texts)):
-            return column, tags
-    return None
+            how = f"in the rows that column {column.header or column.index} names"
+            return _each(partial(_in_rows, table, found, column=column, tags=tags)), how
+    _refuse_instances(table, found)
+    return found, ""
+
+
+def _in_rows(
+    table: NamedTable, found: Found, sensor: Sensor, *, column: NamedColumn, tags: dict[Sensor, list[str]]
+) -> Triad | None:
+    """Return the columns of a sensor in the rows that a column names by `tags`; None where it has none."""
+    names, triad = tags[sensor], found.get(sensor)
+    if triad is None and names:
+        # The header names these columns for the other sensor, and not this one's unit.
+        cells, (other,) = _names_of_rows(table, names[0]), found.values()
+        triad = Triad(sensor=sensor, columns=tuple(parse_column(cells[at], at) for at in other.indices))
+    if triad is None or len(names) == 1:
+        return triad and replace(triad, rows=(column.index, names[0]))
+    texts = sorted({*column.filled})
+    rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
+    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
+    which = f"{len(names)} of them name" if names else "none of them names"
+    said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
+    problem = f"{said}; {which} the {sensor}"
+    raise table.ask(problem, example=" or ".join(examples))
 
 
 def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
@@ -432,25 +420,12 @@ def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
     return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
 
 
-def _unclear(
-    table: NamedTable, column: NamedColumn, triad: Triad, tags: dict[Sensor, list[str]]
-) -> ColumnsError:
-    """Return the error for rows of which none, or several kinds, are the sensor's."""
-    names, texts = tags[triad.sensor], sorted({*column.filled})
-    rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
-    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
-    found = f"{len(names)} of them name" if names else "none of them names"
-    said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
-    return table.ask(f"{said}; {found} the {triad.sensor}", example=" or ".join(examples))
-
-
-def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> None:
+def _refuse_instances(table: NamedTable, found: Found) -> None:
     """Refuse rows of several sensors in one table: the column I of ArduPilot's IMU message."""
-    first = gyro or accel
+    samples = next(iter(found.values())).columns[0].cells
     # The last part of a name counts: frame_id of header.frame_id.
     columns = [c for c in table.columns if plain_name(c.header).rpartition(".")[2] in _INSTANCE]
-    for column in columns if first is not None else ():
-        samples = table.columns[first.indices[0] if first else 0].cells
+    for column in columns:
         pairs = zip(column.cells, samples, strict=False)
         devices = sorted({cell.strip("\"'") for cell, sample in pairs if cell and sample})
         if all(map(str.isdigit, devices)):
@@ -461,18 +436,18 @@ def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None
             continue
         name = column.header.strip("\"'")
         at = name if re.fullmatch(r"\w+", name) else str(column.index)
-        texts = [table.columns_text(gyro, accel, rows=f"@{at}:{cell}") for cell in devices[:_SHOWN]]
+        texts = [table.columns_text(*found.values(), rows=f"@{at}:{cell}") for cell in devices[:_SHOWN]]
         problem = f"rows of {len(devices)} sensors, told apart by column {name} ({', '.join(devices)})"
         raise table.ask(problem, example=" or ".join(texts))
 
 
-def _missing(table: NamedTable, found: dict[Sensor, Triad | None]) -> tuple[Finding, ...]:
+def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
     """Return a finding where a sensor, or an axis, was not found and columns of numbers were left over.
 
     Columns x, y, z, or some of them, that are left over may be the sensor: that is a warning, which says
     what names them. Others are listed in a remark.
     """
-    used = {index for triad in found.values() if triad is not None for index in triad.indices}
+    used = {index for triad in found.values() for index in triad.indices}
     left = [column for column in table.columns if column.index not in used and may_be_samples(column)]
     if not left:
         return ()
@@ -481,16 +456,16 @@ def _missing(table: NamedTable, found: dict[Sensor, Triad | None]) -> tuple[Find
     listed = f"columns that were not read: {', '.join(shown)}."
     guessed = likely(table, found)
     findings = []
-    for sensor, triad in found.items():
-        if triad is None:
+    for sensor, triad in guessed.items():
+        if sensor not in found:
             text = f"No {sensor} was found in the table; {listed}"
             missing = Finding(level="info", code="sensor-missing", axis=sensor.short, text=text)
-            if guessed[sensor] is not None:
-                ready = table.columns_text(*(found | {sensor: guessed[sensor]}).values())
+            if triad is not None:
+                ready = table.columns_text(*_each((found | {sensor: triad}).get).values())
                 advice = f"If it is among them, give a columns text such as {ready}."
                 missing = replace(missing, level="warning", advice=advice)
             findings.append(missing)
-        elif triad.axes != AXES:
+        elif triad is not None and triad.axes != AXES:
             text = f"Only {' and '.join(triad.axes)} of the {sensor} was found in the table; {listed}"
             findings.append(Finding(level="info", code="axis-missing", axis=sensor.short, text=text))
     return tuple(findings)

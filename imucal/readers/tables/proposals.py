@@ -6,12 +6,13 @@ nothing is shown, as the x and y of a robot, or latitudes, are no gyroscope.
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from imucal.readers.scales import shows_gravity
-from imucal.readers.tables.columns import NamedTable, Triad, triad_of_axes
+from imucal.readers.tables.columns import NamedTable, Triad
 from imucal.readers.tables.dates import is_text_stamp
 from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, plain_name, sensor_of_name
 from imucal.readers.tables.stamps import dates_and_times
@@ -62,9 +63,8 @@ def likely(
     # The accelerometer first, as gravity tells it.
     for sensor in reversed(Sensor):
         if chosen[sensor] is None:
-            chosen[sensor] = _likeliest(
-                table, sensor, list(filter(None, chosen.values())), taken, tagged=tagged
-            )
+            others = list(filter(None, chosen.values()))
+            chosen[sensor] = _likeliest(table, sensor, others, taken, tagged=tagged)
     return chosen
 
 
@@ -75,18 +75,13 @@ def _likeliest(
     used = {*taken, *(index for triad in others for index in triad.indices)}
     free = [c for c in table.columns if c.index not in used and may_be_samples(c)]
     several = len(free) > _NARROW
-    scored = [
-        (
-            _name_score(axes, sensor) or _score(table, axes, sensor, others, tagged=tagged, several=several),
-            axes,
-        )
-        for axes in _sets(free)
-    ]
+    by_others = partial(_score, sensor=sensor, others=others, tagged=tagged, several=several)
+    scored = [(_name_score(axes, sensor) or by_others(axes), axes) for axes in _sets(free)]
     # Of equal ones the accelerometer is the last, as people write them.
     scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
     score, best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
     whole = len(best) == len(AXES) or score >= _NAMED
-    return triad_of_axes(sensor, best) if score >= _THRESHOLD and whole else None
+    return Triad.of(sensor, best) if score >= _THRESHOLD and whole else None
 
 
 def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
@@ -122,10 +117,10 @@ def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
     """Return what names say of a sensor in some columns; 0 where they say nothing of either."""
     (opposite,) = set(Sensor) - {sensor}
     names = [plain_name(column.header) for column in axes.values()]
-    roles = {column.role for column in axes.values()}
-    if any(map(_HINTS[opposite].search, names)) or Role(str(opposite)) in roles:
+    said = {column.sensor for column in axes.values()}
+    if any(map(_HINTS[opposite].search, names)) or opposite in said:
         return -_NAMED
-    if roles == {Role(str(sensor))}:
+    if said == {sensor}:
         return _NAMED
     # A group's name may stand above the first of its columns alone.
     own = [name for name in names if not _HINTS[sensor].search(name)]
@@ -133,7 +128,6 @@ def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
 
 
 def _score(
-    table: NamedTable,
     axes: Mapping[int, NamedColumn],
     sensor: Sensor,
     others: Sequence[Triad],
@@ -141,25 +135,23 @@ def _score(
     tagged: bool,
     several: bool,
 ) -> int:
-    """Return what speaks for a sensor in columns whose names don't; gravity tells of no `several`."""
+    """Return what speaks for a sensor in columns whose names don't: the columns of the other, or gravity.
+
+    Beside the other sensor stand a bare vector, or neighbours of a kind; gravity tells of no `several`.
+    """
     if len(axes) != len(AXES):
         return 0
     columns = [axes[at] for at in range(len(AXES))]
-    score = (_TAGGED if tagged else 0) + _unknown(columns)
-    if others:
-        return score + _beside(table, columns, others[0])
-    told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
-    return score + (_GRAVITY if told else 0)
-
-
-def _beside(table: NamedTable, columns: Sequence[NamedColumn], other: Triad) -> int:
-    """Return what speaks for columns by those of the other sensor: a bare vector, or neighbours of a kind."""
-    theirs = [table.columns[index] for index in other.indices]
+    score = _TAGGED * tagged + _unknown(columns)
+    if not others:
+        told = sensor is Sensor.ACCELEROMETER and not several and _is_gravity(columns)
+        return score + _GRAVITY * told
     if all(column.role is Role.VECTOR for column in columns):
-        return _VECTOR
+        return score + _VECTOR
+    theirs = others[0].columns
     near = min(abs(a.index - b.index) for a in columns for b in theirs) <= _APART
-    nameless = not any(column.role in {*map(Role, Sensor)} for column in theirs)
-    return _BESIDE if near and nameless and _unknown(theirs) == _unknown(columns) else 0
+    alike = not any(column.sensor for column in theirs) and _unknown(theirs) == _unknown(columns)
+    return score + _BESIDE * (near and alike)
 
 
 def _unknown(columns: Sequence[NamedColumn]) -> int:
@@ -181,7 +173,7 @@ def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
 
     `name` is the file's, and `rows` says which rows are meant, such as ``@imu``.
     """
-    time = table.time or _text_time(table) or _onward(table)
+    time = _time(table)
     taken = [int(index) for index in time.split("+") if index]
     chosen = likely(table, taken=taken, tagged=bool(rows))
     if not any(chosen.values()):
@@ -198,25 +190,22 @@ def _one_axis(table: NamedTable, taken: Sequence[int], name: str) -> dict[Sensor
     if len(free) != 1 or (free[0].header and sensor is None):
         return {}
     sensor = sensor or Sensor.GYROSCOPE
-    return {sensor: triad_of_axes(sensor, {2: free[0]})}
+    return {sensor: Triad.of(sensor, {2: free[0]})}
 
 
-def _onward(table: NamedTable) -> str:
-    """Return the first column of numbers that only goes on, beside others."""
-    numeric = [column for column in table.columns if column.is_numeric]
-    for column in numeric if len(numeric) > 1 else ():
-        steps = [b - a for a, b in pairwise(map(float, column.filled))]
-        if steps and min(steps) >= 0 < max(steps):
-            return str(column.index)
-    return ""
-
-
-def _text_time(table: NamedTable) -> str:
-    """Return the columns of a time that is a text: a date with a time, or a date, a time and AM or PM."""
+def _time(table: NamedTable) -> str:
+    """Return the columns of the time: by name, as texts (a date, a time, AM or PM), or the first to go on."""
+    if table.time:
+        return table.time
     dated = {columns[0].index: columns for columns in dates_and_times(table)}
     for column in table.columns:
         if column.cells and all(map(is_text_stamp, column.cells)):
             return str(column.index)
         if column.index in dated:
             return "+".join(str(part.index) for part in dated[column.index])
+    numeric = [column for column in table.columns if column.is_numeric]
+    for column in numeric if len(numeric) > 1 else ():
+        steps = [b - a for a, b in pairwise(map(float, column.filled))]
+        if steps and min(steps) >= 0 < max(steps):
+            return str(column.index)
     return ""

@@ -134,22 +134,18 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
         period = 1 << bits
         if highest >= period:
             continue
-        usual = usual or _usual_step(counts)
+        if not usual:
+            # The median of the steps forward; of those at the start, in the middle and at the end of many.
+            starts = (0, counts.size // 2, counts.size - _LOOKED_AT) if counts.size > 3 * _LOOKED_AT else (0,)
+            length = _LOOKED_AT if len(starts) > 1 else counts.size
+            steps = np.concatenate([np.diff(counts[start : start + length]) for start in starts])
+            usual = int(np.median(steps[steps > 0])) if (steps > 0).any() else 1
         # Some samples may be missing at the very wrap.
         most = max(100 * usual, period // 64)
         wraps = _places(counts, -period, min(most - period, -1))
         if wraps.size:
             return _turned(counts, wraps, period, room), int(wraps.size)
     return counts, 0
-
-
-def _usual_step(counts: IntArray) -> int:
-    """Return the median of the steps forward; of those at the start, in the middle and at the end of many."""
-    starts = (0, counts.size // 2, counts.size - _LOOKED_AT) if counts.size > 3 * _LOOKED_AT else (0,)
-    length = _LOOKED_AT if len(starts) > 1 else counts.size
-    steps = np.concatenate([np.diff(counts[start : start + length]) for start in starts])
-    forward = steps[steps > 0]
-    return int(np.median(forward)) if forward.size else 1
 
 
 def _places(values: IntArray, above: int, most: int) -> IntArray:
@@ -333,7 +329,8 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
                 found.append((_score(column, sensor), choice))
     found.sort(key=lambda entry: -entry[0])
     counters = [c for c in table.columns if c.role is Role.COUNTER and _goes_on(c.counts)]
-    return [choice for score, choice in found if score > 0] + [_joined("counter", c) for c in counters]
+    choices = [choice for score, choice in found if score > 0]
+    return choices + [_joined(counter, kind="counter") for counter in counters]
 
 
 def _goes_on(counts: Sequence[int]) -> bool:
@@ -359,7 +356,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
         found = next(filter(None, column.cells), "nothing")
         problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
         raise table.ask(problem)
-    return _joined("counter", column) if column.role is Role.COUNTER else choice
+    return _joined(column, kind="counter") if column.role is Role.COUNTER else choice
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
@@ -372,20 +369,21 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
     return time_of_columns(table, indices)
 
 
-def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source: str = "") -> TimeChoice:
+def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source: str = "") -> TimeChoice:
     name = "+".join(column.header or str(column.index) for column in columns)
     indices = tuple(column.index for column in columns)
     return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
 
 
-def _texts(*columns: NamedColumn) -> TimeChoice:
-    """Return the time that texts give: one of dates with times, or of dates, times and AM or PM."""
-    return _ordered(_joined("text", *columns, ns=1, source="text"), columns[0])
+def _texts(
+    *columns: NamedColumn, kind: TimeKind = "text", ns: int | None = 1, source: str = "text"
+) -> TimeChoice:
+    """Return the time that texts give, with the order of day and month in them.
 
-
-def _ordered(choice: TimeChoice, dates: NamedColumn) -> TimeChoice:
-    """Return a choice of texts with the order of day and month in them."""
-    order = day_first(dates.cells)
+    They are dates with times in one column, dates, times and AM or PM, or texts with a finer column.
+    """
+    order = day_first(columns[0].cells)
+    choice = _joined(*columns, kind=kind, ns=ns, source=source)
     return replace(choice, by_day=bool(order), open_date=order is None)
 
 
@@ -394,7 +392,7 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     filled = column.filled
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
-        return _joined("steps" if column.words in STEPS else "stamp", column, ns=ns, source=source)
+        return _joined(column, kind="steps" if column.words in STEPS else "stamp", ns=ns, source=source)
     return _texts(column) if filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled) else None
 
 
@@ -489,8 +487,8 @@ def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
     beside = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
     text = any(map(is_text_stamp, coarse.filled))
     source = f"{'text' if text else 'seconds'} + {beside}"
-    choice = _joined("pair", coarse, fine, ns=ns if ns != _SECOND else None, source=source)
-    return _ordered(choice, coarse) if text else choice
+    join = _texts if text else _joined
+    return join(coarse, fine, kind="pair", ns=ns if ns != _SECOND else None, source=source)
 
 
 def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
@@ -511,7 +509,7 @@ def _is_week(first: NamedColumn, second: NamedColumn) -> bool:
 
 def _week(week: NamedColumn, tow: NamedColumn) -> TimeChoice:
     ns, source = _unit(tow)
-    return _joined("week", week, tow, ns=ns, source=source)
+    return _joined(week, tow, kind="week", ns=ns, source=source)
 
 
 def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
@@ -523,7 +521,7 @@ def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
             break
         parts.append(column)
     whole = len(parts) >= _DATE_NEEDED
-    return [(58.0, _joined("date", *parts, ns=1, source="date and time"))] if whole else []
+    return [(58.0, _joined(*parts, kind="date", ns=1, source="date and time"))] if whole else []
 
 
 def dates_and_times(table: NamedTable) -> Iterator[list[NamedColumn]]:

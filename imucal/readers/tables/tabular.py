@@ -6,7 +6,6 @@ A clock is made of the time's columns, or of a counter and a rate.
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -240,10 +239,6 @@ def _open_unit(
     path: str, time: TimeChoice, values: Numbers, fits: Sequence[str], sensor: Sensor
 ) -> ChoiceError:
     """Return the error of a time whose unit is open; each thing that it says to do works on this log."""
-    found = (
-        f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
-        f"{typical_step(values):g} a row"
-    )
     low, high = extremes(values)
     span = float(high - low)
     rates = {
@@ -251,17 +246,18 @@ def _open_unit(
         for unit, rate in rates_by_unit(values).items()
         if rate <= _FASTEST and span * TIME_UNITS_NS[unit] < _LONGEST_NS
     }
-    if not rates:
-        return ChoiceError(f"{found}, which is no rate in any unit; name another time column")
     # The rates of IMUs, or those that are nearest.
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
     shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
     name = time.name.strip().strip("\"'")
     # A header names a unit, but what rate an IMU has only the user says.
-    in_header = (
-        f", name it in the header, such as {name}_{likely[0]}," if fits and not name.isdigit() else ","
+    named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
+    ways = f"{shown}; give the time unit, {named}or give the sampling rate"
+    return ChoiceError(
+        f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
+        f"{typical_step(values):g} a row, which is "
+        f"{ways if rates else 'no rate in any unit; name another time column'}"
     )
-    return ChoiceError(f"{found}, which is {shown}; give the time unit{in_header} or give the sampling rate")
 
 
 def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
@@ -438,27 +434,22 @@ def _clock(
 
 def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
     """Return the columns of a sensor without the rows that are none of its samples."""
-    room, n = work.room, columns.axes[0].size
-    axes, keep = columns.axes, None
+    room, n, axes = work.room, columns.axes[0].size, columns.axes
+    keep = room.made(n, np.bool_, lambda _: True)
     if columns.sparse:
         keep = room.made(n, np.bool_, lambda part: ~np.all([np.isnan(a[part]) for a in axes], axis=0), *axes)
     for column in columns.time:
         if column.dtype.kind == "f":
-            before = n if keep is None else count(keep)
-            keep = room.made(n, np.bool_, partial(_finite, column, keep), column)
+            before = count(keep)
+            for part in blocks(n, column, keep):
+                keep[part] &= np.isfinite(column[part])
             lost = before - count(keep)
             if lost:
                 text = f"{lost} rows have no finite time; they were dropped."
                 work.findings.append(Finding(level="warning", code="bad-rows", text=text))
-    if keep is None or count(keep) == n:
+    if count(keep) == n:
         return columns
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())
-
-
-def _finite(column: Numbers, among: BoolArray | None, part: slice) -> BoolArray:
-    """Return which rows of a block have a finite value, among those that are kept so far."""
-    finite = np.asarray(np.isfinite(column[part]))
-    return finite if among is None else finite & among[part]
 
 
 def _add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:

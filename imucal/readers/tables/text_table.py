@@ -43,7 +43,7 @@ from imucal.readers.tables.layout import (
     rows_of_tag,
     split_line,
 )
-from imucal.readers.tables.names import NamedColumn, Role, parse_column, sensor_of_name
+from imucal.readers.tables.names import Role, parse_column, sensor_of_name
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import (
@@ -84,33 +84,33 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     layout = name_columns(layout)
     if options.columns is not None or layout.headers:
         return layout
+    raise _unnamed(path, lines, layout, options)
+
+
+def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
+    """Return the error for a table without names, with a columns text that works on it where one is known."""
     problem = f"no header names the {layout.width} columns, and an order is not guessed"
     if layout.mismatch is not None:
         problem = (
             f"the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
             "belongs to a column"
         )
-    table = NamedTable(path=path, columns=_nameless(layout))
-    raise table.ask(problem, example=_propose(table, lines, layout, options))
-
-
-def _nameless(layout: TextLayout) -> tuple[NamedColumn, ...]:
-    return tuple(parse_column("", index, cells=layout.cells(index)) for index in range(layout.width))
-
-
-def _propose(table: NamedTable, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
-    """Return a columns text that works on a table without names; empty where there is none."""
     tags = _inertial_tags(lines, layout.delimiter)
-    if tags:
-        layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
-        table = replace(table, columns=_nameless(layout))
-    gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
+    rows = rows_of_tag(lines, layout.delimiter, (-1, tags[0])) if tags else ()
+    table = _nameless(path, find_layout(rows) or layout)
     numeric = [column.index for column in table.columns if all(map(is_number, column.cells))]
+    gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
     both = []
     if gyro and accel and len(numeric) == 4:
         axes = f"{numeric[1]}:{numeric[1] + 3}"
         both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    return propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
+    example = propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
+    return _nameless(path, layout).ask(problem, example=example)
+
+
+def _nameless(path: str, layout: TextLayout) -> NamedTable:
+    columns = (parse_column("", index, cells=layout.cells(index)) for index in range(layout.width))
+    return NamedTable(path=path, columns=tuple(columns))
 
 
 def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
@@ -267,8 +267,15 @@ class BlockReader:
                 self._note_bad(1, text)
             else:
                 rows.append(row)
-        columns = list(zip(*rows, strict=True)) if rows else [()] * len(self.kinds)
-        return {index: self._array(columns[place], index) for place, index in enumerate(self.kinds)}
+        values: dict[int, NDArray[Any]] = {}
+        for place, (index, kind) in enumerate(self.kinds.items()):
+            cells = [row[place] for row in rows]
+            if kind in _TEXTS:
+                values[index] = self._times(cast("list[str]", cells), kind)
+                continue
+            whole = kind == "integer" and not any(isinstance(value, float) for value in cells)
+            values[index] = np.array(cells, dtype=np.int64 if whole else np.float64)
+        return values
 
     def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
         """Return the wanted cells of a row as numbers; None for a bad row."""
@@ -279,13 +286,6 @@ class BlockReader:
         row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
         good = [value for value in row if value is not None]
         return good if len(good) == len(row) else None
-
-    def _array(self, values: Sequence[Any], index: int) -> NDArray[Any]:
-        kind = self.kinds[index]
-        if kind in _TEXTS:
-            return self._times(values, kind)
-        whole = kind == "integer" and not any(isinstance(value, float) for value in values)
-        return np.array(values, dtype=np.int64 if whole else np.float64)
 
     def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
         return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
@@ -326,16 +326,6 @@ def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
     before = rb"(?:" + cell + (rb")*?" if index < 0 else rb"){" + str(index).encode() + rb"}")
     tag = rb'[ \t]*"?' + re.escape(text.encode()) + rb'"?[ \t]*'
     return re.compile(rb"(?m)^" + start + before + tag + rb"(?:" + mark + rb"[^\n]*)?$")
-
-
-def without_start(blocks: Iterable[bytes], lines: int) -> Iterable[bytes]:
-    """Yield blocks without the first lines."""
-    for block in blocks:
-        start = 0
-        while lines and (end := block.find(b"\n", start)) >= 0:
-            start, lines = end + 1, lines - 1
-        if not lines:
-            yield block[start:] if start else block
 
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -505,15 +495,20 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows; returns the last line where it may be cut, else an empty text."""
-    cut = ""
-    for block in without_start(blocks, layout.start):
-        whole = block
-        if not block.endswith(b"\n"):
-            end = block.rfind(b"\n") + 1
-            last = block[end:].decode("utf-8", "replace")
-            if block[end:].strip() and not _is_complete(last, layout):
-                cut, whole = last, block[:end]
+    """Read all rows behind the header; returns the last line where it may be cut, else an empty text."""
+    cut, before = "", layout.start
+    for block in blocks:
+        start = 0
+        while before and (end := block.find(b"\n", start)) >= 0:
+            start, before = end + 1, before - 1
+        if before:
+            continue
+        whole = block[start:] if start else block
+        if not whole.endswith(b"\n"):
+            end = whole.rfind(b"\n") + 1
+            last = whole[end:].decode("utf-8", "replace")
+            if last.strip() and not _is_complete(last, layout):
+                cut, whole = last, whole[:end]
         for reader in readers:
             reader.add(whole)
     return cut
@@ -522,11 +517,9 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
 def _is_complete(line: str, layout: TextLayout) -> bool:
     """Return whether a line without an end has all its cells, the last one as long as any other."""
     cells = split_line(line, layout.delimiter)
-    if len(cells) != layout.width:
-        return False
     lengths = [len(cell.partition(".")[2]) for cell in layout.cells(layout.width - 1)]
-    _, point, digits = cells[-1].partition(layout.decimal)
-    return bool(point) and len(digits) >= max(lengths, default=0)
+    _, point, digits = cells[-1].partition(layout.decimal) if cells else ("", "", "")
+    return len(cells) == layout.width and bool(point) and len(digits) >= max(lengths, default=0)
 
 
 def _row_findings(

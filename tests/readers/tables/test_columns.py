@@ -162,8 +162,9 @@ def test_sets_of_three(headers: tuple[str, ...], places: list[str]) -> None:
 def test_tags_of_rows(tags: tuple[str, str], gyro: str | None, accel: str | None) -> None:
     """One of a usual pair tells the other, as it is written."""
     table = named("tag", "x", "y", "z", rows=[(f"'{tag}'", "1", "2", "3") for tag in tags])
-    first, second, how = find_bare_triads(table, "log.csv")
-    assert (first and first.rows, second and second.rows) == (gyro and (0, gyro), accel and (0, accel))
+    found, how = find_bare_triads(table, "log.csv")
+    tags_of = {Sensor.GYROSCOPE: gyro, Sensor.ACCELEROMETER: accel}
+    assert {s: triad.rows for s, triad in found.items()} == {s: (0, tag) for s, tag in tags_of.items() if tag}
     assert how == "by the tags of column tag"
 
 
@@ -176,14 +177,16 @@ def test_tags_of_two_gyroscopes_are_not_guessed() -> None:
 
 def test_the_name_of_a_file_tells() -> None:
     """Where it names one sensor only."""
-    assert find_bare_triads(named("t", "x", "y"), "gyro.csv") == (None, None, "")
-    for name, place in (("MyGyro.csv", 0), ("rotation_rate.csv", 0), ("angular.csv", 0), ("Acc.csv", 1)):
-        found = find_bare_triads(named("x", "y", "z"), name)
-        assert (found[place] is not None, found[1 - place], found[2]) == (
-            True,
-            None,
-            "by the name of the file",
-        )
+    assert find_bare_triads(named("t", "x", "y"), "gyro.csv") == ({}, "")
+    gyro, accel = Sensor
+    for name, sensor in (
+        ("MyGyro.csv", gyro),
+        ("rotation_rate.csv", gyro),
+        ("angular.csv", gyro),
+        ("Acc.csv", accel),
+    ):
+        found, how = find_bare_triads(named("x", "y", "z"), name)
+        assert ([*found], how) == ([sensor], "by the name of the file")
     for name in ("accuracy.csv", "gyro_acc.csv"):
         with pytest.raises(ChoiceError, match="but not of which sensor"):
             find_bare_triads(named("x", "y", "z"), name)

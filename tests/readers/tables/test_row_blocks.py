@@ -5,7 +5,7 @@ import math
 import pytest
 
 from imucal.readers.tables.layout import BLANKS, TextLayout
-from imucal.readers.tables.text_table import BlockReader, Kind, _number, _row_pattern, without_start
+from imucal.readers.tables.text_table import BlockReader, Kind, _number, _read_blocks, _row_pattern
 
 
 def reader(**changes: object) -> BlockReader:
@@ -89,9 +89,10 @@ def test_tagged_rows(index: int, delimiter: str, found: list[bytes]) -> None:
     assert pattern.findall(text) == found
 
 
-@pytest.mark.parametrize(
-    ("lines", "left"), [(0, [b"a\nb\n", b"c\nd\n"]), (1, [b"b\n", b"c\nd\n"]), (3, [b"d\n"])]
-)
-def test_without_the_first_lines(lines: int, left: list[bytes]) -> None:
+@pytest.mark.parametrize(("start", "left"), [(0, [1, 2, 3, 4]), (1, [2, 3, 4]), (3, [4])])
+def test_without_the_first_lines(start: int, left: list[int]) -> None:
     """Across blocks."""
-    assert [block for block in without_start([b"a\nb\n", b"c\nd\n"], lines) if block] == left
+    blocks = reader()
+    layout = TextLayout(width=3, rows=(), start=start)
+    assert _read_blocks([b"1,2,3\n2,2,3\n", b"3,2,3\n4,2,3\n"], layout, [blocks]) == ""
+    assert blocks.columns[0].take().tolist() == left

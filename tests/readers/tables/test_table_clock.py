@@ -10,12 +10,16 @@ from imucal.errors import ChoiceError
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import Triad
+from imucal.readers.tables.names import parse_column
 from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.stamps import Numbers, TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, _compare_rates, _sent_twice, table_clock
 from imucal.recording import Sensor
 
-GYRO = Triad(sensor=Sensor.GYROSCOPE, indices=(1, 2, 3), headers=("gx", "gy", "gz"))
+GYRO = Triad(
+    sensor=Sensor.GYROSCOPE,
+    columns=tuple(parse_column(f"g{axis}", at) for at, axis in enumerate("xyz", start=1)),
+)
 COUNTER = TimeChoice(kind="counter", indices=(0,), name="seq")
 MS = TimeChoice(kind="stamp", indices=(0,), name="t", ns=1_000_000, ns_source="by hand")
 
