@@ -15,7 +15,7 @@ BUDGET = {
     "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4382, 24109, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3774, 24512, 24),  # --open, --figure, errors as JSON, defaults from a file
-    "fleet": Size(2154, 15726, 7),  # its logs in one form for the population and the trend
+    "fleet": Size(2102, 15648, 7),  # its logs in one form for the population and the trend
     "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2076, 15107, 9),  # seals of a store's files
     "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings

@@ -132,12 +132,11 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     -----
     Of stationary records without spikes, lines apart, it equals the fit with ``segments=1`` of the one
     record that has them one after the other with gaps of more than 64 samples between, to rounding: such
-    gaps part the blocks of a record, whose likelihoods multiply. That holds for up to four blocks in all;
-    a record of more has wider bins, and the pooled fit is the finer one. It does not hold for gaps of up to
-    64 samples, which a fit completes by expectation instead. Steps, cycles and the effect of temperature are
-    taken out of each record by itself, while the fit of one long record has one of each for all of it; heavy
-    tails and spikes are judged by record, and an output filter that no record shows by itself is none. A
-    ramp, where `model` has one, is common to all records.
+    gaps part the blocks of a record, whose likelihoods multiply. That holds for up to four blocks in all (a
+    record of more has wider bins, and the pooled fit is the finer one), and not for shorter gaps, which a fit
+    completes by expectation. Steps, cycles and the effect of temperature are taken out of each record by
+    itself; heavy tails and spikes are judged by record, and an output filter that no record shows by itself
+    is none. A ramp, where `model` has one, is common to all records.
     """
     structure, every = _structure_of(model, level), _bins_of(fits)
     _refuse_different(fits)
@@ -281,7 +280,7 @@ def log_values(
     temperature_c: float = math.nan,
     days: float = math.nan,
 ) -> dict[str, LogValue]:
-    """Return what one log says of each term, for `imucal.population`; from the bins of its fit.
+    """Return what one log says of each term, for `imucal.population`; from the bins of its fit, as `pool`.
 
     Every term has its value and limits, from a fit of the same `model` for every log, and its squared
     coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak

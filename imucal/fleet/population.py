@@ -25,11 +25,9 @@ from imucal.fleet.posterior import (
     TAILS,
     TWO_SIDED,
     NextLog,
-    Place,
     Posterior,
     UnitLikelihoods,
     interval_of,
-    place_of,
     scatters,
 )
 from imucal.fleet.values import LogValue, LogValues
@@ -139,13 +137,12 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         msg = f"content and confidence must be between 0 and 1, got {content} and {confidence}"
         raise ValueError(msg)
     values = LogValues.of(logs)
-    place = place_of(values)
     answer = partial(Population, logs=len(logs), content=content, confidence=confidence)
     if len(values.names) < FEWEST:
-        return _too_few(values, place, answer)
-    posterior = Posterior.whole(values, place)
+        return _too_few(values, answer)
+    posterior = Posterior.whole(values)
     within = interval_of(posterior.quantiles(posterior.omega, TAILS))
-    units = _judged(values, UnitLikelihoods(values, within.value, place), posterior, place)
+    units = _judged(values, UnitLikelihoods(values, within.value), posterior)
     square = MeanSquare(values)
     if not square.shows:
         highest, median = square.share_bound(content, confidence), square.bound(TAILS[-1])
@@ -193,10 +190,10 @@ def membership(found: Population, new: LogValue) -> float:
     return found.next_log.p_value(LogValues.of([new]))
 
 
-def _too_few(values: LogValues, place: Place, answer: Callable[..., Population]) -> Population:
+def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population:
     """Return one or two units as they are: they tell nothing of a spread between units."""
     n = len(values.names)
-    units = _units(values, UnitLikelihoods(values, 0.0, place))
+    units = _units(values, UnitLikelihoods(values, 0.0))
     told = [unit.value for unit in units if unit.value is not None]
     high = max(unit.high for unit in units)
     middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
@@ -215,25 +212,21 @@ def _too_few(values: LogValues, place: Place, answer: Callable[..., Population])
 def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
     """Return each unit by itself; those that only bound the coefficient have no value."""
     told, limits = units.limits()
-    columns = (told, *np.exp(limits), np.bincount(values.unit))
+    columns = (told.tolist(), *np.exp(limits).tolist(), np.bincount(values.unit).tolist())
     return tuple(
         UnitValue(unit=name, logs=logs, value=value if known else None, low=low if known else 0.0, high=high)
-        for name, known, low, value, high, logs in zip(
-            values.names, *(column.tolist() for column in columns), strict=True
-        )
+        for name, known, low, value, high, logs in zip(values.names, *columns, strict=True)
     )
 
 
-def _judged(
-    values: LogValues, units: UnitLikelihoods, posterior: Posterior, place: Place
-) -> tuple[UnitValue, ...]:
+def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> tuple[UnitValue, ...]:
     """Return each unit with the chance of being so odd.
 
     A unit is new to the posterior of the others, so that allows for how badly the spreads between and within
     units are known. The quick look is Student's t of well told units, else the posterior of all.
     """
     told = bool(units.normal.all())
-    squares = values.squares.mean_by(values.unit, math.exp(2 * place.centre))
+    squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
     scatter = posterior.quantiles(posterior.omega, [0.5])
     own = scatter / np.sqrt(np.bincount(values.unit))
     if told:
@@ -246,7 +239,7 @@ def _judged(
         others = values.take(values.unit != unit)
         if len(others.names) < FEWEST:
             return 1.0
-        alone = Posterior(others, scatters(others) if told else scatter, place)
+        alone = Posterior(others, scatters(others) if told else scatter)
         if told:
             return alone.p_value(values.take(values.unit == unit))
         return float(alone.p_values(squares[[unit]], own[[unit]])[0])

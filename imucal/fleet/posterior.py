@@ -36,10 +36,9 @@ _DEEPEST = 4.0
 #: Spread of units of one model where the data do not tell it, also between logs of a unit; and the largest
 #: that is thought of; in the logarithm.
 _USUAL, _WIDEST = 0.5, 2.0
-#: A scatter within a unit that the logs show so rarely is not considered.
-_RARE = 1e-3
-#: A scatter that is less probable than this, against the most probable, is left out at second sight.
-_LITTLE = 1e-4
+#: A scatter within a unit that the logs show so rarely is not considered; one that is so much less probable
+#: than the most probable is left out at second sight.
+_RARE, _LITTLE = 1e-3, 1e-4
 #: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
 _NOTHING = 16.0
 #: They keep finite the logarithm of a probability that underflows, and the exponential of what is larger.
@@ -55,8 +54,6 @@ _FARTHEST = 6.0
 _DRAWS = 4000
 #: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
 _GOLDEN = (math.sqrt(5) - 1) / 2
-
-
 #: Quantile of the normal law at 95 %, two-sided; where an interval begins, the median, and where it ends.
 TWO_SIDED = 1.959963984540054
 TAILS = (0.025, 0.5, 0.975)
@@ -68,21 +65,6 @@ def interval_of(quantiles: FloatArray) -> Interval:
     return Interval(value=value, low=low, high=high)
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a fleet lies: the median's logarithm, and a scale of the spread about it."""
-
-    centre: float
-    scale: float
-
-
-def place_of(logs: LogValues) -> Place:
-    """Return a robust first guess of where the units lie."""
-    centre = float(np.median(logs.centre))
-    mad = 1.4826 * float(np.median(np.abs(logs.centre - centre)))
-    return Place(centre, max(mad, float(np.std(logs.centre)) / 2, 0.02))
-
-
 class UnitLikelihoods:
     """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
 
@@ -92,18 +74,18 @@ class UnitLikelihoods:
     their peaks are `weak`, shape (weak units, points), at the logarithms `theta`, shape (points,).
     """
 
-    def __init__(self, logs: LogValues, omega: float, place: Place) -> None:
-        self.omega, self.about = omega, place.centre
+    def __init__(self, logs: LogValues, omega: float) -> None:
+        self.omega, self.about = omega, logs.middle
         self.normal: BoolArray = np.bincount(logs.unit, ~logs.narrow) == 0
-        square = math.exp(2 * place.centre)
+        square = math.exp(2 * logs.middle)
         weak_error = logs.squares.deviation(square) / (2 * square)
         error = np.where(logs.narrow | logs.by_limits, logs.deviation, weak_error)
         weights = 1 / (error**2 + omega**2)
         total = np.maximum(np.bincount(logs.unit, weights), _TINY)
         self.centre: FloatArray = np.bincount(logs.unit, weights * logs.centre) / total
         self.deviation: FloatArray = 1 / np.sqrt(total)
-        reach = min(9 * place.scale, _DEEPEST)
-        ends = place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale
+        reach = min(9 * logs.scale, _DEEPEST)
+        ends = logs.middle - _DEEPEST - reach, logs.middle + reach + 3 * logs.scale
         self.theta: FloatArray = np.linspace(*ends, _POINTS)
         own = self.normal[logs.unit]
         others = logs.take(~own)
@@ -223,12 +205,12 @@ class Posterior:
     The scatters within a unit are given; tau and mu are narrowed until they fit their support.
     """
 
-    def __init__(self, values: LogValues, omegas: FloatArray, place: Place) -> None:
-        units = [UnitLikelihoods(values, omega, place) for omega in omegas.tolist()]
-        taus = (math.log(0.01 * place.scale), math.log(max(_WIDEST, 2 * place.scale)))
+    def __init__(self, values: LogValues, omegas: FloatArray) -> None:
+        units = [UnitLikelihoods(values, omega) for omega in omegas.tolist()]
+        taus = (math.log(0.01 * values.scale), math.log(max(_WIDEST, 2 * values.scale)))
         for _ in range(_ROUNDS):
             tau = np.exp(np.linspace(*taus, _TAUS))
-            mu, height = _over_mu(units, tau, place)
+            mu, height = _over_mu(values, units, tau)
             height -= height.max()
             narrower = support(np.log(tau), np.any(height > -_NOTHING, axis=(0, 2)))
             if 2 * (narrower[1] - narrower[0]) > taus[1] - taus[0]:
@@ -238,14 +220,14 @@ class Posterior:
         self.weight: FloatArray = np.exp(height) / np.exp(height).sum()
 
     @classmethod
-    def whole(cls, values: LogValues, place: Place) -> "Posterior":
+    def whole(cls, values: LogValues) -> "Posterior":
         """Return that over all scatters within a unit; of weak logs on a finer grid, at second sight."""
-        found = cls(values, scatters(values), place)
+        found = cls(values, scatters(values))
         if values.narrow.all() or len(found.omega) < 2:
             return found
         omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
         low, high = support(omega, weight > _LITTLE * weight.max())
-        return cls(values, np.linspace(low, high, _OMEGAS), place)
+        return cls(values, np.linspace(low, high, _OMEGAS))
 
     def quantiles(self, values: FloatArray, at: Sequence[float]) -> FloatArray:
         """Return quantiles of a function of the grid."""
@@ -346,13 +328,15 @@ def support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
     return float(grid[max(places[0] - 1, 0)]), float(grid[min(places[-1] + 1, grid.size - 1)])
 
 
-def _over_mu(units: list[UnitLikelihoods], tau: FloatArray, place: Place) -> tuple[FloatArray, FloatArray]:
+def _over_mu(
+    values: LogValues, units: list[UnitLikelihoods], tau: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return for each tau the grid of mu that fits it, (tau, mu), and the posterior, (omega, tau, mu).
 
     The less the spread, the better the median is known.
     """
-    reach = min(9 * place.scale, _DEEPEST) + 6 * tau
-    ends = np.column_stack([place.centre - reach, place.centre + reach])
+    reach = min(9 * values.scale, _DEEPEST) + 6 * tau
+    ends = np.column_stack([values.middle - reach, values.middle + reach])
     for _ in range(_ROUNDS):
         mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
         # The same for every omega, and what takes the time where units are weak.

@@ -102,7 +102,10 @@ class FleetStore:
 
         A folder that holds something else is a `WriteError`, too.
         """
-        if self.folder.is_dir() and not self.exists and not self._has_settings():
+        begun = self.exists
+        with suppress(StoreError):
+            begun = begun or bool(self.settings())
+        if self.folder.is_dir() and not begun:
             own = {_SETTINGS, *_TABLES}
             names = sorted(path.name for path in self.folder.iterdir())
             # Another run may begin here, too: its scratch files and its lock begin with a dot.
@@ -141,11 +144,6 @@ class FleetStore:
             msg = f"{path}: {_NOT_WHOLE}; start the fleet anew, with --fresh"
             raise StoreError(msg)
         return dict(found)
-
-    def _has_settings(self) -> bool:
-        with suppress(StoreError):
-            return bool(self.settings())
-        return False
 
     def keep_settings(self, settings: Row) -> None:
         """Write down what holds for every log."""
@@ -194,14 +192,9 @@ class FleetStore:
         *,
         shard: str = "0",
     ) -> str:
-        """Write what is known of some logs, all or nothing; return the name of the part.
+        """Write what is known of some logs, all or nothing; return the name of the part, with `shard` in it.
 
-        Parameters
-        ----------
-        logs, results, bins
-            Rows with the columns of `LOGS`, `RESULTS` and `BINS`; what is missing is null.
-        shard
-            Stands in the name of the part.
+        The rows have the columns of `LOGS`, `RESULTS` and `BINS`; what is missing is null.
         """
         name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
         for table, rows in zip(_OF_BATCH, (bins, results, logs), strict=True):
@@ -276,16 +269,11 @@ class FleetStore:
 
         Of a batch that is all three, the commit record first; a part without such a record is nobody's.
         """
-        groups = [
-            [self.folder / table / path.name for table in reversed(_OF_BATCH)] for path in self._parts("logs")
-        ]
+        batches = [part.name for part in self._parts("logs")]
+        groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in batches]
         groups += [[path] for path in self._parts("derived")]
-        return {
-            path: group
-            for group in groups
-            for path in group
-            if not _is_whole(path, _TABLES[path.parent.name])
-        }
+        every = ((path, group) for group in groups for path in group)
+        return {path: group for path, group in every if not _is_whole(path, _TABLES[path.parent.name])}
 
     def refuse_damage(self) -> None:
         """Raise `StoreError` if a part is not as it was written."""
@@ -315,19 +303,13 @@ class FleetStore:
         return self._read(table, parts, logs["key"], columns).join(logs, on=["part", "key"]).drop("part")
 
     def _read(
-        self,
-        table: str,
-        parts: list[Path],
-        keys: pl.Series | None = None,
-        columns: Collection[str] = (),
+        self, table: str, parts: list[Path], keys: pl.Series | None = None, columns: Collection[str] = ()
     ) -> pl.DataFrame:
-        """Return the rows of some parts of a table, or of some keys in them, with the part of each.
-
-        `columns` are those that are wanted; all where none is named.
-        """
-        wanted = (*(columns or _TABLES[table]), "part")
+        """Return columns, or all, of parts of a table, or of some keys in them; and the part of each row."""
+        schema = {**_TABLES[table], "part": _TEXT}
+        wanted = (*columns, "part") if columns else (*schema,)
         if not parts:
-            return pl.DataFrame(schema={**_TABLES[table], "part": _TEXT}).select(wanted)
+            return pl.DataFrame(schema=schema).select(wanted)
         rows = pl.scan_parquet(parts, include_file_paths="part", glob=False).select(wanted)
         rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
         try:

@@ -12,7 +12,7 @@ prior of a spread.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, islice
 
@@ -22,7 +22,7 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import FALSE_SHARE, adjusted, leave_one_out, oddest_by_others
-from imucal.fleet.posterior import TAILS, interval_of, place_of, support, two_sided
+from imucal.fleet.posterior import TAILS, interval_of, support, two_sided
 from imucal.fleet.values import LogValue, LogValues
 
 #: Label -> what it must vary by within a unit to tell a slope.
@@ -112,12 +112,10 @@ def trend(logs: Sequence[LogValue]) -> Trend:
         units: list[int] = np.unique(labelled.unit[labelled.labels[:, place] != 0]).tolist()
         mean, own = posterior.mean_slope(place), posterior.own_slopes(labelled, place, units)
         names = ("", *(labelled.names[unit] for unit in units))
-        limits = (*mean.limits(), *own.limits())
+        limits = map(interval_of, (*mean.limits(), *own.limits()))
         p_values = (*mean.two_sided(), *_p_values(labelled, posterior, place, own, units))
-        found = [
-            Slope(unit=name, label=label, slope=interval_of(limit), p_value=p)
-            for name, limit, p in zip(names, limits, p_values, strict=True)
-        ]
+        rows = zip(names, limits, p_values, strict=True)
+        found = [Slope(unit=name, label=label, slope=slope, p_value=p) for name, slope, p in rows]
         means.append(found[0])
         slopes += found[1:]
     return adjust([Trend(means=tuple(means), slopes=tuple(slopes), units=len(labelled.names))])[0]
@@ -212,7 +210,7 @@ def _linear(values: LogValues) -> LogValues:
 
     A weak log's square may be negative: it is taken as linear about the fleet's mean square.
     """
-    squares, at = values.squares, math.exp(2 * place_of(values).centre)
+    squares, at = values.squares, math.exp(2 * values.middle)
     # What most logs of the fleet are like decides, or high draws would count otherwise than low ones.
     told = values.narrow & ((squares.deviation(at) <= 2 * _NARROW * at) | (values.deviation <= _NARROW / 2))
     weak = ~told & values.weighed
@@ -267,30 +265,6 @@ class Normals:
         return result
 
 
-@dataclass(frozen=True, slots=True)
-class Sums:
-    """What the logs of a unit tell of its slopes, its level integrated out.
-
-    `information` has the shape (…, labels, labels), `score` (…, labels), and `height`, the log-likelihood at
-    slopes of zero, (…,).
-    """
-
-    information: FloatArray
-    score: FloatArray
-    height: FloatArray
-
-    def spread(self, label: int, tau: FloatArray) -> "Sums":
-        """Return the same with slopes that differ between units by `tau`, broadcast against `height`."""
-        column, own = self.information[..., label], self.score[..., label]
-        scale = 1 + tau**2 * column[..., label]
-        gain = tau**2 / scale
-        return Sums(
-            self.information - (gain[..., None] * column)[..., None] * column[..., None, :],
-            self.score - (gain * own)[..., None] * column,
-            self.height + 0.5 * gain * own**2 - 0.5 * np.log(scale),
-        )
-
-
 class SlopePosterior:
     """Points of the posterior of scatter and spreads, on a grid that was narrowed until it fits its support.
 
@@ -327,35 +301,32 @@ class SlopePosterior:
 
     def own_slopes(self, logs: LogValues, label: int, units: Sequence[int]) -> Normals:
         """Return the slopes of some units by their own logs; of other labels, each moves as others do."""
-        sums = self._of(logs, leave=label)
-        information = sums.information[:, units, label, label]
-        rest = self._beyond(sums, label)[:, units] / information
-        return Normals((self.mean[:, None, label] + rest).T, 1 / np.sqrt(information).T, self.weight)
+        others = self.tau * (np.arange(self.tau.shape[1]) != label)
+        information, score, _ = spread(*unit_sums(logs, self.omega), others.T)
+        own = information[:, units, label, label]
+        rest = self._beyond(information, score, label)[:, units] / own
+        return Normals((self.mean[:, None, label] + rest).T, 1 / np.sqrt(own).T, self.weight)
 
     def beyond(self, unit: LogValues, label: int) -> Normals:
         """Return how far a unit that this posterior has not seen lies beyond what it expects, as a score."""
-        sums = self._of(unit)
-        information = sums.information[..., label]
-        error = np.einsum("pui,pij,puj->pu", information, self.covariance, information)
-        sd = np.sqrt(information[..., label] + error).T
-        return Normals(self._beyond(sums, label).T, sd, self.weight)
+        information, score, _ = spread(*unit_sums(unit, self.omega), self.tau.T)
+        own = information[..., label]
+        error = np.einsum("pui,pij,puj->pu", own, self.covariance, own)
+        sd = np.sqrt(own[..., label] + error).T
+        return Normals(self._beyond(information, score, label).T, sd, self.weight)
 
-    def _of(self, logs: LogValues, leave: int | None = None) -> Sums:
-        """Return what each unit tells at each point, (points, units, …), with slopes of its own."""
-        found = unit_sums(logs, self.omega)
-        for label in range(self.tau.shape[1]):
-            found = found if label == leave else found.spread(label, self.tau[:, label, None])
-        return found
-
-    def _beyond(self, sums: Sums, label: int) -> FloatArray:
+    def _beyond(self, information: FloatArray, score: FloatArray, label: int) -> FloatArray:
         """Return the score of each unit's slope beyond the mean's, (points, units)."""
-        expected = np.einsum("puj,pj->pu", sums.information[..., label], self.mean)
-        result: FloatArray = sums.score[..., label] - expected
+        result: FloatArray = score[..., label] - np.einsum("puj,pj->pu", information[..., label], self.mean)
         return result
 
 
-def unit_sums(logs: LogValues, omega: FloatArray) -> Sums:
-    """Return what each unit tells of its slopes, for each scatter omega, of any shape; (*shape, units, …)."""
+def unit_sums(logs: LogValues, omega: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what each unit tells of its slopes, its level integrated out, for scatters of any shape.
+
+    Information, shape (…, units, labels, labels), score, (…, units, labels), and the log-likelihood at slopes
+    of zero, (…, units).
+    """
     starts = np.flatnonzero(np.diff(logs.unit, prepend=-1))
     w = 1 / (logs.deviation**2 + omega[..., None] ** 2)
 
@@ -366,11 +337,25 @@ def unit_sums(logs: LogValues, omega: FloatArray) -> Sums:
     whole = total(w)
     x = logs.labels - (total(w[..., None] * logs.labels) / whole[..., None])[..., logs.unit, :]
     y = logs.centre - (total(w * logs.centre) / whole)[..., logs.unit]
-    return Sums(
-        information=total(w[..., None, None] * x[..., None] * x[..., None, :]),
-        score=total((w * y)[..., None] * x),
-        height=-0.5 * (total(w * y * y - np.log(w)) + np.log(whole)),
-    )
+    information = total(w[..., None, None] * x[..., None] * x[..., None, :])
+    height = -0.5 * (total(w * y * y - np.log(w)) + np.log(whole))
+    return information, total((w * y)[..., None] * x), height
+
+
+def spread(
+    information: FloatArray, score: FloatArray, height: FloatArray, taus: Iterable[FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return `unit_sums` with slopes that differ between units by `taus`, one for each label."""
+    for label, tau in enumerate(taus):
+        if tau.any():
+            t2, column, own = tau[..., None] ** 2, information[..., label], score[..., label]
+            scale = 1 + t2 * column[..., label]
+            gain = t2 / scale
+            part = gain[..., None] * column
+            height = height + 0.5 * (gain * own**2 - np.log(scale))
+            score = score - own[..., None] * part
+            information = information - part[..., None] * column[..., None, :]
+    return information, score, height
 
 
 def _at_scatter(
@@ -380,26 +365,24 @@ def _at_scatter(
 
     The prior is Jeffreys' of omega and of each spread, for a measure that is flat in their logarithms.
     """
-    each = unit_sums(logs, np.full((1,) * len(spreads), omega))
-    errors = np.diagonal(each.information, axis1=-2, axis2=-1)
+    taus, sums = np.ix_(*spreads), unit_sums(logs, np.full((1,) * len(spreads), omega))
+    own = np.diagonal(sums[0], axis1=-2, axis2=-1)
     prior = 2 * math.log(omega) + 0.5 * math.log(np.sum((logs.deviation**2 + omega**2) ** -2.0))
-    height = np.full((1,) * len(spreads), prior)
-    for label, tau in enumerate(np.ix_(*spreads)):
+    for tau, errors in zip(taus, np.moveaxis(own, -1, 0), strict=True):
         if tau.any():
-            each = each.spread(label, tau[..., None])
-            own = errors[..., label]
-            told = np.sum((own / (1 + tau[..., None] ** 2 * own)) ** 2, axis=-1)
-            height = height + np.log(tau**2 * np.sqrt(told))
-    covariance = np.linalg.inv(each.information.sum(axis=-3))
-    score = each.score.sum(axis=-2)
-    mean = np.einsum("...ij,...j->...i", covariance, score)
-    fit = each.height.sum(axis=-1) + 0.5 * np.einsum("...i,...i->...", score, mean)
-    return mean, covariance, height + fit + 0.5 * np.linalg.slogdet(covariance)[1]
+            told = np.sum((errors / (1 + tau[..., None] ** 2 * errors)) ** 2, axis=-1)
+            prior = prior + np.log(tau**2 * np.sqrt(told))
+    information, score, height = spread(*sums, taus)
+    covariance = np.linalg.inv(information.sum(axis=-3))
+    total = score.sum(axis=-2)
+    mean = np.einsum("...ij,...j->...i", covariance, total)
+    fit = height.sum(axis=-1) + 0.5 * np.einsum("...i,...i->...", total, mean)
+    return mean, covariance, prior + fit + 0.5 * np.linalg.slogdet(covariance)[1]
 
 
 def _ranges(logs: LogValues) -> list[tuple[float, float]]:
     """Return the ranges of the logarithms of omega and the spreads; of no width where there is no telling."""
-    own = np.diagonal(unit_sums(logs, np.zeros(())).information, axis1=-2, axis2=-1)
+    own = np.diagonal(unit_sums(logs, np.zeros(()))[0], axis1=-2, axis2=-1)
     known = float(np.sqrt(np.mean(logs.deviation**2)))
     means = np.bincount(logs.unit, logs.centre) / np.bincount(logs.unit)
     scatter = float(np.sqrt(np.mean((logs.centre - means[logs.unit]) ** 2)))

@@ -6,7 +6,7 @@ of a squared coefficient: normal about a weak term, its deviation in proportion 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any
 
@@ -153,7 +153,8 @@ class LogValue:
 class LogValues:
     """The logs of a fleet as columns, shape (logs,); logarithms are natural.
 
-    `names` are the units in the order of their first log, `unit` the index of each log's. `centre` and
+    `names` are the units in the order of their first log, `unit` the index of each log's. The fleet lies
+    about the logarithm `middle`, a robust first guess, with a spread like `scale`. `centre` and
     `deviation` are the logarithm of the estimate and its standard error, infinite where the log only bounds
     it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `narrow` logs are
     normal in the logarithm; `bounded` ones have no value; `weighed` ones have an estimate of the squared
@@ -162,6 +163,8 @@ class LogValues:
     """
 
     names: tuple[str, ...]
+    middle: float
+    scale: float
     unit: IntArray
     centre: FloatArray
     deviation: FloatArray
@@ -195,9 +198,13 @@ class LogValues:
         )
         deviation = np.where(weighed, error, np.where(told, (high_sd + low_sd) / 2, np.inf))
         of_limits = np.where(bounded, 0.0, np.exp(2 * centre))
+        middle = float(np.median(centre))
+        mad = 1.4826 * float(np.median(np.abs(centre - middle)))
         place = {name: i for i, name in enumerate(dict.fromkeys(log.unit for log in logs))}
         return cls(
             names=tuple(place),
+            middle=middle,
+            scale=max(mad, float(np.std(centre)) / 2, 0.02),
             unit=np.array([place[log.unit] for log in logs], dtype=np.int64),
             centre=centre,
             deviation=deviation,
@@ -220,10 +227,10 @@ class LogValues:
         return ~(self.weighed | self.bounded)
 
     def take(self, which: BoolArray | IntArray) -> "LogValues":
-        """Return some of the logs, and the units that they are of."""
+        """Return some of the logs, and the units that they are of; about where all of the fleet lies."""
         units, unit = np.unique(self.unit[which], return_inverse=True)
-        columns = {f.name: getattr(self, f.name)[which] for f in fields(self)[2:]}
-        return LogValues(names=tuple(self.names[i] for i in units.tolist()), unit=unit, **columns)
+        columns = {f.name: getattr(self, f.name)[which] for f in fields(self)[4:]}
+        return replace(self, names=tuple(self.names[i] for i in units.tolist()), unit=unit, **columns)
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each log at logarithms of the coefficient, shape (logs, theta)."""

@@ -15,7 +15,7 @@ from imucal.fleet.population import (
     leave_one_out,
     membership,
 )
-from imucal.fleet.posterior import Posterior, UnitLikelihoods, place_of
+from imucal.fleet.posterior import Posterior, UnitLikelihoods
 from imucal.fleet.values import LogValues, Squares
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
@@ -39,15 +39,14 @@ def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
 
 def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) -> float:
     """Return the log-posterior by nested quadrature of each unit's and each log's own effect."""
-    place = place_of(values)
-    units = UnitLikelihoods(values, omega, place)
+    units = UnitLikelihoods(values, omega)
     s2 = units.deviation**2
     jeffreys = 2 * math.log(tau) + 0.5 * math.log(sum(1 / (s + tau**2) ** 2 for s in s2))
     usual = math.log(tau) - (tau**2 + omega**2) / (2 * 0.25)
     untold = sum((s / (s + 0.25)) ** 2 for s in s2) / s2.size
     total = float((1 - untold) * jeffreys + untold * usual)
     # Of the median: a weak unit's error at mu is that of its square, and all weak ones have the same.
-    weak = 1 / (np.mean(1 / s2[~units.normal]) * math.exp(4 * (mu - place.centre)))
+    weak = 1 / (np.mean(1 / s2[~units.normal]) * math.exp(4 * (mu - values.middle)))
     told = sum(1 / (s + 0.25) for s in s2[units.normal])
     count = int(np.sum(~units.normal))
     total += 0.5 * math.log((told + count / (weak + 0.25)) / (told + count / 0.25))
@@ -72,7 +71,7 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     told = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
     weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
     values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
-    found = Posterior(values, np.array([omega]), place_of(values))
+    found = Posterior(values, np.array([omega]))
     tau, mu, weight = found.tau.ravel(), found.mu[0], found.weight[0]
     # A density in mu, of which each tau has a grid of its own. Also medians from which a wide spread
     # reaches beyond the grid of the units' own likelihoods.
@@ -238,7 +237,7 @@ def test_scatter_of_logs_makes_a_unit_less_odd() -> None:
     """The chance of a squared coefficient is that of one drawn from the spread, the scatter and the error."""
     rng = np.random.default_rng(4504)
     values = LogValues.of(strong_fleet(rng, units=30, tau=0.2, error=0.01))
-    posterior = Posterior(values, np.zeros(1), place_of(values))
+    posterior = Posterior(values, np.zeros(1))
     squares = Squares(np.array([2.5, 2.5]), np.array([0.1, 0.1]), np.zeros(2))
     narrow, wide = posterior.p_values(squares, np.array([0.0, 0.3]))
     draws = rng.choice(posterior.prediction((np.arange(4000) + 0.5) / 4000), 400_000)
@@ -351,7 +350,7 @@ def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) 
     rng = np.random.default_rng(4711)
     fleet = strong_fleet(rng, units=7, logs=logs, tau=0.2, error=error)
     values = LogValues.of(fleet)
-    posterior, found = Posterior.whole(values, place_of(values)), population(fleet)
+    posterior, found = Posterior.whole(values), population(fleet)
     for far in (-1.2, -0.5, 0.0, 0.3, 0.9):
         value = found.median.value * math.exp(far)
         new = LogValue(
@@ -365,7 +364,7 @@ def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) 
 def test_the_law_of_the_next_log_is_that_of_every_point_of_the_posterior() -> None:
     """Normal laws that are nearly the same are merged, which moves no chance by as much as 2e-5."""
     values = LogValues.of(weak_fleet(np.random.default_rng(31), units=12, logs=2, tau=0.3, error=0.3))
-    posterior = Posterior.whole(values, place_of(values))
+    posterior = Posterior.whole(values)
     assert len(posterior.omega) > 1
     law, wide = posterior.next_log(), np.hypot(posterior.tau, posterior.omega)
     for point, below in list(zip(law.points, law.below, strict=True))[::40]:
