@@ -19,6 +19,7 @@ NO_STAMP = int(np.iinfo(np.int64).min)
 _SECOND = 10**9
 DAY = 86_400 * _SECOND
 HALF_DAY = DAY // 2
+_MOST_DAYS = (1 << 63) // DAY - 100
 
 _MONTHS = ("", "jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
@@ -96,7 +97,8 @@ def _ns(cell: str, *, kind: TextKind, by_day: bool) -> int:
     if kind == "half":
         return HALF_DAY * (match["half"] in "pP")
     day = _day(match, by_day=by_day) if _has_date(match) else 0
-    if day == NO_STAMP:
+    # 64 bits of ns hold the years from 1678 to 2261.
+    if abs(day) > _MOST_DAYS:
         return NO_STAMP
     return day * DAY + (_of_day(match) if kind == "stamp" else 0)
 
