@@ -110,6 +110,10 @@ def characterize(
     long = max((series.n for series in recording.series), default=0) >= _LONG
     findings = recording.findings + look(recording, workers=workers if long else 1)
 
+    if any(finding.code == "motion" and finding.level == "error" for finding in findings):
+        # No part of the spectrum of a moved IMU is noise: a search for one takes long and finds none.
+        settings = replace(settings, narrow=False)
+
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
             return _characterize_axis(series, settings, recording.temperature, findings)

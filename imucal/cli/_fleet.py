@@ -10,11 +10,10 @@ import click
 
 from imucal.cli._declared import option
 from imucal.cli._printing import echo, fitted, print_findings, say, width
-from imucal.cli.parameters import Text, structure_of
+from imucal.cli.parameters import Text
 from imucal.clock import seconds_of
 from imucal.errors import ChoiceError
 from imucal.remote import is_url
-from imucal.resources import parse_size
 from imucal.units import data_size, duration
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from imucal.fleet_report import Fleet
     from imucal.fleet_report.answers import Ask
     from imucal.fleet_run import FleetPlan
-    from imucal.fleet_run.logs import LabelPattern
 
 #: So many logs of each kind of failure are named.
 _NAMED = 3
@@ -33,51 +31,43 @@ _NAMED = 3
 
 def print_plan(plan: "FleetPlan", workers: int) -> None:
     """Print a line for each log: what would be done with it, its labels."""
-    becomes = dict.fromkeys(plan.copies, "copy") | {task.path: "run" for task in plan.tasks}
-    becomes |= dict.fromkeys(plan.again, "again") | dict.fromkeys(plan.done, "done")
-    for entry in plan.entries:
-        # What is missing is another shard's.
-        if entry.path in becomes:
-            labels = " ".join(f"{name}={value}" for name, value in entry.labels.items())
-            copy = f"same content as {plan.copies[entry.path]}" if entry.path in plan.copies else ""
-            echo("\t".join((becomes[entry.path], entry.path, *filter(None, (labels, copy)))))
-    size = sum(task.size for task in plan.tasks)
+    for log in plan.own():
+        labels = " ".join(f"{name}={value}" for name, value in log.labels.items())
+        copy = f"same content as {log.copy_of}" if log.copy_of else ""
+        echo("\t".join((log.state, log.path, *filter(None, (labels, copy)))))
+    tasks = plan.tasks
     # What logs take differs by more than what rounding to a minute hides.
-    seconds = plan.seconds() / workers
+    seconds = sum(task.seconds for task in tasks) / workers
     about = duration(60 * round(seconds / 60) if seconds > 60 else float(f"{seconds:.2g}"))
-    say(f"{number_of(plan.tasks, 'log')}, {data_size(size)}, about {about} on {number_of(workers, 'worker')}")
+    size = data_size(sum(task.size for task in tasks))
+    say(f"{number_of(tasks, 'log')}, {size}, about {about} on {number_of(workers, 'worker')}")
 
 
 def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
-    size = sum(task.size for task in plan.tasks)
+    copies = [log for log in plan.own() if log.copy_of]
+    done, again = plan.own("done"), plan.own("again")
     parts = {
-        f"{number_of(plan.tasks, 'log')} to do, {data_size(size)}": True,
-        f"{len(plan.done)} done before": plan.done,
-        f"{len(plan.again)} tried again": plan.again,
-        f"{number_of(plan.copies, 'copy', 'copies')} of others, counted once": plan.copies,
+        f"{number_of(plan.tasks, 'log')} to do, {data_size(sum(task.size for task in plan.tasks))}": True,
+        f"{len(done)} done before": done,
+        f"{len(again)} tried again": again,
+        f"{number_of(copies, 'copy', 'copies')} of others, counted once": copies,
     }
     say("; ".join(text for text, said in parts.items() if said), quiet=quiet)
-    for path, other in plan.copies.items():
-        say(f"  {path}: same content as {other}", quiet=quiet)
+    for log in copies:
+        say(f"  {log.path}: same content as {log.copy_of}", quiet=quiet)
     # Labels that the store has stay where a run gives none.
-    if not any(entry.labels.get("unit") for entry in plan.entries) and not store.logs()["unit"].count():
+    if not any(log.labels.get("unit") for log in plan.logs) and not store.logs()["unit"].count():
         example = "say which units they are: --labels '{model}/{unit}/*.mcap'"
         say(f"No log has a label unit: logs stand one by one; {example}", quiet=quiet)
 
 
-def conclude(
-    ctx: click.Context,
-    store: "FleetStore",
-    plan: "FleetPlan",
-    out: Path,
-    *,
-    ask: "Ask",
-    max_failed: float,
-    quiet: bool,
-) -> None:
+def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float, quiet: bool) -> None:
     """Print what became of the logs asked for, and end with the exit code of it."""
-    counted = {plan.copies.get(path, path) for path in plan.own}
+    from imucal.fleet.store import FleetStore
+
+    store = FleetStore(out.absolute())
+    counted = {log.copy_of or log.path for log in plan.own()}
     every = store.logs()
     logs = every.filter(every["path"].is_in(sorted(counted)))
     print_standing(logs, out)
@@ -90,12 +80,12 @@ def conclude(
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
         say(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read")
-        ctx.exit(3)
+        raise click.exceptions.Exit(3)
     if failed > max_failed * max(logs.height, 1):
         percent = f"{100 * failed / logs.height:.3g} %"
         share = f"{failed} of {number_of(logs.height, 'log')} failed ({percent})"
         say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
-        ctx.exit(4)
+        raise click.exceptions.Exit(4)
 
 
 def write_files(store: "FleetStore", *, quiet: bool, ask: "Ask | None" = None) -> None:
@@ -171,25 +161,10 @@ def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
     return logs.filter(status=status, **({} if verdict is None else {"verdict": verdict})).height
 
 
-def _size(text: str) -> int:
-    """Return a worker's memory in bytes."""
-    from imucal.fleet_run.plan import LEAST_MEMORY
-
-    try:
-        size = parse_size(text)
-    except ValueError as error:
-        msg = f"{text!r}: expected {error}"
-        raise ValueError(msg) from error
-    if size < LEAST_MEMORY:
-        msg = f"{text!r} is too little for any log; give {LEAST_MEMORY >> 20}M or more"
-        raise ValueError(msg)
-    return size
-
-
-def _patience(text: str) -> float:
-    """Return seconds, or a negative number for auto."""
+def _patience(text: str) -> float | None:
+    """Return seconds, or None for auto."""
     if text == "auto":
-        return -1.0
+        return None
     if not (seconds := seconds_of(text)):
         msg = "'0' is no time to work; write such as 10min, or auto"
         raise ValueError(msg)
@@ -199,29 +174,14 @@ def _patience(text: str) -> float:
 def _shard(text: str) -> tuple[int, int]:
     """Return i and n of ``i/n``, i from 1."""
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
-    number, of = (int(match[1]), int(match[2])) if match else (0, 0)
-    if not 1 <= number <= of:
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
         msg = f"{text!r} is no part; write i/n with i from 1 to n, such as 1/8"
         raise ValueError(msg)
-    return number, of
-
-
-def _labels(text: str) -> "LabelPattern":
-    from imucal.fleet_run.logs import LabelPattern
-
-    return LabelPattern(text)
-
-
-def _fixed_structure(text: str) -> str:
-    if text == "auto":
-        msg = "auto would choose by the log; give the terms, such as 'N + B + K'"
-        raise ValueError(msg)
-    return structure_of(text)
+    return int(match[1]), int(match[2])
 
 
 #: Types of the options of ``imucal fleet run``.
-SIZE, PATIENCE, SHARD = Text("size", _size), Text("duration", _patience), Text("shard", _shard)
-LABELS, FIXED_STRUCTURE = Text("labels", _labels), Text("structure", _fixed_structure)
+PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
 #: Option of commands that take a fleet.
 FLEET_MODEL = option("--fleet-model", "Fleet: which sensor model, where it has several.", metavar="NAME")
 

@@ -10,8 +10,6 @@ from imucal.cli.parameters import PATH, QUIET, SHARE
 from imucal.grading import GRADES
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from imucal.findings import Finding
 
 
@@ -65,38 +63,32 @@ def status(
     quiet: bool = QUIET,
 ) -> None:
     """Say what of FLEET is done, what failed and why, and what is left; while it runs, too."""
-    from imucal.fleet.store import FleetStore
+    from imucal.fleet.store import STATUSES, FleetStore
 
     store = FleetStore(folder)
     manifest = store.manifest()
     store.refuse_damage()
     logs = store.logs()
-    copies = manifest.drop_nulls("copy_of")
-    settled = {*logs["path"], *copies["path"]}
+    copies = dict(manifest.drop_nulls("copy_of").select("path", "copy_of").iter_rows())
+    settled = {*logs["path"], *copies}
     left = [path for path in manifest["path"] if path not in settled]
     if as_json:
-        print_json(_document(logs, manifest, left))
+        document = {
+            "asked": manifest.height,
+            "done": logs.height,
+            "statuses": {status: count(logs, status) for status in STATUSES},
+            "verdicts": {grade: count(logs, "ok", grade) for grade in GRADES},
+            "copies": copies,
+            "left": left,
+            "bytes": int(logs["bytes"].sum() or 0),
+            "cpu_s": float(logs["cpu_s"].sum() or 0.0),
+        }
+        print_json(document)
         return
     print_standing(logs, folder)
     print_failures(logs, quiet=quiet)
-    for path, other in copies.select("path", "copy_of").iter_rows():
+    for path, other in copies.items():
         say(f"  {path}: same content as {other}, counted once", quiet=quiet)
     if left:
         left_of = f"{len(left)} of {number_of(manifest.height, 'log')}"
         echo(f"left: {left_of}; imucal fleet run -o {as_typed(folder)} goes on")
-
-
-def _document(logs: "pl.DataFrame", manifest: "pl.DataFrame", left: list[str]) -> dict[str, object]:
-    from imucal.fleet.store import STATUSES
-
-    copies = manifest.drop_nulls("copy_of").select("path", "copy_of").iter_rows()
-    return {
-        "asked": manifest.height,
-        "done": logs.height,
-        "statuses": {status: count(logs, status) for status in STATUSES},
-        "verdicts": {grade: count(logs, "ok", grade) for grade in GRADES},
-        "copies": dict(copies),
-        "left": left,
-        "bytes": int(logs["bytes"].sum() or 0),
-        "cpu_s": float(logs["cpu_s"].sum() or 0.0),
-    }

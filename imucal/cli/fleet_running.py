@@ -1,50 +1,26 @@
 """``imucal fleet run``: one noise model for many logs."""
 
 import contextlib
+import itertools
 import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
 from imucal.cli._declared import declared, flag, misuse, option, shown, together
-from imucal.cli._fleet import FIXED_STRUCTURE, LABELS, PATIENCE, SHARD, SIZE, conclude, print_plan, say_plan
+from imucal.cli._fleet import PATIENCE, SHARD, conclude, print_plan, say_plan
 from imucal.cli._printing import say
 from imucal.cli._progress import fleet_progress
 from imucal.cli.parameters import DURATION, FILE, LEVEL, PATH, QUIET, READING, TOPIC, Asked, Number
 from imucal.errors import ImucalError
-from imucal.resources import threads
-
-if TYPE_CHECKING:
-    from imucal.fleet.store import FleetStore
-    from imucal.fleet_run.logs import LabelPattern
-    from imucal.fleet_run.plan import LogTask
 
 #: As `imucal.fleet_run.plan` has them; to load that for a help text would take longer than the text.
 _MODEL, _LEVEL = "N + B + K", 0.95
-
-
-def _entries(
-    store: "FleetStore",
-    logs: tuple[str, ...],
-    manifest: Path | None,
-    labels: "LabelPattern | None",
-    *,
-    quiet: bool,
-) -> list["LogTask"]:
-    """Return the logs asked for; those of the store's manifest where none is named."""
-    from imucal.fleet_run.plan import asked_logs
-
-    if not (logs or manifest is not None or store.exists):
-        misuse("Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet")
-    listed = sys.stdin if "-" in logs else ()
-    asked, unlike = asked_logs(store, logs, listed=listed, manifest=manifest, labels=labels)
-    if unlike and labels is not None:
-        say(f"{unlike} of {len(asked)} logs do not fit {labels.pattern}", quiet=quiet)
-    return asked
 
 
 def _any_number(parameter: click.Parameter) -> None:
@@ -79,30 +55,31 @@ def command(
         FILE,
         "CSV",
     ),
-    labels: "LabelPattern | None" = option(
-        "--labels", "Labels in paths, such as '{model}/{unit}/*.mcap'.", LABELS, "TEXT"
+    given: dict[str, Any] = together(
+        dict,
+        {
+            "labels": option("--labels", "Labels in paths, such as '{model}/{unit}/*.mcap'.", metavar="TEXT"),
+            "model": option("--model", f"Terms, for every log. [default: {_MODEL}]", metavar="TEXT"),
+            "level": option("--level", f"Confidence level of every interval. [default: {_LEVEL}]", LEVEL),
+            "jobs": option(
+                "--jobs", "Logs at a time. [default: all processors]", click.IntRange(1, 4096), "N"
+            ),
+            "scheduler": option(
+                "--scheduler", "Dask scheduler of a cluster, such as tcp://head:8786.", metavar="ADDRESS"
+            ),
+            "shard": option("--shard", "Do part I of N, log by log.", SHARD, "I/N"),
+            "memory": option("--memory", "Memory of each log, such as 2GB.", metavar="SIZE"),
+            "timeout_s": shown("--timeout", "auto", "Time of each log, such as 10min.", PATIENCE, "TIME"),
+            "reports": shown(
+                "--reports", "failed", "Reports of logs.", click.Choice(["none", "failed", "all"])
+            ),
+            "fresh": flag("--fresh", "Forget what the folder has, and do every log anew."),
+        },
     ),
-    model: str | None = option(
-        "--model", f"Terms, for every log. [default: {_MODEL}]", FIXED_STRUCTURE, "TEXT"
-    ),
-    level: float | None = option(
-        "--level", f"Confidence level of every interval. [default: {_LEVEL}]", LEVEL
-    ),
-    jobs: int | None = option(
-        "--jobs", "Logs at a time. [default: all processors]", click.IntRange(1, 4096), "N"
-    ),
-    scheduler: str | None = option(
-        "--scheduler", "Dask scheduler of a cluster, such as tcp://head:8786.", metavar="ADDRESS"
-    ),
-    shard: tuple[int, int] | None = option("--shard", "Do part I of N, log by log.", SHARD, "I/N"),
-    memory: int | None = option("--memory", "Memory of each log, such as 2GB.", SIZE, "SIZE"),
-    timeout: float = shown("--timeout", "auto", "Time of each log, such as 10min.", PATIENCE, "TIME"),
-    reports: str = shown("--reports", "failed", "Reports of logs.", click.Choice(["none", "failed", "all"])),
     max_failed: float = shown(
         *("--max-failed", "5%", "Share of logs that may fail before the exit code is 4."),
         *(Number(0, 1, percent=True), "SHARE"),
     ),
-    fresh: bool = flag("--fresh", "Forget what the folder has, and do every log anew."),
     dry_run: bool = flag("--dry-run", "Print what would be done; write nothing."),
     topic: tuple[str, ...] = TOPIC,
     asked: Asked = replace(READING, change=_any_number),
@@ -124,67 +101,41 @@ def command(
     crash; a log that was changed is done anew, and a content that stands twice counts once.
     """
     from imucal.fleet.store import FleetStore
-    from imucal.fleet_run import plan_fleet
-    from imucal.fleet_run.fleet_call import fleet_settings, prepare
+    from imucal.fleet_run import fleet_settings, planned, prepare
     from imucal.fleet_run.on_dask import unprotected
-    from imucal.fleet_run.plan import as_json
     from imucal.fleet_run.running import asking, run_plan
 
-    if shard and scheduler:
-        misuse("--shard works without a cluster; give --shard or --scheduler, not both")
-    ctx, store = click.get_current_context(), FleetStore(out.absolute())
-    workers = 1 if shard else jobs or threads()
-    try:
-        settings = fleet_settings(
-            store,
-            model=model,
-            level=level,
-            fresh=fresh,
-            workers=workers,
-            memory=memory,
-            timeout=None if timeout < 0 else timeout,
-            reports=reports,
-            shard=shard,
-        )
-    except ValueError as error:
-        misuse(f"{error}; choose another folder with -o, or start anew with --fresh")
-    if not fresh:
-        _mend(store, dry_run=dry_run, quiet=quiet)
-    entries = _entries(store, asked.logs, manifest, labels, quiet=quiet)
-    options = as_json({**asked.options, "topic": topic, **part})
-    plan = plan_fleet(entries, settings, None if fresh else store, reading=options)
-    plan = plan.shard(*shard) if shard else plan
+    if not (asked.logs or manifest or FleetStore(out).exists):
+        misuse("Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet")
+    reading = {**asked.options, "topic": topic, **part}
+    settings = fleet_settings(out, {**given, "reading": reading})
+    tell = partial(say, quiet=quiet)
+    lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in asked.logs)
+    names = list(filter(None, itertools.chain.from_iterable(lists)))
+    plan = planned(settings, names, manifest=manifest, dry=dry_run, say=tell)
     if dry_run:
-        print_plan(plan, workers)
+        print_plan(plan, settings.jobs)
         return
-    prepare(store, plan, settings, fresh=fresh)
-    say_plan(plan, store, quiet=quiet)
-    if warned := unprotected(scheduler):
+    prepare(plan, settings)
+    say_plan(plan, FleetStore(out), quiet=quiet)
+    if warned := unprotected(settings.scheduler):
         say(f"warning: {warned}")
-    ask = asking(settings, workers=workers, scheduler=scheduler)
-    with _saying_how_to_go_on(ctx, out):
+    with _saying_how_to_go_on(out):
         with fleet_progress(quiet=quiet or not plan.tasks) as progress:
-            run_plan(plan, settings, workers=workers, scheduler=scheduler, tell=progress or (lambda _: None))
-        conclude(ctx, store, plan, out, ask=ask, max_failed=max_failed, quiet=quiet)
-
-
-def _mend(store: "FleetStore", *, dry_run: bool, quiet: bool) -> None:
-    """Remove what is damaged, and say so; a run that writes nothing refuses it."""
-    if dry_run:
-        store.refuse_damage()
-    for part in store.mend():
-        say(f"{part}: is damaged; what it held is done again", quiet=quiet)
+            run_plan(plan, settings, tell=progress or (lambda _: None))
+        conclude(plan, out, ask=asking(settings), max_failed=max_failed, quiet=quiet)
 
 
 @contextlib.contextmanager
-def _saying_how_to_go_on(ctx: click.Context, out: Path) -> Iterator[None]:
+def _saying_how_to_go_on(out: Path) -> Iterator[None]:
     """Print the command that goes on where a run ends early: as typed, less what must not be done again."""
     from imucal.remote import addresses
 
     try:
         yield
     except (KeyboardInterrupt, ImucalError):
-        kept = [addresses.shown(word) for word in ctx.obj or () if word not in {"--fresh", "-"}]
+        typed = click.get_current_context().obj or ()
+        kept = [addresses.shown(word) for word in typed if word not in {"--fresh", "-"}]
         resume = shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])
         say(f"What is done is kept; to go on: {resume}")
         raise

@@ -44,6 +44,8 @@ WEIGHTS = ("full", "eta3")
 class FitSettings:
     """What decides a fit; `imucal.fit` says what each setting means.
 
+    Without `narrow` no part of the spectrum is fitted but the whole.
+
     Raises
     ------
     ValueError
@@ -59,6 +61,7 @@ class FitSettings:
     clean: bool = True
     verify: bool = False
     segments: int = 8
+    narrow: bool = True
 
     def __post_init__(self) -> None:
         choices = (

@@ -19,7 +19,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, keyed
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.estimates import MISFIT
 from imucal.fitting.spectral.given_model import (
@@ -29,7 +29,7 @@ from imucal.fitting.spectral.given_model import (
     record_tests,
     squared_coefficients,
 )
-from imucal.fleet.population import variance_between
+from imucal.fleet.population import random_mean
 from imucal.fleet.values import LogValue
 from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import TERMS
@@ -49,12 +49,10 @@ class Homogeneity:
 
     Attributes
     ----------
-    statistic, dof
-        Twice the log-likelihood ratio of one coefficient for each record against one for all;
-        chi-squared with `dof` degrees of freedom where there is one. A weak term's is smaller, because no
-        variance is negative: it is found to differ more rarely.
-    p_value
-        Probability of so large a statistic by chance.
+    statistic, dof, p_value
+        Twice the log-likelihood ratio of one coefficient for each record against one for all; chi-squared
+        with `dof` degrees of freedom where there is one, and the chance of so much. A weak term's is
+        smaller, because no variance is negative: it is found to differ more rarely.
     spread
         Relative standard deviation of the coefficient between records, beyond what chance gives.
     values
@@ -104,12 +102,7 @@ class PooledFit:
     findings: tuple[Finding, ...]
 
     def __getitem__(self, key: str) -> Estimate:
-        for estimate in self.estimates:
-            if estimate.key == key:
-                return estimate
-        found = ", ".join(estimate.key for estimate in self.estimates)
-        msg = f"{key!r}; the fit has {found}"
-        raise KeyError(msg)
+        return keyed(self.estimates, key, "the fit has")
 
 
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
@@ -160,7 +153,7 @@ def pool_bins(
     # Where records differ in one term, the others are means over them, too.
     differ = any(test.p_value < CHANCE for test in tests)
     widened = _means(every, structure, tests, found.estimates, level) if differ else {}
-    estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
+    estimates = tuple(widened[e.key][0] if e.key in widened else e for e in found.estimates)
     homogeneity = tuple(
         Homogeneity(
             **{name: getattr(test, name) for name in ("key", "symbol", "statistic", "dof", "p_value")},
@@ -197,9 +190,7 @@ def _means(
     joint = {e.key: e for e in estimates}
     alone: list[dict[str, SquaredCoefficient]] = []
     means = {}
-    for test in tests:
-        if test.key not in joint:
-            continue
+    for test in (test for test in tests if test.key in joint):
         differs = test.p_value < CHANCE
         if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
             *limits, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
@@ -237,28 +228,24 @@ def _mean(
     """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
     from scipy.special import ndtri, stdtrit
 
-    dof = values.size - 1
-    spread = math.sqrt(variance_between(values, deviations)) if random else 0.0
-    weight = 1 / (deviations**2 + spread**2)
-    mean = float(np.average(values, weights=weight))
-    error = math.sqrt(1 / float(weight.sum()))
-    wide = float(ndtri((1 + level) / 2))
-    if random:
-        scatter = float(np.sum(weight * (values - mean) ** 2)) / dof
-        error *= math.sqrt(max(scatter, 1.0))
-        wide = float(stdtrit(dof, (1 + level) / 2))
-    return mean, mean - wide * error, mean + wide * error, spread
+    if not random:
+        weight = deviations**-2.0
+        mean, spread = float(np.average(values, weights=weight)), 0.0
+        reach = float(ndtri((1 + level) / 2)) / math.sqrt(float(weight.sum()))
+    else:
+        dof = values.size - 1
+        mean, error, spread = random_mean(values, deviations)
+        scatter = float(np.sum((values - mean) ** 2 / (deviations**2 + spread**2))) / dof
+        reach = float(stdtrit(dof, (1 + level) / 2)) * error * math.sqrt(max(scatter, 1.0))
+    return mean, mean - reach, mean + reach, spread
 
 
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
     """Return the model with the values of the estimates, without the terms that became bounded."""
-    kept = [term for term in model.terms if len(term.values) > 1 or term.symbol == "R"]
-    others = [
-        TERMS[e.symbol].of(e.value)
-        for e in estimates
-        if e.value is not None and len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R"
-    ]
-    return NoiseModel(terms=tuple(sorted((*others, *kept), key=lambda term: list(TERMS).index(term.symbol))))
+    terms = [term for term in model.terms if len(term.values) > 1 or term.symbol == "R"]
+    single = [e for e in estimates if len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R"]
+    terms += [e.term(e.value) for e in single if e.value is not None]
+    return NoiseModel(terms=tuple(sorted(terms, key=lambda term: list(TERMS).index(term.symbol))))
 
 
 def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> Iterator[Finding]:
@@ -305,12 +292,15 @@ def log_values(
     DataError, ValueError
         As `pool`.
     """
-    found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level)
+    # The band of its own fit, which it would find again.
+    fraction = fit.settings.get("band_fraction")
+    near = fraction if isinstance(fraction, float) else None
+    found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level, near=near)
     squares = squared_coefficients(found)
-    values = {}
-    for e in found.estimates:
+
+    def said(e: Estimate) -> LogValue:
         square = squares.get(e.key)
-        values[e.key] = LogValue(
+        return LogValue(
             unit=unit,
             value=e.value,
             low=e.low,
@@ -323,7 +313,8 @@ def log_values(
             level=level,
             correlation_time=e.correlation_time.value if e.correlation_time else None,
         )
-    return values
+
+    return {e.key: said(e) for e in found.estimates}
 
 
 def _structure_of(model: str, level: float) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ which such logs do not tell.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,17 +22,17 @@ from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.posterior import (
+    TAILS,
+    TWO_SIDED,
     NextLog,
     Place,
     Posterior,
     UnitLikelihoods,
+    interval_of,
     place_of,
-    posterior_of,
     scatters,
-    unit_likelihoods,
-    whole_posterior,
 )
-from imucal.fleet.values import LogValue, LogValues, Squares
+from imucal.fleet.values import LogValue, LogValues
 
 #: Fewer units tell no spread.
 FEWEST = 3
@@ -41,11 +42,13 @@ FALSE_SHARE = 0.05
 _MOSTLY = 0.5
 #: Units that are judged by the others alone at most, and up to which chance at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.2
-#: Quantile of the normal law at 95 %, two-sided; and where the interval and the median lie.
-_TWO_SIDED = 1.959963984540054
-_TAILS = (0.025, 0.5, 0.975)
 #: Probability with which the next unit lies in its limits.
 _CONTENT = 0.95
+_MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would say more than more units."
+_ALL_BOUNDED = (
+    "All logs together do not show this term: every number is an upper bound, and the spread between "
+    "units is not known. Longer logs would say more than more units."
+)
 #: Points of a mean square's likelihood, up to where its logarithm is so far below the peak.
 _POINTS, _NOTHING = 1001, -30.0
 #: How often its reach is doubled at most; and units that are added at a time.
@@ -137,54 +140,52 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         raise ValueError(msg)
     values = LogValues.of(logs)
     place = place_of(values)
+    answer = partial(Population, logs=len(logs), content=content, confidence=confidence)
     if len(values.names) < FEWEST:
-        return _too_few(values, place, content, confidence)
-    posterior = whole_posterior(values, place)
-    within = _interval(posterior.quantiles(posterior.omega, _TAILS))
-    units = _judged(values, unit_likelihoods(values, within.value, place), posterior, place)
-    if only_bounded(values):
-        return _bounded(values, units, content, confidence, posterior.next_log())
+        return _too_few(values, place, answer)
+    posterior = Posterior.whole(values, place)
+    within = interval_of(posterior.quantiles(posterior.omega, TAILS))
+    units = _judged(values, UnitLikelihoods(values, within.value, place), posterior, place)
+    square = MeanSquare(values)
+    if not square.shows:
+        highest, median = square.share_bound(content, confidence), square.bound(TAILS[-1])
+        return answer(
+            units=units,
+            median=Interval(value=median, low=0.0, high=median),
+            bounded=True,
+            prediction=(0.0, square.share_bound(_CONTENT, _CONTENT)),
+            quantile=min(square.share_bound(content, 0.5), highest),
+            tolerance=highest,
+            findings=_said("weak-term", _ALL_BOUNDED),
+            next_log=posterior.next_log(),
+        )
     share = float(np.mean(values.bounded))
-    weak = (
-        f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
-    )
     reach = posterior.mu + float(ndtri(content)) * posterior.tau
     quantile, tolerance = np.exp(posterior.quantiles(reach, (0.5, confidence))).tolist()
-    low, high = np.exp(posterior.prediction(_TAILS[::2])).tolist()
-    return Population(
+    low, high = np.exp(posterior.prediction(TAILS[::2])).tolist()
+    return answer(
         units=units,
-        logs=len(logs),
-        median=_interval(np.exp(posterior.quantiles(posterior.mu, _TAILS))),
-        spread=_interval(posterior.quantiles(posterior.tau, _TAILS)),
+        median=interval_of(np.exp(posterior.quantiles(posterior.mu, TAILS))),
+        spread=interval_of(posterior.quantiles(posterior.tau, TAILS)),
         within=within if len(posterior.omega) > 1 else None,
         prediction=(low, high),
         quantile=quantile,
         tolerance=tolerance,
-        content=content,
-        confidence=confidence,
         # The median then leans on the bounds.
-        findings=(Finding(level="info", code="weak-term", text=weak),) if share > _MOSTLY else (),
+        findings=_said("weak-term", _MOSTLY_BOUNDED.format(100 * share)) if share > _MOSTLY else (),
         next_log=posterior.next_log(),
     )
 
 
+def _said(code: str, text: str) -> tuple[Finding, ...]:
+    return (Finding(level="info", code=code, text=text),)
+
+
 def membership(found: Population, new: LogValue) -> float:
-    """Return the two-sided chance that a unit of this fleet gives a log like a new one.
+    """Return the two-sided chance that a unit of the fleet `found` gives a log like a `new` one.
 
     The spread between units, the scatter between logs of a unit and the error of the new log are all in it,
-    and how badly the first two are known.
-
-    Parameters
-    ----------
-    found
-        Of the fleet, of three units at least.
-    new
-        What the new log says.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three units.
+    and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
     """
     if found.next_log is None:
         msg = f"a spread between units needs {FEWEST} units at least, got {len(found.units)}"
@@ -192,38 +193,10 @@ def membership(found: Population, new: LogValue) -> float:
     return found.next_log.p_value(LogValues.of([new]))
 
 
-def _bounded(
-    values: LogValues,
-    units: tuple[UnitValue, ...],
-    content: float,
-    confidence: float,
-    next_log: NextLog,
-) -> Population:
-    """Return how large a coefficient can be that all logs together do not show."""
-    text = (
-        "All logs together do not show this term: every number is an upper bound, and the spread between "
-        "units is not known. Longer logs would say more than more units."
-    )
-    highest, median = share_bound(values, content, confidence), rms_bound(values, _TAILS[-1])
-    return Population(
-        units=units,
-        logs=values.unit.size,
-        median=Interval(value=median, low=0.0, high=median),
-        bounded=True,
-        prediction=(0.0, share_bound(values, _CONTENT, _CONTENT)),
-        quantile=min(share_bound(values, content, 0.5), highest),
-        tolerance=highest,
-        content=content,
-        confidence=confidence,
-        findings=(Finding(level="info", code="weak-term", text=text),),
-        next_log=next_log,
-    )
-
-
-def _too_few(values: LogValues, place: Place, content: float, confidence: float) -> Population:
+def _too_few(values: LogValues, place: Place, answer: Callable[..., Population]) -> Population:
     """Return one or two units as they are: they tell nothing of a spread between units."""
     n = len(values.names)
-    units = _units(values, unit_likelihoods(values, 0.0, place))
+    units = _units(values, UnitLikelihoods(values, 0.0, place))
     told = [unit.value for unit in units if unit.value is not None]
     high = max(unit.high for unit in units)
     middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
@@ -231,32 +204,18 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
         f"{n} unit{'s' * (n > 1)}: the spread between units, the next unit and a tolerance bound need "
         f"{FEWEST} at least; 10 are worth testing."
     )
-    return Population(
+    return answer(
         units=units,
-        logs=values.unit.size,
         median=Interval(value=middle, low=min(u.low for u in units), high=high),
         bounded=not told,
-        content=content,
-        confidence=confidence,
-        findings=(Finding(level="info", code="few-units", text=text),),
+        findings=_said("few-units", text),
     )
-
-
-def _interval(limits: FloatArray) -> Interval:
-    low, value, high = map(float, limits)
-    return Interval(value=value, low=low, high=high)
 
 
 def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
     """Return each unit by itself; those that only bound the coefficient have no value."""
-    low, middle, high = (units.centre + side * _TWO_SIDED * units.deviation for side in (-1, 0, 1))
-    told = units.normal.copy()
-    theta = units.theta
-    for unit, curve in zip(np.flatnonzero(~units.normal).tolist(), units.weak, strict=True):
-        inside = theta[curve > math.exp(-(_TWO_SIDED**2) / 2)]
-        middle[unit], low[unit], high[unit] = theta[curve.argmax()], inside[0], inside[-1]
-        told[unit] = inside[0] > theta[0]
-    columns = (told, *np.exp([low, middle, high]), np.bincount(values.unit))
+    told, limits = units.limits()
+    columns = (told, *np.exp(limits), np.bincount(values.unit))
     return tuple(
         UnitValue(unit=name, logs=logs, value=value if known else None, low=low if known else 0.0, high=high)
         for name, known, low, value, high, logs in zip(
@@ -274,7 +233,7 @@ def _judged(
     units are known. The quick look is Student's t of well told units, else the posterior of all.
     """
     told = bool(units.normal.all())
-    squares = values.unit_squares(place.centre)
+    squares = values.squares.mean_by(values.unit, math.exp(2 * place.centre))
     scatter = posterior.quantiles(posterior.omega, [0.5])
     own = scatter / np.sqrt(np.bincount(values.unit))
     if told:
@@ -284,20 +243,19 @@ def _judged(
         quick = posterior.p_values(squares, own)
 
     def by_others(unit: int) -> float:
-        others = values.without(unit)
+        others = values.take(values.unit != unit)
         if len(others.names) < FEWEST:
             return 1.0
-        alone = posterior_of(others, scatters(others) if told else scatter, place)
+        alone = Posterior(others, scatters(others) if told else scatter, place)
         if told:
-            return alone.p_value(*values.unit_centre(unit, alone.omega.ravel()))
+            return alone.p_value(values.take(values.unit == unit))
         return float(alone.p_values(squares[[unit]], own[[unit]])[0])
 
     p_values = oddest_by_others(quick, _SUSPECT, by_others)
+    chances = zip(p_values.tolist(), adjusted(p_values).tolist(), strict=True)
     return tuple(
         replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= FALSE_SHARE)
-        for unit, p, p_odd in zip(
-            _units(values, units), p_values.tolist(), adjusted(p_values).tolist(), strict=True
-        )
+        for unit, (p, p_odd) in zip(_units(values, units), chances, strict=True)
     )
 
 
@@ -316,12 +274,8 @@ def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int
 def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> FloatArray:
     """Return two-sided p-values of the units, each against the mean and the spread of the others.
 
-    Parameters
-    ----------
-    centre, deviation
-        Logarithm of each unit's coefficient and its standard error, shape (units,).
-    tau
-        Standard deviation between units: it sets the units' weights, not the scale of the test.
+    `centre` and `deviation`, shape (units,), are the logarithm of each unit's coefficient and its standard
+    error. The standard deviation `tau` between units sets their weights, not the scale of the test.
     """
     from scipy.special import stdtr
 
@@ -332,10 +286,10 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     w = 1 / (deviation**2 + max(tau, 1e-12) ** 2)
     total = w.sum()
     rest = total - w
-    mean = np.sum(w * centre) / total
-    apart = (centre - mean) * total / rest
+    off = centre - np.sum(w * centre) / total
+    apart = off * total / rest
     # Squares about the mean of the others: those about the mean of all, less the unit's own share.
-    squares = np.sum(w * (centre - mean) ** 2) - w * (centre - mean) * apart
+    squares = np.sum(w * off**2) - w * off * apart
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
     result: FloatArray = 2 * stdtr(n - 2, -np.abs(apart) / scale)
     return result
@@ -350,75 +304,73 @@ def adjusted(p: FloatArray) -> FloatArray:
     return result
 
 
-def variance_between(values: FloatArray, errors: FloatArray) -> float:
-    """Return the variance of values, shape (n,), beyond their standard errors: by moments, 0 at least.
+def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
+    """Return the mean of values, shape (n,), that differ; its standard error, and their spread.
 
+    The spread beyond their standard errors is by moments, 0 at least; it is in the weights.
     Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
     """
     weight = errors**-2.0
     total = float(weight.sum())
     statistic = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
-    return max(statistic - (values.size - 1), 0.0) / (total - float(np.square(weight).sum()) / total)
+    between = max(statistic - (values.size - 1), 0.0) / (total - float(np.square(weight).sum()) / total)
+    weight = 1 / (errors**2 + between)
+    mean = float(np.average(values, weights=weight))
+    return mean, 1 / math.sqrt(float(weight.sum())), math.sqrt(between)
 
 
-def only_bounded(values: LogValues) -> bool:
-    """Return whether all logs together do not show the coefficient; one unit alone does not decide."""
-    if values.by_limits.any():
-        return False
-    # At zero, as the question is.
-    units = values.squares.mean_by(values.unit, 0.0)
-    square, weight = units.estimate, units.sd**-2.0
-    others = (np.sum(weight * square) - weight * square) / np.sqrt(np.sum(weight) - weight)
-    return bool(others.min() < _TWO_SIDED)
+class MeanSquare:
+    """What all logs of a fleet tell of the mean of its units' squared coefficients, at zero and above."""
 
+    def __init__(self, values: LogValues) -> None:
+        self._units = values.squares.mean_by(values.unit, 0.0)
+        self._known_by_limits = bool(values.by_limits.any())
 
-def share_bound(values: LogValues, content: float, confidence: float) -> float:
-    """Return the value that a share `content` of all units stays below with a probability `confidence`."""
-    from scipy.special import ndtri
+    @property
+    def shows(self) -> bool:
+        """Whether all logs together show the coefficient; one unit alone does not decide."""
+        weight = self._units.sd**-2.0
+        share = weight * self._units.estimate
+        others = (np.sum(share) - share) / np.sqrt(np.sum(weight) - weight)
+        return self._known_by_limits or bool(others.min() >= TWO_SIDED)
 
-    return rms_bound(values, confidence) * math.exp(max(float(ndtri(content)), 0.0) ** 2 / 4)
+    def share_bound(self, content: float, confidence: float) -> float:
+        """Return what a share `content` of all units stays below with a probability `confidence`."""
+        from scipy.special import ndtri
 
+        return self.bound(confidence) * math.exp(max(float(ndtri(content)), 0.0) ** 2 / 4)
 
-def rms_bound(values: LogValues, confidence: float) -> float:
-    """Return the value that the units' root mean square stays below with a probability `confidence`.
+    def bound(self, confidence: float) -> float:
+        """Return the value that the units' root mean square stays below with a probability `confidence`.
 
-    Of one square for all units, or of the mean of squares that differ, whichever is larger; neither is below
-    zero (flat prior).
-    """
-    units = values.squares.mean_by(values.unit, 0.0)
-    return math.sqrt(max(_of_one(units, confidence), _of_different(units, confidence)))
+        Of one square for all units, or of the mean of squares that differ, whichever is larger; neither is
+        below zero (flat prior).
+        """
+        return math.sqrt(max(self._of_one(confidence), self._of_different(confidence)))
 
+    def _of_one(self, confidence: float) -> float:
+        """Return the bound of a square that is the same for all units, from its likelihood."""
+        from scipy.integrate import cumulative_simpson
 
-def _of_one(units: Squares, confidence: float) -> float:
-    """Return the bound of a square that is the same for all units, from its likelihood."""
-    from scipy.integrate import cumulative_simpson
+        units, reach = self._units, float(self._units.sd.min())
+        for _ in range(_DOUBLINGS):
+            square = np.linspace(0.0, reach, _POINTS)
+            height = np.zeros(square.size)
+            for first in range(0, units.sd.size, _CHUNK):
+                height += units[first : first + _CHUNK].log_likelihood(square).sum(axis=0)
+            height -= height.max()
+            if height[-1] < _NOTHING:
+                break
+            reach *= 2
+        total = cumulative_simpson(np.exp(height), x=square, initial=0.0)
+        return float(np.interp(confidence, total / total[-1], square))
 
-    reach = float(units.sd.min())
-    for _ in range(_DOUBLINGS):
-        square = np.linspace(0.0, reach, _POINTS)
-        height = np.zeros(square.size)
-        for first in range(0, units.sd.size, _CHUNK):
-            height += units[first : first + _CHUNK].log_likelihood(square).sum(axis=0)
-        height -= height.max()
-        if height[-1] < _NOTHING:
-            break
-        reach *= 2
-    total = cumulative_simpson(np.exp(height), x=square, initial=0.0)
-    return float(np.interp(confidence, total / total[-1], square))
+    def _of_different(self, confidence: float) -> float:
+        """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
+        from scipy.special import ndtr, ndtri
 
-
-def _of_different(units: Squares, confidence: float) -> float:
-    """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
-    from scipy.special import ndtr, ndtri
-
-    weight = units.sd**-2.0
-    error = units.deviation(max(float(np.average(units.estimate, weights=weight)), 0.0))
-    between = variance_between(units.estimate, error)
-    if not between:
-        return 0.0
-    weight = 1 / (error**2 + between)
-    mean = float(np.average(units.estimate, weights=weight))
-    error_of_mean = 1 / math.sqrt(float(np.sum(weight)))
-    beyond = (1 - confidence) * float(ndtr(mean / error_of_mean))
-    bound: float = mean - error_of_mean * float(ndtri(beyond))
-    return bound
+        units = self._units
+        at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
+        mean, error, spread = random_mean(units.estimate, units.deviation(at))
+        bound: float = mean - error * float(ndtri((1 - confidence) * float(ndtr(mean / error))))
+        return bound if spread else 0.0

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
+from imucal.fitting.noise_fit import Interval
 from imucal.fleet.values import LogValues, Squares
 
 #: Grid points of the coefficient of weakly told units, of mu, of tau and of omega.
@@ -56,6 +57,17 @@ _DRAWS = 4000
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
 
+#: Quantile of the normal law at 95 %, two-sided; where an interval begins, the median, and where it ends.
+TWO_SIDED = 1.959963984540054
+TAILS = (0.025, 0.5, 0.975)
+
+
+def interval_of(quantiles: FloatArray) -> Interval:
+    """Return the interval of quantiles at `TAILS`."""
+    low, value, high = quantiles.tolist()
+    return Interval(value=value, low=low, high=high)
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """Where a fleet lies: the median's logarithm, and a scale of the spread about it."""
@@ -71,7 +83,6 @@ def place_of(logs: LogValues) -> Place:
     return Place(centre, max(mad, float(np.std(logs.centre)) / 2, 0.02))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class UnitLikelihoods:
     """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
 
@@ -81,57 +92,83 @@ class UnitLikelihoods:
     their peaks are `weak`, shape (weak units, points), at the logarithms `theta`, shape (points,).
     """
 
-    omega: float
-    about: float
-    normal: BoolArray
-    centre: FloatArray
-    deviation: FloatArray
-    constant: float
-    theta: FloatArray
-    weak: FloatArray
+    def __init__(self, logs: LogValues, omega: float, place: Place) -> None:
+        self.omega, self.about = omega, place.centre
+        self.normal: BoolArray = np.bincount(logs.unit, ~logs.narrow) == 0
+        square = math.exp(2 * place.centre)
+        weak_error = logs.squares.deviation(square) / (2 * square)
+        error = np.where(logs.narrow | logs.by_limits, logs.deviation, weak_error)
+        weights = 1 / (error**2 + omega**2)
+        total = np.maximum(np.bincount(logs.unit, weights), _TINY)
+        self.centre: FloatArray = np.bincount(logs.unit, weights * logs.centre) / total
+        self.deviation: FloatArray = 1 / np.sqrt(total)
+        reach = min(9 * place.scale, _DEEPEST)
+        ends = place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale
+        self.theta: FloatArray = np.linspace(*ends, _POINTS)
+        own = self.normal[logs.unit]
+        others = logs.take(~own)
+        each = others.log_likelihood(self.theta)
+        if omega > 0 and each.size:
+            top = each.max(axis=1, keepdims=True)
+            each = np.log(np.exp(each - top) @ blur(self.theta, self.theta, omega).T + _TINY) + top
+        # The logs of a unit are multiplied.
+        weak = np.zeros((len(others.names), _POINTS))
+        np.add.at(weak, others.unit, each)
+        peaks = weak.max(axis=1, keepdims=True)
+        self.weak: FloatArray = np.exp(weak - peaks)
+        apart = weights * (logs.centre - self.centre[logs.unit]) ** 2
+        scatter = np.sum(np.log(weights[own]) - apart[own]) - np.sum(np.log(total[self.normal]))
+        self.constant = 0.5 * float(scatter) + float(peaks.sum())
+
+    def limits(self) -> tuple[BoolArray, FloatArray]:
+        """Return which units are told, and each unit's most likely logarithm between its limits, (3, units).
+
+        The limits hold 95 %; of a unit that is not told only the upper one holds.
+        """
+        told, limits = self.normal.copy(), self.centre + np.outer((-1, 0, 1), TWO_SIDED * self.deviation)
+        for unit, curve in zip(np.flatnonzero(~told).tolist(), self.weak, strict=True):
+            inside = self.theta[curve > math.exp(-(TWO_SIDED**2) / 2)]
+            limits[:, unit] = inside[0], self.theta[curve.argmax()], inside[-1]
+            told[unit] = inside[0] > self.theta[0]
+        return told, limits
+
+    def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
+        """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau.
+
+        `blurs` are the matrices that take the weak units' likelihoods to each tau's row of mu.
+        """
+        v = self.deviation[self.normal] ** 2 + tau[:, None] ** 2
+        y, offset = self.centre[self.normal] - mu[:, :1], mu - mu[:, :1]
+        first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
+        squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
+        result = self.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
+        if blurs:
+            result += [np.log(matrix @ self.weak.T + _TINY).sum(axis=1) for matrix in blurs]
+            result += self._prior_of_median(mu)
+        posterior: FloatArray = result + self._prior(tau)[:, None]
+        return posterior
+
+    def _prior(self, tau: FloatArray) -> FloatArray:
+        """Return the logarithm of the prior of log tau and of the scatter: Jeffreys' where told."""
+        t2, variance = tau**2, self.deviation**2
+        told = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
+        usual = np.log(tau) - 0.5 * (t2 + self.omega**2) / _USUAL**2
+        untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
+        result: FloatArray = (1 - untold) * told + untold * usual
+        return result
+
+    def _prior_of_median(self, mu: FloatArray) -> FloatArray:
+        """Return the logarithm of Jeffreys' prior of mu at a usual spread; of weak units in exp(2 mu)."""
+        variance = self.deviation**2
+        told = float(np.sum(1 / (variance[self.normal] + _USUAL**2)))
+        # One deviation for all: a prior need not be more exact.
+        weak, precision = len(self.weak), float(np.mean(1 / variance[~self.normal]))
+        at = np.exp(np.minimum(-4 * (mu - self.about), _LARGEST)) / precision
+        result: FloatArray = 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
+        return result
 
 
-def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelihoods:
-    """Return the likelihood of each unit, where logs of one unit scatter by `omega`."""
-    n = len(logs.names)
-    normal = np.bincount(logs.unit, ~logs.narrow, minlength=n) == 0
-    weights = 1 / (logs.log_deviation(place.centre) ** 2 + omega**2)
-    total = np.bincount(logs.unit, weights, minlength=n)
-    centre = np.bincount(logs.unit, weights * logs.centre, minlength=n) / np.maximum(total, 1e-300)
-    own = normal[logs.unit]
-    constant = 0.5 * float(
-        np.sum(np.log(weights[own]) - weights[own] * (logs.centre - centre[logs.unit])[own] ** 2)
-        - np.sum(np.log(total[normal]))
-    )
-    reach = min(9 * place.scale, _DEEPEST)
-    theta = np.linspace(place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale, _POINTS)
-    weak = _on_grid(logs, ~normal, theta, omega)
-    peaks = weak.max(axis=1, keepdims=True)
-    return UnitLikelihoods(
-        omega=omega,
-        about=place.centre,
-        normal=normal,
-        centre=centre,
-        deviation=1 / np.sqrt(np.maximum(total, 1e-300)),
-        constant=constant + float(peaks.sum()),
-        theta=theta,
-        weak=np.exp(weak - peaks),
-    )
-
-
-def _on_grid(logs: LogValues, units: BoolArray, theta: FloatArray, omega: float) -> FloatArray:
-    """Return the log-likelihoods of some units, shape (such units, theta), their logs multiplied."""
-    which = units[logs.unit]
-    each = logs.log_likelihood(which, theta)
-    if omega > 0 and each.size:
-        top = each.max(axis=1, keepdims=True)
-        each = np.log(np.exp(each - top) @ _blur(theta, theta, omega).T + _TINY) + top
-    result = np.zeros((int(np.count_nonzero(units)), theta.size))
-    np.add.at(result, (np.cumsum(units) - 1)[logs.unit[which]], each)
-    return result
-
-
-def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
+def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
     """Return the matrix that takes the mean of a function on `theta` over a normal law about `theta_to`.
 
     Beyond the ends of the grid the function is what it is there.
@@ -148,16 +185,18 @@ def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
     return result
 
 
+def two_sided(chance: FloatArray) -> FloatArray:
+    """Return the chance of lying as far out on either side, from that of lying on one."""
+    result: FloatArray = 2 * np.minimum(chance, 1 - chance)
+    return result
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextLog:
     """Where a log of a unit that was not seen lies, its own error aside.
 
-    Attributes
-    ----------
-    points
-        Logarithms of the coefficient, ascending, as dense as the law itself.
-    below
-        The chance of less, at each of them.
+    `points` are logarithms of the coefficient, ascending, as dense as the law itself; `below` is the chance
+    of less, at each of them.
     """
 
     points: tuple[float, ...]
@@ -175,18 +214,38 @@ class NextLog:
             less = ndtr((new.centre[0] - at) / error)
         else:
             less = new.squares.below(np.exp(2 * np.minimum(at, _LARGEST / 2)))[0]
-        chance = float(less @ weight) / float(weight.sum())
-        return 2 * min(chance, 1 - chance)
+        return float(two_sided(less @ weight / weight.sum()))
 
 
-@dataclass(frozen=True, slots=True)
 class Posterior:
-    """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one."""
+    """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one.
 
-    omega: FloatArray
-    tau: FloatArray
-    mu: FloatArray
-    weight: FloatArray
+    The scatters within a unit are given; tau and mu are narrowed until they fit their support.
+    """
+
+    def __init__(self, values: LogValues, omegas: FloatArray, place: Place) -> None:
+        units = [UnitLikelihoods(values, omega, place) for omega in omegas.tolist()]
+        taus = (math.log(0.01 * place.scale), math.log(max(_WIDEST, 2 * place.scale)))
+        for _ in range(_ROUNDS):
+            tau = np.exp(np.linspace(*taus, _TAUS))
+            mu, height = _over_mu(units, tau, place)
+            height -= height.max()
+            narrower = support(np.log(tau), np.any(height > -_NOTHING, axis=(0, 2)))
+            if 2 * (narrower[1] - narrower[0]) > taus[1] - taus[0]:
+                break
+            taus = narrower
+        self.omega, self.tau, self.mu = omegas[:, None, None], tau[None, :, None], mu[None]
+        self.weight: FloatArray = np.exp(height) / np.exp(height).sum()
+
+    @classmethod
+    def whole(cls, values: LogValues, place: Place) -> "Posterior":
+        """Return that over all scatters within a unit; of weak logs on a finer grid, at second sight."""
+        found = cls(values, scatters(values), place)
+        if values.narrow.all() or len(found.omega) < 2:
+            return found
+        omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
+        low, high = support(omega, weight > _LITTLE * weight.max())
+        return cls(values, np.linspace(low, high, _OMEGAS), place)
 
     def quantiles(self, values: FloatArray, at: Sequence[float]) -> FloatArray:
         """Return quantiles of a function of the grid."""
@@ -199,30 +258,24 @@ class Posterior:
 
     def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
         """Return quantiles of the logarithm of a unit that was not seen."""
-        weight = self.weight.sum(axis=0)
-        law = _Law(self.mu[0], np.broadcast_to(self.tau[0], weight.shape), weight)
-        return np.interp(at, law.below(law.points), law.points)
+        return _Law(self.mu[0], self.tau[0], self.weight.sum(axis=0)).quantiles(at)
 
     def next_log(self) -> NextLog:
         """Return where a log of a unit that was not seen lies."""
         from scipy.special import ndtr
 
-        mu = np.broadcast_to(self.mu, self.weight.shape)
-        law = _Law(mu, np.broadcast_to(np.hypot(self.tau, self.omega), mu.shape), self.weight)
-        levels = ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))
-        points = np.unique(np.interp(levels, law.below(law.points), law.points))
+        law = _Law(self.mu, np.hypot(self.tau, self.omega), self.weight)
+        points = np.unique(law.quantiles(ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
         return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
 
-    def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
-        """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
-
-        Both, shape (omega,), are what its logs make at each scatter within a unit.
-        """
+    def p_value(self, unit: LogValues) -> float:
+        """Return the two-sided chance of the logs of one new unit, all of them narrow."""
         from scipy.special import ndtr
 
-        apart = centre[:, None, None] - self.mu
-        above = float(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + variance[:, None, None]))))
-        return 2 * min(above, 1 - above)
+        weight = 1 / (unit.deviation**2 + self.omega**2)
+        total = weight.sum(axis=-1, keepdims=True)
+        apart = weight @ unit.centre[:, None] / total - self.mu
+        return float(two_sided(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + 1 / total)))))
 
     def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
         """Return the two-sided chance of estimates of squared coefficients like these.
@@ -233,17 +286,16 @@ class Posterior:
 
         at = (np.arange(_DRAWS) + 0.5) / _DRAWS
         log, moved = self.prediction(at), ndtri((at * _DRAWS * _GOLDEN) % 1)
-        below = units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1)
-        result: FloatArray = 2 * np.minimum(below, 1 - below)
-        return result
+        return two_sided(units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1))
 
 
 class _Law:
-    """Normal laws about `mu`, `wide`, with weights, all of one shape; `points` are where they lie."""
+    """Normal laws about `mu`, `wide`, with weights, broadcast; `points` are where they lie."""
 
     def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
         keep = weight > _UNLIKELY * weight.max()
-        mu, wide, weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+        mu, wide, weight = (np.broadcast_to(part, weight.shape)[keep] for part in (mu, wide, weight))
+        weight /= weight.sum()
         # Laws that are nearly the same are one, with the mean and the variance of all of them.
         widths = np.floor(np.log(wide) / _ALIKE)
         places = np.floor(mu / (_BESIDE * np.exp(widths * _ALIKE)))
@@ -265,14 +317,9 @@ class _Law:
         # A point at a time: all of them would take more memory than the posterior itself.
         return np.array([float(ndtr((at - self._mu) / self._wide) @ self._weight) for at in points])
 
-
-def whole_posterior(values: LogValues, place: Place) -> Posterior:
-    """Return the posterior over all scatters within a unit; of weak logs on a finer grid, at second sight."""
-    found = posterior_of(values, scatters(values), place)
-    if values.narrow.all() or len(found.omega) < 2:
-        return found
-    omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
-    return posterior_of(values, np.linspace(*support(omega, weight > _LITTLE * weight.max()), _OMEGAS), place)
+    def quantiles(self, at: Sequence[float] | FloatArray) -> FloatArray:
+        """Return where the chance of less is `at`."""
+        return np.interp(at, self.below(self.points), self.points)
 
 
 def scatters(values: LogValues) -> FloatArray:
@@ -293,22 +340,6 @@ def scatters(values: LogValues) -> FloatArray:
     return np.linspace(math.sqrt(max(low - known, 0.0)), min(math.sqrt(high), most), _OMEGAS)
 
 
-def posterior_of(values: LogValues, omegas: FloatArray, place: Place) -> Posterior:
-    """Return the posterior for some scatters, on a grid that is narrowed until it fits its support."""
-    units = [unit_likelihoods(values, omega, place) for omega in omegas.tolist()]
-    taus = (math.log(0.01 * place.scale), math.log(max(_WIDEST, 2 * place.scale)))
-    for _ in range(_ROUNDS):
-        tau = np.exp(np.linspace(*taus, _TAUS))
-        mu, height = _over_mu(units, tau, place)
-        height -= height.max()
-        narrower = support(np.log(tau), np.any(height > -_NOTHING, axis=(0, 2)))
-        if 2 * (narrower[1] - narrower[0]) > taus[1] - taus[0]:
-            break
-        taus = narrower
-    weight = np.exp(height)
-    return Posterior(omegas[:, None, None], tau[None, :, None], mu[None], weight / weight.sum())
-
-
 def support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
     """Return the range of the likely points of a grid and one more to each side."""
     places = np.flatnonzero(likely)
@@ -325,50 +356,12 @@ def _over_mu(units: list[UnitLikelihoods], tau: FloatArray, place: Place) -> tup
     for _ in range(_ROUNDS):
         mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
         # The same for every omega, and what takes the time where units are weak.
-        weak = units[0].weak.size > 0
-        blurs = [_blur(row, units[0].theta, t) for t, row in zip(tau.tolist(), mu, strict=True) if weak]
-        height = np.array([_log_posterior(of_omega, tau, mu, blurs) for of_omega in units])
+        weak = len(units[0].weak) > 0
+        blurs = [blur(row, units[0].theta, t) for t, row in zip(tau.tolist(), mu, strict=True) if weak]
+        height = np.array([of_omega.log_posterior(tau, mu, blurs) for of_omega in units])
         own = height - height.max(axis=(0, 2), keepdims=True)
         narrower = np.array(list(map(support, mu, np.any(own > -_NOTHING, axis=0))))
         if np.all(2 * np.diff(narrower) > np.diff(ends)):
             break
         ends = narrower
     return mu, height + np.log(mu[:, 1] - mu[:, 0])[:, None]
-
-
-def _log_posterior(
-    units: UnitLikelihoods, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]
-) -> FloatArray:
-    """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau."""
-    v = units.deviation[units.normal] ** 2 + tau[:, None] ** 2
-    y, offset = units.centre[units.normal] - mu[:, :1], mu - mu[:, :1]
-    first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
-    squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
-    result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
-    if blurs:
-        result += [np.log(matrix @ units.weak.T + _TINY).sum(axis=1) for matrix in blurs]
-    posterior: FloatArray = result + _prior(units, tau)[:, None] + _prior_of_median(units, mu)
-    return posterior
-
-
-def _prior(units: UnitLikelihoods, tau: FloatArray) -> FloatArray:
-    """Return the logarithm of the prior of log tau and of the scatter within units: Jeffreys' where told."""
-    t2, variance = tau**2, units.deviation**2
-    told = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
-    usual = np.log(tau) - 0.5 * (t2 + units.omega**2) / _USUAL**2
-    untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
-    result: FloatArray = (1 - untold) * told + untold * usual
-    return result
-
-
-def _prior_of_median(units: UnitLikelihoods, mu: FloatArray) -> FloatArray:
-    """Return the logarithm of Jeffreys' prior of mu at a usual spread: flat where told, else in exp(2 mu)."""
-    if not units.weak.size:
-        return np.zeros_like(mu)
-    told = float(np.sum(1 / (units.deviation[units.normal] ** 2 + _USUAL**2)))
-    # One deviation for all: a prior need not be more exact.
-    weak = np.count_nonzero(~units.normal)
-    precision = float(np.mean(units.deviation[~units.normal] ** -2.0))
-    at = np.exp(np.minimum(-4 * (mu - units.about), _LARGEST)) / precision
-    result: FloatArray = 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
-    return result

@@ -80,6 +80,13 @@ class FleetStore:
     ----------
     folder
         Where it is; `create` makes it.
+
+    Raises
+    ------
+    WriteError
+        Of each method that writes or removes, if that can't be done.
+    StoreError
+        Of each method that reads, if what is there is damaged.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -93,10 +100,7 @@ class FleetStore:
     def create(self) -> None:
         """Make the folder, or check that it is a fleet's and may be written to; sweep what crashes left.
 
-        Raises
-        ------
-        WriteError
-            If it can't be made, or holds something else.
+        A folder that holds something else is a `WriteError`, too.
         """
         if self.folder.is_dir() and not self.exists and not self._has_settings():
             own = {_SETTINGS, *_TABLES}
@@ -115,29 +119,16 @@ class FleetStore:
                 sweep((self.folder / name).glob(".part-*"))
 
     def clear(self) -> None:
-        """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is.
-
-        Raises
-        ------
-        WriteError
-            If they can't be removed.
-        """
+        """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is."""
         with _translated(self.folder):
             # The commit records first: what they named is nobody's from then on.
-            for name in reversed(_TABLES):
-                for part in (self.folder / name).glob("part-*.parquet"):
-                    part.unlink(missing_ok=True)
+            for path in (path for table in reversed(_TABLES) for path in self._parts(table)):
+                path.unlink(missing_ok=True)
             shutil.rmtree(self.folder / "reports", ignore_errors=True)
             (self.folder / _MANIFEST).unlink(missing_ok=True)
 
     def settings(self) -> dict[str, object]:
-        """Return what holds for every log, as `keep_settings` got it; empty where nothing is known.
-
-        Raises
-        ------
-        StoreError
-            If it is damaged.
-        """
+        """Return what holds for every log, as `keep_settings` got it; empty where nothing is known."""
         path = self.folder / _SETTINGS
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -157,27 +148,13 @@ class FleetStore:
         return False
 
     def keep_settings(self, settings: Row) -> None:
-        """Write down what holds for every log.
-
-        Raises
-        ------
-        WriteError
-            If it can't be written.
-        """
+        """Write down what holds for every log."""
         sealed = {**settings, "checksum": _digest(json.dumps(settings).encode()).hex()}
         with replacing(self.folder / _SETTINGS) as scratch:
             scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
 
     def manifest(self) -> pl.DataFrame:
-        """Return the logs asked for, one row each.
-
-        Raises
-        ------
-        ReadError
-            If there is no fleet here.
-        StoreError
-            If its manifest is damaged.
-        """
+        """Return the logs asked for, one row each; where there is no fleet, raise `ReadError`."""
         path = self.folder / _MANIFEST
         try:
             if _is_whole(path, ()):
@@ -190,17 +167,9 @@ class FleetStore:
         raise StoreError(msg)
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
-        """Add logs to those asked for; one named before gets its new labels. Return the whole manifest.
+        """Add logs, with columns as `MANIFEST` and free ones, to those asked for; return the whole manifest.
 
-        Parameters
-        ----------
-        rows
-            Columns as `MANIFEST`, and free ones.
-
-        Raises
-        ------
-        WriteError
-            If it can't be written.
+        A log that was named before gets its new labels.
         """
         with _translated(self.folder), alone(self.folder / ".lock"):
             if self.exists:
@@ -209,7 +178,7 @@ class FleetStore:
                 rows = pl.concat([others, rows], how="diagonal")
                 if rows.columns == old.columns and rows.sort("path").equals(old.sort("path")):
                     return old
-            self._write(self.folder / _MANIFEST, rows, ())
+            _write(self.folder / _MANIFEST, rows, ())
         return rows
 
     def changed_ns(self) -> int:
@@ -233,49 +202,44 @@ class FleetStore:
             Rows with the columns of `LOGS`, `RESULTS` and `BINS`; what is missing is null.
         shard
             Stands in the name of the part.
-
-        Raises
-        ------
-        WriteError
-            If it can't be written: then nothing was.
         """
         name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
-        for (table, schema), rows in zip(_OF_BATCH.items(), (bins, results, logs), strict=True):
-            frame = pl.DataFrame([[row.get(c) for c in schema] for row in rows], schema=schema, orient="row")
-            self._write(self.folder / table / name, frame, schema)
+        for table, rows in zip(_OF_BATCH, (bins, results, logs), strict=True):
+            self._add(table, name, rows)
         return name
 
     def derived(self, keys: Collection[str]) -> dict[str, str]:
         """Return what was made before, of those keys that have anything."""
-        parts = [path.name for path in (self.folder / "derived").glob("part-*.parquet")]
-        found = self._read("derived", parts, pl.Series(keys, dtype=pl.String))
+        found = self._read("derived", self._parts("derived"), pl.Series(keys, dtype=pl.String))
         return dict(found.select("key", "value").iter_rows())
 
     def keep_derived(self, found: Mapping[str, str]) -> None:
-        """Keep what was made, by its keys.
-
-        Raises
-        ------
-        WriteError
-            If it can't be written.
-        """
+        """Keep what was made, by its keys."""
         with _translated(self.folder):
             (self.folder / "derived").mkdir(exist_ok=True)
-        frame = pl.DataFrame([*found.items()], schema=DERIVED, orient="row")
-        self._write(self.folder / "derived" / f"part-{secrets.token_hex(8)}.parquet", frame, DERIVED)
+        rows = ({"key": key, "value": value} for key, value in found.items())
+        self._add("derived", f"part-{secrets.token_hex(8)}.parquet", rows)
 
     def logs(self) -> pl.DataFrame:
         """Return what is known of each log: the columns of `LOGS`, and `part`; sorted by path.
 
         A content counts once (the newest success, else the newest failure), and so does a path (its newest
-        content). Labels are those of the manifest where it has them.
+        content). Labels are those of the manifest where it has them: they may have been mended since.
         """
-        found = self._read("logs", self._batches())
+        found = self._read("logs", self._parts("logs"))
         found = found.sort(pl.col("status") == "ok", "finished", "part", descending=True)
         found = found.unique("key", keep="first", maintain_order=True)
         found = found.sort("finished", "part", descending=True)
         found = found.unique("path", keep="first", maintain_order=True)
-        return self._with_labels(found).sort("path")
+        if self.exists:
+            manifest = self.manifest()
+            # A log that was moved since is known to the manifest by its new path.
+            moved = manifest.filter(pl.col("copy_of").is_not_null()).with_columns(path="copy_of")
+            labels = pl.concat([manifest, moved]).unique("path", keep="first", maintain_order=True)
+            joined = found.join(labels.select("path", *LABELS), on="path", how="left", suffix="_new")
+            kept = [pl.coalesce(f"{name}_new", name).alias(name) for name in LABELS]
+            found = joined.with_columns(kept).select(found.columns)
+        return found.sort("path")
 
     def results(self) -> pl.DataFrame:
         """Return one row a log, axis and term: `RESULTS`, and path, model, unit, temperature_c, days.
@@ -288,10 +252,9 @@ class FleetStore:
             pl.col("temperature_c").fill_null(math.nan),
             pl.Series("days", [*map(_days, logs["started"])], dtype=pl.Float64),
         )
-        found = self._read("results", logs["part"].unique()).join(labels, on=["part", "key"])
-        first = ("key", "path", "model", "unit", "temperature_c", "days")
-        order = ("path", "sensor", "axis", "term")
-        return found.select(*first, *(name for name in RESULTS if name not in first)).sort(order)
+        found = self._rows_of("results", labels)
+        columns = dict.fromkeys((*labels.columns[1:], *RESULTS))
+        return found.select(*columns).sort("path", "sensor", "axis", "term")
 
     def bins(self) -> pl.DataFrame:
         """Return the binned spectra of all logs: the columns of `BINS`."""
@@ -299,26 +262,24 @@ class FleetStore:
 
     def axes(self) -> pl.DataFrame:
         """Return the key, sensor and axis of each binned spectrum, and not the spectrum."""
-        places = self.logs().select("part", "key")
-        columns = ("key", "sensor", "axis", "part")
-        found = self._read("bins", places["part"].unique(), columns=columns)
-        return found.join(places, on=["part", "key"]).drop("part")
+        return self._rows_of("bins", self.logs().select("part", "key"), ("key", "sensor", "axis"))
 
     def bins_in_turn(self, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
         """Yield the binned spectra of groups of logs, given by their keys; only one group's are in memory."""
         places = self.logs().select("part", "key")
         for keys in groups:
             own = places.filter(pl.col("key").is_in(list(keys)))
-            found = self._read("bins", own["part"].unique(), own["key"])
-            yield found.join(own, on=["part", "key"]).select(*BINS).sort("key", "sensor", "axis")
+            yield self._rows_of("bins", own).sort("key", "sensor", "axis")
 
     def damaged(self) -> dict[Path, list[Path]]:
         """Return the parts that are not as they were written, each with all that it is nothing without.
 
         Of a batch that is all three, the commit record first; a part without such a record is nobody's.
         """
-        groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in self._batches()]
-        groups += [[path] for path in sorted((self.folder / "derived").glob("part-*.parquet"))]
+        groups = [
+            [self.folder / table / path.name for table in reversed(_OF_BATCH)] for path in self._parts("logs")
+        ]
+        groups += [[path] for path in self._parts("derived")]
         return {
             path: group
             for group in groups
@@ -327,38 +288,36 @@ class FleetStore:
         }
 
     def refuse_damage(self) -> None:
-        """Check all that is there.
-
-        Raises
-        ------
-        StoreError
-            If a part is not as it was written.
-        """
+        """Raise `StoreError` if a part is not as it was written."""
         for part in self.damaged():
             msg = f"{part}: {_NOT_WHOLE}; run the fleet again, which does its logs anew"
             raise StoreError(msg)
 
     def mend(self) -> list[Path]:
-        """Remove what is damaged, so that its logs are not done; return which parts.
-
-        Raises
-        ------
-        WriteError
-            If they can't be removed.
-        """
+        """Remove what is damaged, so that its logs are not done; return which parts."""
         damaged = self.damaged()
         with _translated(self.folder):
             for path in itertools.chain.from_iterable(damaged.values()):
                 path.unlink(missing_ok=True)
         return list(damaged)
 
-    def _batches(self) -> list[str]:
-        return sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))
+    def _parts(self, table: str) -> list[Path]:
+        return sorted((self.folder / table).glob("part-*.parquet"))
+
+    def _add(self, table: str, name: str, rows: Iterable[Row]) -> None:
+        schema = _TABLES[table]
+        frame = pl.DataFrame([[row.get(c) for c in schema] for row in rows], schema=schema, orient="row")
+        _write(self.folder / table / name, frame, schema)
+
+    def _rows_of(self, table: str, logs: pl.DataFrame, columns: Collection[str] = ()) -> pl.DataFrame:
+        """Return the rows of a table of `logs`, known by part and key, beside what else these hold."""
+        parts = [self.folder / table / name for name in logs["part"].unique()]
+        return self._read(table, parts, logs["key"], columns).join(logs, on=["part", "key"]).drop("part")
 
     def _read(
         self,
         table: str,
-        parts: Iterable[str],
+        parts: list[Path],
         keys: pl.Series | None = None,
         columns: Collection[str] = (),
     ) -> pl.DataFrame:
@@ -366,13 +325,10 @@ class FleetStore:
 
         `columns` are those that are wanted; all where none is named.
         """
-        empty = pl.DataFrame(schema={**_TABLES[table], "part": pl.String})
-        empty = empty.select(columns or pl.all())
-        paths = [self.folder / table / name for name in parts]
-        if not paths:
-            return empty
-        rows = pl.scan_parquet(paths, include_file_paths="part", glob=False)
-        rows = rows.select(columns or pl.all())
+        wanted = (*(columns or _TABLES[table]), "part")
+        if not parts:
+            return pl.DataFrame(schema={**_TABLES[table], "part": _TEXT}).select(wanted)
+        rows = pl.scan_parquet(parts, include_file_paths="part", glob=False).select(wanted)
         rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
         try:
             # In pieces: of large parts with bins only those that are asked for are ever held.
@@ -383,26 +339,15 @@ class FleetStore:
             raise StoreError(msg) from error
         return found.with_columns(pl.col("part").str.split("/").list.last())
 
-    def _with_labels(self, logs: pl.DataFrame) -> pl.DataFrame:
-        """Return logs with the labels of the manifest, which may have been mended since they were done."""
-        if not self.exists:
-            return logs
-        manifest = self.manifest()
-        # A log that was moved since is known to the manifest by its new path.
-        moved = manifest.filter(pl.col("copy_of").is_not_null()).with_columns(path="copy_of")
-        labels = pl.concat([manifest, moved]).unique("path", keep="first", maintain_order=True)
-        joined = logs.join(labels.select("path", *LABELS), on="path", how="left", suffix="_new")
-        kept = [pl.coalesce(f"{name}_new", name).alias(name) for name in LABELS]
-        return joined.with_columns(kept).select(logs.columns)
 
-    def _write(self, path: Path, frame: pl.DataFrame, columns: Iterable[str]) -> None:
-        stream = io.BytesIO()
-        frame.write_parquet(stream, compression="zstd")
-        data = stream.getvalue()
-        footer = _footer_at(data)
-        with replacing(path) as scratch:
-            scratch.write_bytes(data[:footer] + _digest(data, columns) + data[footer:])
-        sync_folder(path.parent)
+def _write(path: Path, frame: pl.DataFrame, columns: Iterable[str]) -> None:
+    stream = io.BytesIO()
+    frame.write_parquet(stream, compression="zstd")
+    data = stream.getvalue()
+    footer = _footer_at(data)
+    with replacing(path) as scratch:
+        scratch.write_bytes(data[:footer] + _digest(data, columns) + data[footer:])
+    sync_folder(path.parent)
 
 
 def _digest(data: bytes, columns: Iterable[str] = ()) -> bytes:

@@ -12,9 +12,9 @@ prior of a spread.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from itertools import compress, islice
 
 import numpy as np
 
@@ -22,13 +22,13 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import FALSE_SHARE, adjusted, leave_one_out, oddest_by_others
-from imucal.fleet.posterior import place_of, support
+from imucal.fleet.posterior import TAILS, interval_of, place_of, support, two_sided
 from imucal.fleet.values import LogValue, LogValues
 
 #: Label -> what it must vary by within a unit to tell a slope.
 NEAREST = {"temperature_c": 1.0, "days": 0.5}
-#: How many of a label its slope is for.
-_SCALE = {"temperature_c": 1.0, "days": 365.25}
+#: How many of each label its slope is for: a °C, a year.
+_SCALE = (1.0, 365.25)
 #: A term whose mean square is not so many deviations above zero has no slope that could be told.
 _TOLD = 3.0
 #: A square is linear in the logarithm up to this error of the coefficient.
@@ -45,29 +45,16 @@ _NONE = 0.05
 _HALVINGS, _LITTLE = 40, 1e-3
 #: The chance of a slope at a quick look up to which its unit is judged by the others alone.
 _SUSPECT = 0.1
-_TAILS = (0.025, 0.5, 0.975)
-
-#: Means and standard deviations, shape (numbers, points) each, of numbers that are normal at each point of a
-#: posterior's grid.
-Normals: TypeAlias = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slope:
     """How a coefficient moves by one label, of the fleet or of one unit of it.
 
-    Attributes
-    ----------
-    unit, label
-        Which unit, empty for the mean of the fleet; ``temperature_c`` or ``days``.
-    slope
-        Change of the natural logarithm a °C, or a year, with its 95 % interval.
-    p_value
-        Of the fleet: the chance of such a slope where there is none. Of a unit: where it moves as the others
-        do.
-    p_odd, odd
-        The same, adjusted for all that were looked at: Benjamini and Hochberg's false discovery rate; and
-        whether it is not chance.
+    `unit` is empty for the mean of the fleet; `label` is ``temperature_c`` or ``days``; `slope` is the change
+    of the natural logarithm a °C, or a year, with its 95 % interval. `p_value` is the chance of such a slope
+    where the fleet has none, or the unit moves as the others do; `p_odd` is adjusted for all that were looked
+    at (Benjamini and Hochberg), and `odd` says that it is not chance.
     """
 
     unit: str
@@ -82,12 +69,8 @@ class Slope:
 class Trend:
     """How a coefficient moves with temperature and time.
 
-    Attributes
-    ----------
-    means, slopes
-        Of the fleet, and of the units that tell one, for each label that tells a slope.
-    units
-        How many units the slopes are from.
+    `means` are of the fleet, `slopes` of the units that tell one, for each label that tells a slope; `units`
+    is how many units they are from.
     """
 
     means: tuple[Slope, ...]
@@ -121,22 +104,19 @@ def trend(logs: Sequence[LogValue]) -> Trend:
         If no unit has logs at two temperatures or of two days, if the two always move together, or if the
         logs do not show the term.
     """
-    labelled = labelled_logs(logs)
-    posterior = slope_posterior(labelled)
+    labelled, labels = labelled_logs(logs)
+    posterior = SlopePosterior(labelled)
     means: list[Slope] = []
     slopes: list[Slope] = []
-    for place, (label, scale) in enumerate(labelled.columns.items()):
-        units: list[int] = np.unique(labelled.unit[labelled.x[:, place] != 0]).tolist()
+    for place, label in enumerate(labels):
+        units: list[int] = np.unique(labelled.unit[labelled.labels[:, place] != 0]).tolist()
         mean, own = posterior.mean_slope(place), posterior.own_slopes(labelled, place, units)
-        limits = _SCALE[label] / scale * np.vstack([posterior.limits(mean), posterior.limits(own)])
+        names = ("", *(labelled.names[unit] for unit in units))
+        limits = (*mean.limits(), *own.limits())
+        p_values = (*mean.two_sided(), *_p_values(labelled, posterior, place, own, units))
         found = [
-            Slope(unit=unit, label=label, slope=Interval(value=value, low=low, high=high), p_value=p)
-            for unit, (low, value, high), p in zip(
-                ("", *(labelled.names[unit] for unit in units)),
-                limits.tolist(),
-                (*posterior.two_sided(mean), *_p_values(labelled, posterior, place, own, units)),
-                strict=True,
-            )
+            Slope(unit=name, label=label, slope=interval_of(limit), p_value=p)
+            for name, limit, p in zip(names, limits, p_values, strict=True)
         ]
         means.append(found[0])
         slopes += found[1:]
@@ -148,89 +128,60 @@ def adjust(trends: Sequence[Trend]) -> tuple[Trend, ...]:
 
     The means of the fleet are one family of tests, the units of it another.
     """
-    means = iter(_adjusted([mean for one in trends for mean in one.means]))
-    slopes = iter(_adjusted([slope for one in trends for slope in one.slopes]))
+
+    def judged(slopes: Sequence[Slope]) -> Iterator[Slope]:
+        p_values = adjusted(np.array([slope.p_value for slope in slopes])).tolist()
+        for slope, p in zip(slopes, p_values, strict=True):
+            yield replace(slope, p_odd=p, odd=p <= FALSE_SHARE)
+
+    means = judged([mean for one in trends for mean in one.means])
+    slopes = judged([slope for one in trends for slope in one.slopes])
     return tuple(
         replace(
-            one,
-            means=tuple(next(means) for _ in one.means),
-            slopes=tuple(next(slopes) for _ in one.slopes),
+            one, means=tuple(islice(means, len(one.means))), slopes=tuple(islice(slopes, len(one.slopes)))
         )
         for one in trends
     )
 
 
-def _adjusted(slopes: Sequence[Slope]) -> list[Slope]:
-    p_values = adjusted(np.array([slope.p_value for slope in slopes]))
-    return [
-        replace(slope, p_odd=p, odd=p <= FALSE_SHARE)
-        for slope, p in zip(slopes, p_values.tolist(), strict=True)
-    ]
-
-
 def _p_values(
-    logs: "LabelledLogs", posterior: "SlopePosterior", place: int, own: Normals, units: Sequence[int]
+    logs: LogValues, posterior: "SlopePosterior", place: int, own: "Normals", units: Sequence[int]
 ) -> list[float]:
     """Return how probable the slope of each unit is: the oddest in the posterior of the others.
 
     That allows for how badly the scatter and the spread of slopes are known.
     """
     weight = posterior.weight
-    mean, error = own[0] @ weight, np.sqrt(own[1] ** 2 @ weight)
+    mean, error = own.mean @ weight, np.sqrt(own.sd**2 @ weight)
     quick = leave_one_out(mean, error, float(weight @ posterior.tau[:, place]))
 
     def by_others(i: int) -> float:
-        others = slope_posterior(logs.of([unit for unit in range(len(logs.names)) if unit != units[i]]))
-        return others.two_sided(others.beyond(logs.of([units[i]]), place))[0]
+        others = logs.take(logs.unit != units[i])
+        if not np.any(others.labels, axis=0).all():
+            # What only this unit shows, the others can't tell from its slope.
+            return 1.0
+        return SlopePosterior(others).beyond(logs.take(logs.unit == units[i]), place).two_sided()[0]
 
     p_values: list[float] = oddest_by_others(quick, _SUSPECT, by_others).tolist()
     return p_values
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledLogs:
-    """Logs of units, sorted by `unit`, their index in `names`, shape (logs,).
+def labelled_logs(logs: Sequence[LogValue]) -> tuple[LogValues, tuple[str, ...]]:
+    """Return the logs of units that tell a slope, and its labels; raise what `trend` raises.
 
-    `columns` are the labels that vary in some unit, and what their columns of `x`, shape (logs, labels), were
-    divided by: labels about their mean in the unit, 0 where they vary too little in it. `y` and `deviation`,
-    shape (logs,), are the logarithm of the coefficient and its standard error.
+    The logs are sorted by unit, their labels are about their means in it: 0 where they vary too little in it.
     """
-
-    columns: Mapping[str, float]
-    names: tuple[str, ...]
-    unit: IntArray
-    x: FloatArray
-    y: FloatArray
-    deviation: FloatArray
-
-    def of(self, units: Sequence[int]) -> "LabelledLogs":
-        """Return the logs of some units, ascending."""
-        keep = np.isin(self.unit, units)
-        return LabelledLogs(
-            columns=self.columns,
-            names=tuple(self.names[unit] for unit in units),
-            unit=np.searchsorted(units, self.unit[keep]),
-            x=self.x[keep],
-            y=self.y[keep],
-            deviation=self.deviation[keep],
-        )
-
-
-def labelled_logs(logs: Sequence[LogValue]) -> LabelledLogs:
-    """Return the logs of units that tell a slope; raise what `trend` raises."""
-    values = LogValues.of(logs)
-    y, deviation = _linear(values)
-    labels = np.array([[getattr(log, column) for column in NEAREST] for log in logs])
-    told = np.zeros_like(labels)
+    values = _linear(LogValues.of(logs))
     rows: list[IntArray] = []
+    told = np.zeros_like(values.labels)
     for unit in range(len(values.names)):
-        own = np.flatnonzero((values.unit == unit) & np.isfinite(deviation))
-        varies = _varying(labels[own])
-        own = own[np.isfinite(labels[own][:, varies]).all(axis=1)]
-        varies &= _varying(labels[own])
+        own = np.flatnonzero((values.unit == unit) & np.isfinite(values.deviation))
+        varies = _varying(values.labels[own])
+        own = own[np.isfinite(values.labels[own][:, varies]).all(axis=1)]
+        varies &= _varying(values.labels[own])
         if varies.any():
             place = np.ix_(own, varies)
-            told[place] = labels[place] - labels[place].mean(axis=0)
+            told[place] = values.labels[place] - values.labels[place].mean(axis=0)
             rows.append(own)
     if not rows:
         msg = (
@@ -238,38 +189,26 @@ def labelled_logs(logs: Sequence[LogValue]) -> LabelledLogs:
             "started, two different ones a unit at least"
         )
         raise DataError(msg)
-    keep = np.concatenate(rows)
-    scale = np.sqrt(np.mean(told[keep] ** 2, axis=0))
-    tells = scale > 0
-    x = told[keep][:, tells] / scale[tells]
-    if np.linalg.matrix_rank(x, tol=_SAME * math.sqrt(len(x))) < x.shape[1]:
+    keep, tells = np.concatenate(rows), np.any(told, axis=0)
+    x = told[keep][:, tells] / np.array(_SCALE)[tells]
+    if np.linalg.matrix_rank(x / np.linalg.norm(x, axis=0), tol=_SAME) < x.shape[1]:
         msg = (
             "temperature and time moved together in every unit, so that neither's effect can be told: "
             "record a unit at another temperature on the same day"
         )
         raise DataError(msg)
-    return LabelledLogs(
-        columns={column: float(one) for column, one in zip(NEAREST, scale, strict=True) if one > 0},
-        names=tuple(values.names[int(values.unit[own[0]])] for own in rows),
-        unit=np.repeat(np.arange(len(rows)), [own.size for own in rows]),
-        x=x,
-        y=y[keep],
-        deviation=deviation[keep],
-    )
+    return replace(values.take(keep), labels=x), tuple(compress(NEAREST, tells.tolist()))
 
 
 def _varying(labels: FloatArray) -> BoolArray:
     """Return which labels, shape (logs, labels), vary by enough over the logs that have them."""
-    result = [
-        known.size > 1 and float(np.ptp(known)) > near
-        for column, near in zip(labels.T, NEAREST.values(), strict=True)
-        for known in (column[np.isfinite(column)],)
-    ]
-    return np.array(result, dtype=np.bool_)
+    greatest, least = (of.reduce(labels, axis=0, initial=math.nan) for of in (np.fmax, np.fmin))
+    result: BoolArray = greatest - least > [*NEAREST.values()]
+    return result
 
 
-def _linear(values: LogValues) -> tuple[FloatArray, FloatArray]:
-    """Return logarithms of the coefficients and their standard errors; infinite where there is none to use.
+def _linear(values: LogValues) -> LogValues:
+    """Return logs that are normal in the logarithm; of infinite deviation where there is none to use.
 
     A weak log's square may be negative: it is taken as linear about the fleet's mean square.
     """
@@ -278,7 +217,7 @@ def _linear(values: LogValues) -> tuple[FloatArray, FloatArray]:
     told = values.narrow & ((squares.deviation(at) <= 2 * _NARROW * at) | (values.deviation <= _NARROW / 2))
     weak = ~told & values.weighed
     if not weak.any():
-        return values.centre, values.deviation
+        return values
     square = np.where(weak, squares.estimate, np.exp(2 * values.centre))
     error = np.where(weak, squares.deviation(at), 2 * square * values.deviation)
     weight = np.where(np.isfinite(error), 1 / (error**2 + np.median(error) ** 2), 0.0)
@@ -287,10 +226,45 @@ def _linear(values: LogValues) -> tuple[FloatArray, FloatArray]:
     if mean < _TOLD * float(np.linalg.norm(weight * np.where(weight > 0, error, 0.0))):
         msg = "the logs only bound this term, and so tell nothing of what moves it: record longer logs"
         raise DataError(msg)
-    return (
-        np.where(weak, 0.5 * math.log(mean) + (square / mean - 1) / 2, values.centre),
-        np.where(weak, squares.deviation(mean) / (2 * mean), values.deviation),
+    return replace(
+        values,
+        centre=np.where(weak, 0.5 * math.log(mean) + (square / mean - 1) / 2, values.centre),
+        deviation=np.where(weak, squares.deviation(mean) / (2 * mean), values.deviation),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Normals:
+    """Numbers that are normal at each point of a posterior's grid.
+
+    `mean` and `sd` have the shape (numbers, points); `weight`, shape (points,), adds up to one.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    weight: FloatArray
+
+    def two_sided(self) -> list[float]:
+        """Return the chance that each number lies beyond zero, from where most of it is, on either side."""
+        from scipy.special import ndtr
+
+        chance: list[float] = two_sided(ndtr(self.mean / self.sd) @ self.weight).tolist()
+        return chance
+
+    def limits(self) -> FloatArray:
+        """Return the 95 % interval of each number about its median, shape (numbers, 3), by bisection."""
+        from scipy.special import ndtr
+
+        keep = self.weight > _LITTLE * self.weight.max()
+        mean, sd = self.mean[:, None, keep], self.sd[:, None, keep]
+        weight = self.weight[keep] / self.weight[keep].sum()
+        low, high = np.min(mean - 9 * sd, axis=-1), np.max(mean + 9 * sd, axis=-1)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2 + np.zeros(len(TAILS))
+            below = ndtr((middle[..., None] - mean) / sd) @ weight < TAILS
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        result: FloatArray = (low + high) / 2
+        return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,65 +291,56 @@ class Sums:
         )
 
 
-@dataclass(frozen=True, slots=True)
 class SlopePosterior:
-    """Points of the posterior of scatter and spreads, and the law of the mean slopes at each.
+    """Points of the posterior of scatter and spreads, on a grid that was narrowed until it fits its support.
 
     Of shapes (points,) and (points, labels) are `omega` and `tau`, of (points,) their `weight`, which adds up
-    to one; of (points, labels) and (points, labels, labels) `mean` and `covariance` of the mean slopes.
+    to one; of (points, labels) and (points, labels, labels) `mean` and `covariance` of the mean slopes there.
     """
 
-    omega: FloatArray
-    tau: FloatArray
-    weight: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
+    def __init__(self, logs: LogValues) -> None:
+        ranges = _ranges(logs)
+        for _ in range(_ROUNDS):
+            grids = [np.linspace(low, high, _POINTS if high > low else 1) for low, high in ranges]
+            omegas, *taus = (np.exp(grid) if grid.size > 1 else np.zeros(1) for grid in grids)
+            slices = [_at_scatter(logs, omega, taus) for omega in omegas.tolist()]
+            mean, covariance, height = (np.array(part) for part in zip(*slices, strict=True))
+            height -= height.max()
+            axes = range(height.ndim)
+            found = [
+                support(grid, np.max(height, axis=tuple(i for i in axes if i != axis)) > -_OUTSIDE)
+                for axis, grid in enumerate(grids)
+            ]
+            if np.all(2 * np.diff(found) >= np.diff(ranges)):
+                break
+            ranges = found
+        keep = height > -_NOTHING
+        self.omega, *tau = (np.broadcast_to(grid, height.shape)[keep] for grid in np.ix_(omegas, *taus))
+        self.tau = np.column_stack(tau)
+        self.weight: FloatArray = np.exp(height[keep]) / np.exp(height[keep]).sum()
+        self.mean, self.covariance = mean[keep], covariance[keep]
 
     def mean_slope(self, label: int) -> Normals:
         """Return the mean slope of a label."""
-        return self.mean[None, :, label], np.sqrt(self.covariance[None, :, label, label])
+        sd = np.sqrt(self.covariance[None, :, label, label])
+        return Normals(self.mean[None, :, label], sd, self.weight)
 
-    def own_slopes(self, logs: LabelledLogs, label: int, units: Sequence[int]) -> Normals:
+    def own_slopes(self, logs: LogValues, label: int, units: Sequence[int]) -> Normals:
         """Return the slopes of some units by their own logs; of other labels, each moves as others do."""
         sums = self._of(logs, leave=label)
         information = sums.information[:, units, label, label]
         rest = self._beyond(sums, label)[:, units] / information
-        return (self.mean[:, None, label] + rest).T, 1 / np.sqrt(information).T
+        return Normals((self.mean[:, None, label] + rest).T, 1 / np.sqrt(information).T, self.weight)
 
-    def beyond(self, unit: LabelledLogs, label: int) -> Normals:
+    def beyond(self, unit: LogValues, label: int) -> Normals:
         """Return how far a unit that this posterior has not seen lies beyond what it expects, as a score."""
         sums = self._of(unit)
         information = sums.information[..., label]
         error = np.einsum("pui,pij,puj->pu", information, self.covariance, information)
-        return self._beyond(sums, label).T, np.sqrt(information[..., label] + error).T
+        sd = np.sqrt(information[..., label] + error).T
+        return Normals(self._beyond(sums, label).T, sd, self.weight)
 
-    def two_sided(self, numbers: Normals) -> list[float]:
-        """Return the chance that each number lies beyond zero, from where most of it is, on either side."""
-        from scipy.special import ndtr
-
-        mean, sd = numbers
-        above = ndtr(mean / sd) @ self.weight
-        chance: list[float] = (2 * np.minimum(above, 1 - above)).tolist()
-        return chance
-
-    def limits(self, numbers: Normals) -> FloatArray:
-        """Return the 95 % interval of each number about its median, shape (numbers, 3), by bisection."""
-        from scipy.special import ndtr
-
-        keep = self.weight > _LITTLE * self.weight.max()
-        mean, sd = (part[:, keep] for part in numbers)
-        weight = self.weight[keep] / self.weight[keep].sum()
-        found = []
-        for level in _TAILS:
-            low, high = np.min(mean - 9 * sd, axis=1), np.max(mean + 9 * sd, axis=1)
-            for _ in range(_HALVINGS):
-                middle = (low + high) / 2
-                below = ndtr((middle[:, None] - mean) / sd) @ weight < level
-                low, high = np.where(below, middle, low), np.where(below, high, middle)
-            found.append((low + high) / 2)
-        return np.column_stack(found)
-
-    def _of(self, logs: LabelledLogs, leave: int | None = None) -> Sums:
+    def _of(self, logs: LogValues, leave: int | None = None) -> Sums:
         """Return what each unit tells at each point, (points, units, …), with slopes of its own."""
         found = unit_sums(logs, self.omega)
         for label in range(self.tau.shape[1]):
@@ -389,41 +354,18 @@ class SlopePosterior:
         return result
 
 
-def slope_posterior(logs: LabelledLogs) -> SlopePosterior:
-    """Return the posterior on a grid that is narrowed until it fits its support."""
-    ranges = _ranges(logs)
-    for _ in range(_ROUNDS):
-        grids = [np.linspace(low, high, _POINTS if high > low else 1) for low, high in ranges]
-        omegas, *taus = (np.exp(grid) if grid.size > 1 else np.zeros(1) for grid in grids)
-        slices = [_at_scatter(logs, omega, taus) for omega in omegas.tolist()]
-        mean, covariance, height = (np.array(part) for part in zip(*slices, strict=True))
-        height -= height.max()
-        others = [tuple(i for i in range(height.ndim) if i != axis) for axis in range(height.ndim)]
-        found = [
-            support(grid, np.max(height, axis=rest) > -_OUTSIDE)
-            for grid, rest in zip(grids, others, strict=True)
-        ]
-        if all(2 * (new[1] - new[0]) >= old[1] - old[0] for new, old in zip(found, ranges, strict=True)):
-            break
-        ranges = found
-    keep = height > -_NOTHING
-    omega, *tau = (np.broadcast_to(grid, height.shape)[keep] for grid in np.ix_(omegas, *taus))
-    weight = np.exp(height[keep])
-    return SlopePosterior(omega, np.column_stack(tau), weight / weight.sum(), mean[keep], covariance[keep])
-
-
-def unit_sums(logs: LabelledLogs, omega: FloatArray) -> Sums:
-    """Return what each unit tells of its slopes, for each scatter omega, shape (omega,)."""
+def unit_sums(logs: LogValues, omega: FloatArray) -> Sums:
+    """Return what each unit tells of its slopes, for each scatter omega, of any shape; (*shape, units, …)."""
     starts = np.flatnonzero(np.diff(logs.unit, prepend=-1))
-    w = 1 / (logs.deviation**2 + omega[:, None] ** 2)
+    w = 1 / (logs.deviation**2 + omega[..., None] ** 2)
 
     def total(values: FloatArray) -> FloatArray:
-        result: FloatArray = np.add.reduceat(values, starts, axis=1)
+        result: FloatArray = np.add.reduceat(values, starts, axis=omega.ndim)
         return result
 
     whole = total(w)
-    x = logs.x - (total(w[..., None] * logs.x) / whole[..., None])[:, logs.unit]
-    y = logs.y - (total(w * logs.y) / whole)[:, logs.unit]
+    x = logs.labels - (total(w[..., None] * logs.labels) / whole[..., None])[..., logs.unit, :]
+    y = logs.centre - (total(w * logs.centre) / whole)[..., logs.unit]
     return Sums(
         information=total(w[..., None, None] * x[..., None] * x[..., None, :]),
         score=total((w * y)[..., None] * x),
@@ -432,24 +374,22 @@ def unit_sums(logs: LabelledLogs, omega: FloatArray) -> Sums:
 
 
 def _at_scatter(
-    logs: LabelledLogs, omega: float, spreads: Sequence[FloatArray]
+    logs: LogValues, omega: float, spreads: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean slopes, their covariance and the logarithm of the posterior, over a grid of spreads.
 
     The prior is Jeffreys' of omega and of each spread, for a measure that is flat in their logarithms.
     """
-    each = unit_sums(logs, np.array([omega]))
-    errors = np.diagonal(each.information[0], axis1=-2, axis2=-1)
-    room = (None,) * (len(spreads) - 1)
-    each = Sums(each.information[room], each.score[room], each.height[room])
+    each = unit_sums(logs, np.full((1,) * len(spreads), omega))
+    errors = np.diagonal(each.information, axis1=-2, axis2=-1)
     prior = 2 * math.log(omega) + 0.5 * math.log(np.sum((logs.deviation**2 + omega**2) ** -2.0))
     height = np.full((1,) * len(spreads), prior)
-    for label, (tau, own) in enumerate(zip(np.ix_(*spreads), errors.T, strict=True)):
+    for label, tau in enumerate(np.ix_(*spreads)):
         if tau.any():
             each = each.spread(label, tau[..., None])
-            height = height + np.log(
-                tau**2 * np.sqrt(np.sum((own / (1 + tau[..., None] ** 2 * own)) ** 2, axis=-1))
-            )
+            own = errors[..., label]
+            told = np.sum((own / (1 + tau[..., None] ** 2 * own)) ** 2, axis=-1)
+            height = height + np.log(tau**2 * np.sqrt(told))
     covariance = np.linalg.inv(each.information.sum(axis=-3))
     score = each.score.sum(axis=-2)
     mean = np.einsum("...ij,...j->...i", covariance, score)
@@ -457,14 +397,14 @@ def _at_scatter(
     return mean, covariance, height + fit + 0.5 * np.linalg.slogdet(covariance)[1]
 
 
-def _ranges(logs: LabelledLogs) -> list[tuple[float, float]]:
+def _ranges(logs: LogValues) -> list[tuple[float, float]]:
     """Return the ranges of the logarithms of omega and the spreads; of no width where there is no telling."""
-    own = np.diagonal(unit_sums(logs, np.zeros(1)).information[0], axis1=-2, axis2=-1)
+    own = np.diagonal(unit_sums(logs, np.zeros(())).information, axis1=-2, axis2=-1)
     known = float(np.sqrt(np.mean(logs.deviation**2)))
-    means = np.bincount(logs.unit, logs.y) / np.bincount(logs.unit)
-    scatter = float(np.sqrt(np.mean((logs.y - means[logs.unit]) ** 2)))
+    means = np.bincount(logs.unit, logs.centre) / np.bincount(logs.unit)
+    scatter = float(np.sqrt(np.mean((logs.centre - means[logs.unit]) ** 2)))
     ranges = [(math.log(_NONE * known), math.log(2 * known + 3 * scatter))]
-    for x, information in zip(logs.x.T, own.T, strict=True):
+    for x, information in zip(logs.labels.T, own.T, strict=True):
         if np.count_nonzero(information > 0) < 2:
             ranges.append((0.0, 0.0))
             continue

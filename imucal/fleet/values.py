@@ -5,8 +5,10 @@ of a squared coefficient: normal about a weak term, its deviation in proportion 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -20,43 +22,43 @@ _SMALL = 1e-3
 _LARGEST = 50.0
 #: An estimate is taken as normal in the logarithm up to this standard error; a square's, up to that.
 _NARROW, _NARROW_SQUARE = 0.3, 0.1
+#: The numbers of a `LogValue` that a population or a trend is made of; labels last.
+_NUMBERS = attrgetter(
+    *("value", "low", "high", "level", "variance", "variance_sd", "variance_growth"),
+    *("temperature_c", "days"),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Squares:
     """Estimates, which may be negative, of squared coefficients; shape (n,) each.
 
-    Attributes
-    ----------
-    estimate
-        Of the square.
-    sd, growth
-        The standard deviation of an estimate is ``sd + growth * square``.
+    The standard deviation of an estimate is ``sd + growth * square``.
     """
 
     estimate: FloatArray
     sd: FloatArray
     growth: FloatArray
 
-    def __getitem__(self, which: BoolArray | list[int] | slice) -> "Squares":
+    def __getitem__(self, which: Any) -> "Squares":  # noqa: ANN401 - whatever indexes an array
         return Squares(self.estimate[which], self.sd[which], self.growth[which])
 
-    def deviation(self, square: float) -> FloatArray:
+    def deviation(self, square: float | FloatArray) -> FloatArray:
         """Return the standard deviation of each, were its squared coefficient `square`."""
         result: FloatArray = self.sd + self.growth * square
         return result
 
     def log_likelihood(self, square: FloatArray) -> FloatArray:
         """Return the log-likelihood of squared coefficients, shape (n, squares), against the most likely."""
-        estimate, sd, growth = self._columns()
+        own = self[:, None]
 
         def depth(square: FloatArray) -> FloatArray:
-            apart = (estimate - square) / (sd + growth * square)
-            grows = np.maximum(growth, _NO_GROWTH)
-            chi_square = (np.log1p(grows * square / sd) + grows * apart) / grows**2
-            return np.where(growth < _NO_GROWTH, 0.5 * apart**2, chi_square)
+            apart = (own.estimate - square) / own.deviation(square)
+            grows = np.maximum(own.growth, _NO_GROWTH)
+            chi_square = (np.log1p(grows * square / own.sd) + grows * apart) / grows**2
+            return np.where(own.growth < _NO_GROWTH, 0.5 * apart**2, chi_square)
 
-        result: FloatArray = depth(np.maximum(estimate, 0.0)) - depth(square)
+        result: FloatArray = depth(np.maximum(own.estimate, 0.0)) - depth(square)
         return result
 
     def below(self, square: FloatArray) -> FloatArray:
@@ -68,12 +70,12 @@ class Squares:
         """
         from scipy.special import ndtr
 
-        estimate, sd, growth = self._columns()
-        apart = (estimate - square) / (sd + growth * square)
-        grows = np.maximum(growth, _NO_GROWTH)
+        own = self[:, None]
+        apart = (own.estimate - square) / own.deviation(square)
+        grows = np.maximum(own.growth, _NO_GROWTH)
         root = (np.cbrt(1 + grows * apart) - 1) * 3 / grows + grows / 3
         root = np.where(apart < 0, np.maximum(root, apart), root)
-        result: FloatArray = ndtr(np.where(growth < _NO_GROWTH, apart, root))
+        result: FloatArray = ndtr(np.where(own.growth < _NO_GROWTH, apart, root))
         return result
 
     def mean_by(self, group: IntArray, at: float) -> "Squares":
@@ -82,17 +84,13 @@ class Squares:
         share = weight / np.bincount(group, weight)[group]
 
         def error(square: float) -> FloatArray:
-            own: FloatArray = (share * self.deviation(square)) ** 2
-            return np.sqrt(np.bincount(group, own))
+            return np.sqrt(np.bincount(group, (share * self.deviation(square)) ** 2))
 
-        mean: FloatArray = np.bincount(group, share * self.estimate).astype(np.float64)
         sd = error(0.0)
         # The deviation of a mean is nearly linear too; any small square tells how it begins.
         far = at or _SMALL * float(sd.min())
+        mean: FloatArray = np.bincount(group, share * self.estimate).astype(np.float64)
         return Squares(mean, sd, (error(far) - sd) / far)
-
-    def _columns(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return self.estimate[:, None], self.sd[:, None], self.growth[:, None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,13 +151,14 @@ class LogValue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogValues:
-    """The logs of a fleet as columns; logarithms are natural.
+    """The logs of a fleet as columns, shape (logs,); logarithms are natural.
 
     `names` are the units in the order of their first log, `unit` the index of each log's. `centre` and
     `deviation` are the logarithm of the estimate and its standard error, infinite where the log only bounds
-    it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `bounded` logs have no
-    value; `weighed` ones have an estimate of the squared coefficient, which is in `squares`: without one
-    there is the square of the value, or zero for a bound.
+    it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `narrow` logs are
+    normal in the logarithm; `bounded` ones have no value; `weighed` ones have an estimate of the squared
+    coefficient, which is in `squares`: without one there is the square of the value, or zero for a bound.
+    `labels` are what may move the coefficient, shape (logs, labels).
     """
 
     names: tuple[str, ...]
@@ -168,45 +167,43 @@ class LogValues:
     deviation: FloatArray
     low_sd: FloatArray
     high_sd: FloatArray
+    narrow: BoolArray
     bounded: BoolArray
     weighed: BoolArray
     squares: Squares
+    labels: FloatArray
 
     @classmethod
     def of(cls, logs: Sequence[LogValue]) -> "LogValues":
-        """Return the columns of `logs`."""
+        """Return the columns of `logs`, with temperature and days as labels."""
         from scipy.special import ndtri
 
-        z = ndtri((1 + _column(log.level for log in logs)) / 2)
-        value, low, high = (_column(getattr(log, name) for log in logs) for name in ("value", "low", "high"))
-        bounded = np.isnan(value)
+        numbers = np.array([*map(_NUMBERS, logs)], dtype=np.float64)
+        value, low, high, level, variance, sd, growth, *_ = numbers.T
+        z = ndtri((1 + level) / 2)
+        bounded, weighed = np.isnan(value), ~np.isnan(variance)
         centre = np.log(np.where(bounded, high / 2, value))
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
         told = ~bounded & (low > 0)
         low_sd = np.where(told, np.maximum((centre - np.log(np.where(told, low, 1.0))) / z, 1e-9), high_sd)
-        deviation = np.where(told, (high_sd + low_sd) / 2, np.inf)
-
-        variance, sd = _column(log.variance for log in logs), _column(log.variance_sd for log in logs)
-        growth = _column(log.variance_growth for log in logs)
-        weighed = ~np.isnan(variance)
         # The logarithm of a chi-square has a mean below that of its mean: by half its relative variance.
         positive = weighed & (variance > 0)
         square = np.where(positive, variance, 1.0)
         error = np.where(positive, (sd + growth * variance) / (2 * square), np.inf)
-        narrow = error <= _NARROW_SQUARE
         centre = np.where(
-            narrow, 0.5 * np.log(square) + np.where(np.isfinite(error), error, 0.0) ** 2, centre
+            error <= _NARROW_SQUARE, 0.5 * np.log(square) + np.minimum(error, _NARROW_SQUARE) ** 2, centre
         )
+        deviation = np.where(weighed, error, np.where(told, (high_sd + low_sd) / 2, np.inf))
         of_limits = np.where(bounded, 0.0, np.exp(2 * centre))
-        names = tuple(dict.fromkeys(log.unit for log in logs))
-        place = {name: i for i, name in enumerate(names)}
+        place = {name: i for i, name in enumerate(dict.fromkeys(log.unit for log in logs))}
         return cls(
-            names=names,
+            names=tuple(place),
             unit=np.array([place[log.unit] for log in logs], dtype=np.int64),
             centre=centre,
-            deviation=np.where(weighed, error, deviation),
+            deviation=deviation,
             low_sd=low_sd,
             high_sd=high_sd,
+            narrow=deviation <= np.where(weighed, _NARROW_SQUARE, _NARROW),
             bounded=bounded,
             weighed=weighed,
             squares=Squares(
@@ -214,55 +211,24 @@ class LogValues:
                 np.where(weighed, sd, np.where(bounded, high**2 / z, of_limits * (low_sd + high_sd))),
                 np.where(weighed, growth, 0.0),
             ),
+            labels=numbers[:, -2:],
         )
 
     @property
     def by_limits(self) -> BoolArray:
         """Which logs are known by their value and its limits alone."""
-        result: BoolArray = ~(self.weighed | self.bounded)
+        return ~(self.weighed | self.bounded)
+
+    def take(self, which: BoolArray | IntArray) -> "LogValues":
+        """Return some of the logs, and the units that they are of."""
+        units, unit = np.unique(self.unit[which], return_inverse=True)
+        columns = {f.name: getattr(self, f.name)[which] for f in fields(self)[2:]}
+        return LogValues(names=tuple(self.names[i] for i in units.tolist()), unit=unit, **columns)
+
+    def log_likelihood(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each log at logarithms of the coefficient, shape (logs, theta)."""
+        apart = theta - self.centre[:, None]
+        score = apart / np.where(apart >= 0, self.high_sd[:, None], self.low_sd[:, None])
+        of_square = self.squares.log_likelihood(np.exp(2 * np.minimum(theta, _LARGEST)))
+        result: FloatArray = np.where(self.by_limits[:, None], -0.5 * score**2, of_square)
         return result
-
-    @property
-    def narrow(self) -> BoolArray:
-        """Which logs are normal in the logarithm."""
-        result: BoolArray = self.deviation <= np.where(self.weighed, _NARROW_SQUARE, _NARROW)
-        return result
-
-    def log_likelihood(self, which: BoolArray, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihoods of logs at logarithms of the coefficient, shape (logs, theta)."""
-        centre, low_sd, high_sd, by_limits = (
-            column[which, None] for column in (self.centre, self.low_sd, self.high_sd, self.by_limits)
-        )
-        score = (theta - centre) / np.where(theta >= centre, high_sd, low_sd)
-        square = np.exp(2 * np.minimum(theta, _LARGEST))
-        result: FloatArray = np.where(by_limits, -0.5 * score**2, self.squares[which].log_likelihood(square))
-        return result
-
-    def log_deviation(self, theta: float) -> FloatArray:
-        """Return the standard error of each log in the logarithm, were its coefficient exp(theta)."""
-        square = math.exp(2 * theta)
-        weak = self.squares.deviation(square) / (2 * square)
-        result: FloatArray = np.where(self.narrow | self.by_limits, self.deviation, weak)
-        return result
-
-    def unit_squares(self, theta: float) -> Squares:
-        """Return the squared coefficient of each unit from all of its logs, best for one of exp(theta)."""
-        return self.squares.mean_by(self.unit, math.exp(2 * theta))
-
-    def unit_centre(self, unit: int, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a unit's logarithm and its variance, for each scatter between its logs, shape (omega,)."""
-        own = self.unit == unit
-        weight = 1 / (self.deviation[own] ** 2 + omega[:, None] ** 2)
-        total = weight.sum(axis=1)
-        return weight @ self.centre[own] / total, 1 / total
-
-    def without(self, unit: int) -> "LogValues":
-        """Return the logs of the other units."""
-        keep = self.unit != unit
-        columns = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name != "names"}
-        columns["unit"] = columns["unit"] - (columns["unit"] > unit)
-        return LogValues(names=self.names[:unit] + self.names[unit + 1 :], **columns)
-
-
-def _column(values: Iterable[float | None]) -> FloatArray:
-    return np.array([math.nan if value is None else value for value in values], dtype=np.float64)

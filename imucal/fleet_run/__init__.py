@@ -1,6 +1,6 @@
 """fleet_run: the logs of a fleet -> its store; planning, the work on one log, and who hands the work out."""
 
-from imucal.fleet_run.fleet_call import run_fleet
-from imucal.fleet_run.plan import REPORTS, FleetPlan, FleetSettings, LogDone, LogTask, plan_fleet
+from imucal.fleet_run.fleet_call import fleet_settings, planned, prepare, run_fleet
+from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogTask
 
-__all__ = ["REPORTS", "FleetPlan", "FleetSettings", "LogDone", "LogTask", "plan_fleet", "run_fleet"]
+__all__ = ["FleetPlan", "FleetSettings", "LogTask", "fleet_settings", "planned", "prepare", "run_fleet"]

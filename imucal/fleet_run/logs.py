@@ -11,18 +11,15 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from imucal.errors import ReadError
+from imucal.errors import ArgumentError, ReadError
 from imucal.readers import FORMATS
 from imucal.readers.compression import crc32
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
-from imucal.readers.formats import STDIN
-from imucal.readers.remote_logs import LocalLogs, local_logs
 from imucal.remote import RemoteLog, expand, fetched, identify, is_url
 from imucal.remote.addresses import has_wildcards, name_of
 from imucal.remote.stores import store_of
@@ -46,29 +43,18 @@ _BLOCK = 1 << 20
 _AT_ONCE = 32
 
 
-def find_logs(names: Iterable[str], listed: Iterable[str] = ()) -> list[str]:
+def find_logs(names: Iterable[str]) -> list[str]:
     """Return the logs that some names stand for, each once, in the order of the names.
 
-    Parameters
-    ----------
-    names
-        Files, folders, URLs, names with wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of any
-        depth), or ``-`` for `listed`.
-    listed
-        Lines of a list, one name each; empty ones are left out.
+    They are files, folders, URLs, or names with wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of
+    any depth).
 
     Raises
     ------
     ReadError
         If wildcards match nothing, a folder holds no log, or a name is neither a file nor a log's.
     """
-    found: dict[str, None] = {}
-    for name in names:
-        several = (line.strip() for line in listed) if name == STDIN else (name,)
-        for one in several:
-            if one:
-                found |= dict.fromkeys(_logs_of(one))
-    return list(found)
+    return list(dict.fromkeys(log for name in names for log in _logs_of(name)))
 
 
 def _logs_of(name: str) -> list[str]:
@@ -77,17 +63,17 @@ def _logs_of(name: str) -> list[str]:
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
+    logs: Iterable[str] = ()
+    found = "no such file or folder; expected logs, or folders with logs in them"
     if os.path.isdir(name):  # noqa: PTH112 - a name stays as it was typed
-        logs = list(_walk(name))
         found = "no log in this folder; expected files that end in .mcap, .bag, .db3, .csv or others"
+        logs = _walk(name)
     elif os.path.lexists(name) or (not glob.has_magic(name) and name.lower().endswith(_ENDINGS)):
-        return [name]
+        logs = (name,)
     elif glob.has_magic(name):
-        logs = list(_matches(name))
         found = "no log has such a name; expected files, or folders with logs in them"
-    else:
-        logs = []
-        found = "no such file or folder; expected logs, or folders with logs in them"
+        logs = _matches(name)
+    logs = list(logs)
     if not logs:
         msg = f"{name}: {found}"
         raise ReadError(msg)
@@ -128,8 +114,7 @@ def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
             yield name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stamp:
+class Stamp(NamedTuple):
     """What the file system says of a log: the bytes of all its files, and when the newest was written.
 
     `mtime_ns`, in ns since 1970, tells of the log with this size and path whether the content is still the
@@ -140,55 +125,33 @@ class Stamp:
     mtime_ns: int
 
 
-def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp | None]:
-    """Return what file systems and stores say of logs: path -> place becomes path -> stamp."""
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        remote = {path: pool.submit(_asked, place) for path, place in places.items() if is_url(place)}
-        return {
-            path: remote[path].result() if path in remote else _stamp_of(Path(place))
-            for path, place in places.items()
-        }
+def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp]:
+    """Return what file systems and stores say of logs: path -> place becomes path -> stamp.
 
-
-@contextmanager
-def at_hand(place: str) -> Iterator[tuple[LocalLogs, Stamp | None]]:
-    """Lend a log as files of this machine, with its stamp; what was fetched goes after use.
-
-    Raises
-    ------
-    ReadError
-        If it can't be fetched.
+    One of which they say nothing, or that can't be read twice, is left out: reading it will say why.
     """
-    log = identify(place, keep=False) if is_url(place) else place
-    with local_logs([log]) as logs:
-        yield logs, _stamp_of(logs.paths[0]) if isinstance(log, str) else _stamp(log)
+    urls = [path for path, place in places.items() if is_url(place)]
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        asked = dict(zip(urls, pool.map(stamp_of, map(places.__getitem__, urls)), strict=True))
+    found = ((path, asked[path] if path in asked else stamp_of(place)) for path, place in places.items())
+    return {path: stamp for path, stamp in found if stamp}
 
 
-def _stamp_of(path: Path) -> Stamp | None:
-    """Return what the file system says of a log; None where there is none that can be read twice."""
+def stamp_of(log: str | RemoteLog) -> Stamp | None:
+    """Return the stamp of a log; None where nothing is said of it, or it can't be read twice."""
     try:
-        infos = [file.stat() for file in _files(path)]
-    except OSError:
+        known = identify(log) if isinstance(log, str) and is_url(log) else log
+        if isinstance(known, RemoteLog):
+            if not known.etag or known.size is None:
+                return None
+            digest = hashlib.blake2b(known.etag.encode(), digest_size=8).digest()
+            return Stamp(size=known.size, mtime_ns=int.from_bytes(digest, "little") >> 1)
+        infos = [file.stat() for file in _files(Path(known))]
+    except (OSError, ReadError):
         return None
     if not infos or not all(stat.S_ISREG(info.st_mode) for info in infos):
         return None
     return Stamp(size=sum(info.st_size for info in infos), mtime_ns=max(info.st_mtime_ns for info in infos))
-
-
-def _asked(place: str) -> Stamp | None:
-    try:
-        return _stamp(identify(place))
-    except ReadError:
-        # As of a file that is not there: reading it will say why.
-        return None
-
-
-def _stamp(log: RemoteLog) -> Stamp | None:
-    """Return a stamp whose time is a number made of the ETag: it changes when the object does."""
-    if not log.etag or log.size is None:
-        return None
-    digest = hashlib.blake2b(log.etag.encode(), digest_size=8).digest()
-    return Stamp(size=log.size, mtime_ns=int.from_bytes(digest, "little") >> 1)
 
 
 def edge_at(place: str) -> str:
@@ -200,24 +163,17 @@ def edge_at(place: str) -> str:
         If they can't be read.
     """
     machine = hashlib.blake2b(digest_size=16)
-    for size, read in _parts(place):
+    for file in identify(place).files if is_url(place) else _files(Path(place)):
+        if isinstance(file, Path):
+            size, read = file.stat().st_size, functools.partial(_part, file)
+        elif file.size is None or not file.ranges:
+            msg = "its store gives no parts"
+            raise ReadError(msg)
+        else:
+            size, read = file.size, functools.partial(store_of(place).read, file)
         machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
         machine.update(read(max(size - _EDGE, 0), size))
     return machine.hexdigest()
-
-
-def _parts(place: str) -> Iterator[tuple[int, Callable[[int, int], bytes]]]:
-    """Yield the size of each of a log's files, and what returns its bytes from one place to another."""
-    if not is_url(place):
-        for path in _files(Path(place)):
-            yield path.stat().st_size, functools.partial(_part, path)
-        return
-    files, store = identify(place).files, store_of(place)
-    if any(file.size is None or not file.ranges for file in files):
-        msg = "its store gives no parts"
-        raise ReadError(msg)
-    for file in files:
-        yield file.size or 0, functools.partial(store.read, file)
 
 
 def _part(file: Path, start: int, stop: int) -> bytes:
@@ -263,47 +219,37 @@ def _files(path: Path) -> list[Path]:
 _PART = re.compile(
     r"\{(?P<label>[^{}]*)\}|(?P<any>\*\*/?)|(?P<some>\*)|(?P<one>\?)|(?P<brace>[{}])|(?P<text>[^{}*?]+)"
 )
-_LABEL = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_LABEL = re.compile(r"(?!(?:path|options|copy_of)$)[A-Za-z_][A-Za-z0-9_]*")
 _WILD = {"any": ".*", "some": "[^/]*", "one": "[^/]"}
+_SUCH = "write such as '{model}/{unit}/*.mcap'"
 
 
-class LabelPattern:
-    """A pattern of paths with labels in braces, such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
+@functools.cache
+def label_pattern(pattern: str) -> re.Pattern[str]:
+    """Return what finds labels in paths by a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
     It is held against the end of a path, from any folder on; a label is as short as it can be.
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If it has no label, one twice, or a brace alone.
     """
-
-    def __init__(self, pattern: str) -> None:
-        self.pattern = pattern
-        self._labels: set[str] = set()
-        body = "".join(map(self._expression, _PART.finditer(pattern)))
-        if not self._labels:
-            msg = f"labels {pattern!r}: no label; write such as '{{model}}/{{unit}}/*.mcap'"
-            raise ValueError(msg)
-        self._regex = re.compile(f"(?:^|.*/){body}$")
-
-    def _expression(self, part: re.Match[str]) -> str:
-        if part["brace"]:
-            msg = f"labels {self.pattern!r}: a brace alone; write such as '{{model}}/{{unit}}/*.mcap'"
-            raise ValueError(msg)
+    parts, slip, body = [*_PART.finditer(pattern)], "", ""
+    labels = [part["label"] for part in parts if part["label"] is not None]
+    for part in parts:
         label = part["label"]
-        if label is None:
-            return re.escape(part["text"]) if part["text"] else _WILD[part.lastgroup or ""]
-        if not _LABEL.fullmatch(label) or label in {"path", "options", "copy_of"}:
-            msg = f"labels {self.pattern!r}: {label!r} is no name of a label; write such as {{unit}}"
-            raise ValueError(msg)
-        if label in self._labels:
-            msg = f"labels {self.pattern!r}: {label!r} stands twice; give each label a name of its own"
-            raise ValueError(msg)
-        self._labels.add(label)
-        return f"(?P<{label}>[^/]+?)"
-
-    def of(self, path: str) -> dict[str, str] | None:
-        """Return the labels of a path; None where the pattern does not fit."""
-        found = self._regex.match(path.replace("\\", "/"))
-        return found.groupdict() if found else None
+        if part["brace"]:
+            slip = f"a brace alone; {_SUCH}"
+        elif label is None:
+            body += re.escape(part["text"]) if part["text"] else _WILD[part.lastgroup or ""]
+        elif not _LABEL.fullmatch(label):
+            slip = f"{label!r} is no name of a label; write such as {{unit}}"
+        elif labels.count(label) > 1:
+            slip = f"{label!r} stands twice; give each label a name of its own"
+        else:
+            body += f"(?P<{label}>[^/]+?)"
+    if slip or not labels:
+        msg = f"labels {pattern!r}: {slip or f'no label; {_SUCH}'}"
+        raise ArgumentError(msg)
+    return re.compile(f"(?:^|.*/){body}$")

@@ -68,106 +68,84 @@ def unprotected(address: str | None) -> str:
     )
 
 
-def outcomes(
-    take: Callable[[], T | None], work: Callable[[T], R], *, address: str
-) -> Iterator[tuple[T, R | Lost]]:
-    """Yield each batch with its result, in the order in which they are done.
+class DaskWorkers(Generic[T, R]):
+    """The workers of a cluster, and the batches that they have in hand; see `imucal.fleet_run.running`."""
 
-    Parameters
-    ----------
-    take
-        Returns the next batch, or None where there is none now; more may come of those that were lost.
-    work
-        What a worker does with a batch, in a time that it holds itself; a function of a module, which may be
-        a `functools.partial`.
-    address
-        Of the scheduler of those who do it.
+    def __init__(self, client: "Client", where: str, work: Callable[[T], R]) -> None:
+        self._client, self._where, self._work = client, where, work
+        self.hands: dict[Future, T] = {}
+        self._threads = 0
+        self._asked, self._heard = -math.inf, time.monotonic()
+
+    def room(self) -> int:
+        """Return how many more batches may be handed out; give up where nobody is heard of."""
+        if time.monotonic() - self._asked >= _LOOK_S:
+            self._asked, self._threads = time.monotonic(), 0
+            if self._client.status == "running":
+                with suppress(OSError, TimeoutError):
+                    self._threads = sum(self._client.nthreads().values())
+            if self._threads:
+                self._heard = time.monotonic()
+            elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
+                said = "scheduler or workers are gone; what was done is kept; start them, and run again"
+                msg = f"{self._where}: {said}"
+                raise EngineError(msg)
+        return WINDOW * max(self._threads, 1) - len(self.hands)
+
+    def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
+        """Do batches as long as `take` returns any, and yield them with their results as they are done."""
+        from distributed import CancelledError, wait
+
+        while True:
+            while self.room() > 0 and (batch := take()) is not None:
+                self._submit(batch)
+            if not self.hands:
+                return
+            # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
+            with suppress(TimeoutError, CancelledError, ValueError):
+                wait(list(self.hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+            for future in [future for future in self.hands if future.done()]:
+                batch, outcome = self.hands.pop(future), self._outcome(future)
+                future.release()
+                if outcome is None:
+                    self._submit(batch)
+                else:
+                    yield batch, outcome
+
+    def _submit(self, batch: T) -> None:
+        self.hands[self._client.submit(self._work, batch, pure=False)] = batch
+
+    def _outcome(self, future: "Future") -> R | Lost | None:
+        """Return the result of a batch that has ended; None where it is to be handed out again."""
+        from distributed import KilledWorker
+
+        # Cancelled: the scheduler was lost; whether it comes back is seen at the next look.
+        if future.status == "cancelled":
+            return None
+        try:
+            result: R = future.result(timeout=CONNECT_S)
+        except KilledWorker:
+            return Lost(reason="the workers that did it ended")
+        except (TimeoutError, OSError) as error:
+            if future.status != "error":
+                return None
+            # The work's own: another try would end the same, again and again.
+            return Lost(reason=f"its worker failed ({type(error).__name__}: {error})")
+        return result
+
+
+@contextmanager
+def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T, R]]:
+    """Yield the workers of the cluster of a scheduler's address, who do batches.
+
+    `work` is what they do with a batch, in a time that it holds itself: a function of a module, which may be
+    a `functools.partial`.
 
     Raises
     ------
     EngineError
         If dask is missing, or the scheduler or all workers can't be reached or are gone.
     """
-    with dask_client(address) as client:
-        yield from DaskRun(client, address, work).outcomes(take)
-
-
-class DaskRun(Generic[T, R]):
-    """One run on a cluster: the batches in hand, and who is there to do them."""
-
-    def __init__(self, client: "Client", where: str, work: Callable[[T], R]) -> None:
-        self._client, self._where, self._work = client, where, work
-        self.hands: dict[Future, T] = {}
-        self._workers = 0
-        self._asked, self._heard = -math.inf, time.monotonic()
-
-    def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
-        """Do batches as long as there are any, as the function of that name."""
-        from distributed import CancelledError, wait
-
-        try:
-            while True:
-                window = WINDOW * max(self.threads(), 1)
-                while len(self.hands) < window and (batch := take()) is not None:
-                    self.submit(batch)
-                if not self.hands:
-                    return
-                # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
-                with suppress(TimeoutError, CancelledError, ValueError):
-                    wait(list(self.hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
-                for future in [future for future in self.hands if future.done()]:
-                    batch = self.hands.pop(future)
-                    outcome = self.outcome(future, batch)
-                    future.release()
-                    if outcome is not None:
-                        yield batch, outcome
-        finally:
-            # What was not begun is not begun any more.
-            with suppress(Exception):
-                self._client.cancel(list(self.hands), force=True)
-
-    def submit(self, batch: T) -> None:
-        """Hand out a batch."""
-        self.hands[self._client.submit(self._work, batch, pure=False)] = batch
-
-    def threads(self) -> int:
-        """Return how many threads of workers there are; give up where nobody is heard of."""
-        if time.monotonic() - self._asked >= _LOOK_S:
-            self._asked, self._workers = time.monotonic(), 0
-            if self._client.status == "running":
-                with suppress(OSError, TimeoutError):
-                    self._workers = sum(self._client.nthreads().values())
-            if self._workers:
-                self._heard = time.monotonic()
-            elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
-                said = "scheduler or workers are gone; what was done is kept; start them, and run again"
-                msg = f"{self._where}: {said}"
-                raise EngineError(msg)
-        return self._workers
-
-    def outcome(self, future: "Future", batch: T) -> R | Lost | None:
-        """Return the result of a batch whose future is done; None where it is handed out again."""
-        from distributed import KilledWorker
-
-        # Cancelled: the scheduler was lost; whether it comes back is seen at the next look.
-        if future.status != "cancelled":
-            try:
-                result: R = future.result(timeout=CONNECT_S)
-            except KilledWorker:
-                return Lost(reason="the workers that did it ended")
-            except (TimeoutError, OSError) as error:
-                if future.status == "error":
-                    # The work's own: another try would end the same, again and again.
-                    return Lost(reason=f"its worker failed ({type(error).__name__}: {error})")
-            else:
-                return result
-        self.submit(batch)
-        return None
-
-
-@contextmanager
-def dask_client(address: str) -> Iterator["Client"]:
-    """Yield a client of a cluster whose workers can do the work."""
     try:
         import dask
         from distributed import Client
@@ -180,10 +158,14 @@ def dask_client(address: str) -> Iterator["Client"]:
         except (OSError, TimeoutError, ValueError, TypeError) as error:
             msg = f"{address}: can't be reached ({error}); expected the address of a Dask scheduler"
             raise EngineError(msg) from error
+        workers = DaskWorkers(client, address, work)
         try:
             check_workers(client, address)
-            yield client
+            yield workers
         finally:
+            # What was not begun is not begun any more.
+            with suppress(Exception):
+                client.cancel(list(workers.hands), force=True)
             with suppress(Exception):
                 client.close(timeout=CLOSE_S)
 
@@ -213,12 +195,11 @@ def _version() -> str:
 def _quiet() -> Iterator[None]:
     """Silence what distributed logs while workers come and go; what matters is an error of the run."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in _NOISY]
-    loggers = [logging.getLogger(name) for name in (*_NOISY, *names)]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
+    levels = {logger: logger.level for logger in map(logging.getLogger, (*_NOISY, *names))}
+    for logger in levels:
         logger.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        for logger, level in zip(loggers, levels, strict=True):
+        for logger, level in levels.items():
             logger.setLevel(level)

@@ -6,36 +6,29 @@ this process's own, and speak with it through pipes that nobody else can reach. 
 one; the logs of a batch that such a worker did not bring back are tried by themselves.
 """
 
+import math
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError, WriteError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
 from imucal.fleet_report.answers import Ask, Question, answer_texts
-from imucal.fleet_run.logs import at_hand, content_at, edge_at
-from imucal.fleet_run.on_dask import Lost, outcomes
-from imucal.fleet_run.plan import (
-    PATIENCE,
-    FleetPlan,
-    FleetSettings,
-    LogDone,
-    LogTask,
-    batches,
-    has_failed,
-)
-from imucal.processes import Answer, ChildProcess
-from imucal.readers.remote_logs import LocalLogs
+from imucal.fleet_run.logs import content_at, edge_at, stamp_of
+from imucal.fleet_run.on_dask import Lost, dask_workers
+from imucal.fleet_run.plan import PATIENCE, FleetPlan, FleetSettings, LogTask, batches, has_failed
+from imucal.processes import ChildProcess
+from imucal.readers.remote_logs import LocalLogs, local_logs
 from imucal.recording import Recording
+from imucal.remote import identify, is_url
 from imucal.resources import MEMORY, POOLS, THREADS
 
 #: Seconds of work that a batch of a cluster has, so that handing it out costs little; and one done here.
@@ -53,6 +46,9 @@ _FIRST_DATE_NS = 946_684_800 * 10**9
 
 T = TypeVar("T")
 R = TypeVar("R")
+#: What is committed of a log: its row in the store's table of logs, and under ``results`` and ``bins`` those
+#: that it has there.
+LogRow: TypeAlias = dict[str, Any]
 
 
 @dataclass(slots=True)
@@ -69,33 +65,11 @@ class RunCount:
     running: int = 0
     done_size: int = 0
 
-    def add(self, tasks: Sequence[LogTask], logs: Sequence[LogDone]) -> None:
-        """Count logs that are done."""
-        self.done += len(logs)
-        self.done_size += sum(task.size for task in tasks)
-        self.failed += sum(log.failed for log in logs)
-
 
 def run_plan(
-    plan: FleetPlan,
-    settings: FleetSettings,
-    *,
-    workers: int = 1,
-    scheduler: str | None = None,
-    tell: Callable[[RunCount], None] = lambda _: None,
+    plan: FleetPlan, settings: FleetSettings, *, tell: Callable[[RunCount], object] = lambda _: None
 ) -> RunCount:
-    """Do what a plan has to do, and commit it to the store.
-
-    Parameters
-    ----------
-    plan, settings
-        What, and how.
-    workers
-        How many logs are done at a time, each in a process of this machine's.
-    scheduler
-        Address of a Dask scheduler, whose workers do it instead.
-    tell
-        Called with the count whenever it changes.
+    """Do what a plan has to do, and commit it to the store; `tell` gets the count whenever it changes.
 
     Raises
     ------
@@ -104,10 +78,12 @@ def run_plan(
     EngineError
         If the workers of a cluster can't be reached, or are gone.
     """
-    count = RunCount(logs=len(plan.tasks), size=sum(task.size for task in plan.tasks))
-    if not plan.tasks:
+    tasks = plan.tasks
+    count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))
+    if not tasks:
         return count
-    waiting = batches(plan.tasks, workers=workers, seconds=BATCH_S if scheduler else OWN_BATCH_S)
+    seconds = BATCH_S if settings.scheduler else OWN_BATCH_S
+    waiting = batches(tasks, workers=settings.jobs, seconds=seconds)
     alone: deque[list[LogTask]] = deque()
     lost: set[str] = set()
 
@@ -119,87 +95,90 @@ def run_plan(
         return batch
 
     tell(count)
-    done: Iterator[tuple[list[LogTask], list[LogDone] | Lost]] = (
-        outcomes(take, partial(_on_worker, settings=settings), address=scheduler)
-        if scheduler
-        else here(take, partial(work_on_batch, settings), settings, workers)
-    )
-    for batch, outcome in done:
+    for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
-        if not isinstance(outcome, Lost):
-            count.add(batch, outcome)
-        elif len(batch) > 1 or batch[0].path not in lost:
+        if isinstance(failed, Lost):
             # It may have been another log's fault: each is done by itself. One that was alone gets one more
             # try: it may have been its worker's fault.
-            if len(batch) == 1:
-                lost.add(batch[0].path)
-            alone.extend([task] for task in batch)
-            continue
-        else:
-            reason = f"{batch[0].path}: {outcome.reason}"
-            count.add(batch, commit([failure(batch[0], settings, "crash", reason)], settings))
+            (task, *others) = batch
+            if others or task.path not in lost:
+                lost |= set() if others else {task.path}
+                alone.extend([one] for one in batch)
+                continue
+            reason = f"{task.path}: {failed.reason}"
+            failed = commit([first_row(task, settings, status="crash", reason=reason)], settings)  # noqa: PLW2901
+        count.done += len(batch)
+        count.done_size += sum(task.size for task in batch)
+        count.failed += failed
         tell(count)
     return count
 
 
-def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None = None) -> Ask:
+def asking(settings: FleetSettings) -> Ask:
     """Return what has a fleet's questions answered by those who did its logs.
 
     What they do not answer, as where a process ends, is left to who asked.
     """
 
     def ask(questions: Sequence[Question]) -> list[str | None]:
-        groups = [list(questions[i : i + _QUESTIONS]) for i in range(0, len(questions), _QUESTIONS)]
-        waiting = iter(groups)
-
-        def in_child(batch: list[Question], child: ChildProcess) -> list[str] | Lost:
-            seconds = PATIENCE * len(batch)
-            answer = child.ask(answer_texts, batch, seconds=seconds, memory=settings.memory)
-            done = answer.outcome == "done"
-            return cast("list[str]", answer.value) if done else Lost(reason=answer.outcome)
-
-        take = partial(next, waiting, None)
-        done: Iterator[tuple[list[Question], list[str] | Lost]] = (
-            outcomes(take, answer_texts, address=scheduler)
-            if scheduler
-            else here(take, in_child, settings, workers)
-        )
+        groups = [questions[i : i + _QUESTIONS] for i in range(0, len(questions), _QUESTIONS)]
+        done = outcomes(partial(next, iter(groups), None), partial(_answered, settings), settings)
         texts = {id(group): said for group, said in done if not isinstance(said, Lost)}
         return [text for group in groups for text in texts.get(id(group), [None] * len(group))]
 
     return ask
 
 
-def here(
-    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings, workers: int
+def _answered(
+    settings: FleetSettings, questions: Sequence[Question], child: ChildProcess
+) -> list[str] | Lost:
+    seconds = PATIENCE * len(questions)
+    answer = child.ask(answer_texts, questions, seconds=seconds, memory=settings.memory)
+    return cast("list[str]", answer.value) if answer.outcome == "done" else Lost(reason=answer.outcome)
+
+
+def outcomes(
+    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
+) -> Iterator[tuple[T, R | Lost]]:
+    """Yield batches with what `work` makes of each with a child process, as they are done.
+
+    `take` returns the next batch, or None where there is none now; more may come of those that were lost.
+    `work` is a function of a module, which may be a `functools.partial`.
+
+    Raises
+    ------
+    EngineError
+        If the workers of a cluster can't be reached, or are gone.
+    """
+    if settings.scheduler:
+        with dask_workers(settings.scheduler, partial(_on_worker, work, settings)) as workers:
+            yield from workers.outcomes(take)
+    else:
+        yield from _here(take, work, settings)
+
+
+def _here(
+    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
 ) -> Iterator[tuple[T, R]]:
-    """Yield batches with what `work` makes of each with a child process of its own, as they are done.
+    """Yield batches as `outcomes`, by threads that ask child processes of this one.
 
     However it ends, no child is left: what comes later may have another environment, such as other
     credentials.
     """
-    children = [child_process(settings) for _ in range(workers)]
-    free: SimpleQueue[ChildProcess] = SimpleQueue()
-    for child in children:
-        free.put(child)
-
-    def lent(batch: T) -> R:
-        child = free.get()
-        try:
-            return work(batch, child)
-        finally:
-            free.put(child)
-
-    hands: dict[Future[R], T] = {}
-    with ThreadPoolExecutor(workers) as pool:
+    children = [child_process(settings) for _ in range(settings.jobs)]
+    free, hands = [*children], {}
+    with ThreadPoolExecutor(settings.jobs) as pool:
         try:
             while True:
-                while len(hands) < workers and (batch := take()) is not None:
-                    hands[pool.submit(lent, batch)] = batch
+                while free and (batch := take()) is not None:
+                    child = free.pop()
+                    hands[pool.submit(work, batch, child)] = batch, child
                 if not hands:
                     return
                 for future in wait(hands, return_when=FIRST_COMPLETED).done:
-                    yield hands.pop(future), future.result()
+                    batch, child = hands.pop(future)
+                    free.append(child)
+                    yield batch, future.result()
         finally:
             # Threads that wait for an answer are told that there will be none.
             for child in children:
@@ -209,17 +188,17 @@ def here(
                 child.end()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogRows:
-    """What is committed of a log: rows with the columns of `imucal.fleet.store`."""
+def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, batch: T) -> R:
+    """Do a batch as a worker of a cluster."""
+    child = child_process(settings)
+    try:
+        return work(batch, child)
+    finally:
+        child.end()
 
-    log: dict[str, object]
-    results: list[dict[str, object]] = field(default_factory=list)
-    bins: list[dict[str, object]] = field(default_factory=list)
 
-
-def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> list[LogDone]:
-    """Do some logs in a child process and commit them, all or none.
+def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
+    """Do some logs in a child process and commit them, all or none; return how many failed.
 
     Raises
     ------
@@ -229,46 +208,28 @@ def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: Chil
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 
-def _on_worker(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
-    """Do some logs as a worker of a cluster."""
-    child = child_process(settings)
-    try:
-        return work_on_batch(settings, tasks, child)
-    finally:
-        child.end()
+def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
+    """Write the rows of some logs into the store; return how many gave no numbers that may be used."""
+    results, bins = ([one for row in rows for one in row.get(name, ())] for name in ("results", "bins"))
+    FleetStore(settings.store).commit(rows, results, bins, shard=str(settings.shard[0]))
+    return sum(has_failed(row["status"], row.get("verdict")) for row in rows)
 
 
-def commit(rows: Sequence[LogRows], settings: FleetSettings) -> list[LogDone]:
-    """Write the rows of some logs into the store; return how they ended."""
-    FleetStore(settings.store).commit(
-        [row.log for row in rows],
-        [result for row in rows for result in row.results],
-        [bins for row in rows for bins in row.bins],
-        shard=settings.shard,
-    )
-    said = ("path", "status", "reason", "verdict")
-    return [LogDone(**{name: str(row.log.get(name) or "") for name in said}) for row in rows]
-
-
-def first_row(task: LogTask, settings: FleetSettings) -> dict[str, object]:
+def first_row(task: LogTask, settings: FleetSettings, *, status: str = "", reason: str = "") -> LogRow:
     """Return what is known of a log before it is looked at; its key is then one of its path."""
     return {
         "key": settings.key(f"path:{task.path}", task.reading),
         "content": "",
         "path": task.path,
         **{name: task.labels.get(name) for name in LABELS},
-        "reason": "",
+        "status": status,
+        "reason": reason,
         "findings": [],
         "bytes": task.size,
         "finished": time.time(),
         "report": "",
         "version": __version__,
     }
-
-
-def failure(task: LogTask, settings: FleetSettings, status: str, reason: str) -> LogRows:
-    """Return the rows of a log of which nothing is known but how it failed."""
-    return LogRows(log={**first_row(task, settings), "status": status, "reason": reason})
 
 
 def _memory_reason(settings: FleetSettings) -> str:
@@ -289,52 +250,49 @@ def child_process(settings: FleetSettings) -> ChildProcess:
     return ChildProcess(environment=environment, counted="data", folder=folder)
 
 
-def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRows:
-    seconds = settings.patience(task)
+def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRow:
+    seconds, status = settings.patience(task), "crash"
     for _ in range(_ATTEMPTS):
         try:
             answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
         except OSError as error:
-            why = f"its process can't be started ({error.strerror or error}), as when a machine is full"
-            return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")
-        if answer.outcome == "done":
-            return cast("LogRows", answer.value)
-        if answer.outcome == "late" or _took_memory(answer):
+            said = f"its process can't be started ({error.strerror or error}), as when a machine is full"
+            why = f"{said}; run again where there is room"
             break
-    status = "crash"
-    if answer.outcome == "late":
-        status, why = "timeout", f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
-    elif _took_memory(answer):
-        status, why = "memory", _memory_reason(settings)
-    elif answer.outcome == "failed":
-        if answer.words.startswith(f"{WriteError.__name__}: "):
-            raise WriteError(answer.words.partition(": ")[2])
-        why = f"internal error ({answer.words}); please report it"
-    else:
-        how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
-        why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
-    return failure(task, settings, status, f"{task.path}: {why}")
+        if answer.outcome == "done":
+            return cast("LogRow", answer.value)
+        if answer.outcome == "late":
+            status = "timeout"
+            why = f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
+            break
+        raised = answer.outcome == "failed"
+        if answer.words.startswith("MemoryError") if raised else any(map(answer.words.count, _NO_MEMORY)):
+            status, why = "memory", _memory_reason(settings)
+            break
+        if raised:
+            if answer.words.startswith(f"{WriteError.__name__}: "):
+                raise WriteError(answer.words.partition(": ")[2])
+            why = f"internal error ({answer.words}); please report it"
+        else:
+            how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
+            why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+    return first_row(task, settings, status=status, reason=f"{task.path}: {why}")
 
 
-def _took_memory(answer: Answer) -> bool:
-    if answer.outcome == "failed":
-        return answer.words.startswith("MemoryError")
-    return answer.outcome == "ended" and any(words in answer.words for words in _NO_MEMORY)
-
-
-def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
+def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     """Read and characterise a log, in the child process; whatever goes wrong with it is in its row."""
     log = first_row(task, settings)
     wall, cpu = time.perf_counter(), time.process_time()
-    rows = LogRows(log=log)
     try:
-        with at_hand(task.place) as (logs, stamp):
-            if stamp is not None:
+        place = identify(task.place, keep=False) if is_url(task.place) else task.place
+        # What was fetched goes after use.
+        with local_logs([place]) as logs:
+            if (stamp := stamp_of(place)) is not None:
                 path = str(logs.paths[0])
                 content = content_at(path)
                 log |= {"bytes": stamp.size, "mtime_ns": stamp.mtime_ns, "edge": edge_at(path)}
                 log |= {"content": content, "key": settings.key(content, task.reading)}
-            rows = _characterised(task, settings, log, logs)
+            log |= _characterised(task, settings, logs, key=log["key"])
         ended = "ok", ""
     except MemoryError:
         ended = "memory", _memory_reason(settings)
@@ -350,63 +308,58 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
     except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
         what = f"{type(error).__name__}: {error}"
         ended = "crash", f"{task.path}: internal error ({what}); please report it"
-    log["status"], log["reason"] = ended
-    log["wall_s"], log["cpu_s"] = time.perf_counter() - wall, time.process_time() - cpu
-    log["finished"] = time.time()
-    return rows
+    log |= {"status": ended[0], "reason": ended[1], "finished": time.time()}
+    log |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    return log
 
 
-def _characterised(
-    task: LogTask, settings: FleetSettings, log: dict[str, object], logs: LocalLogs
-) -> LogRows:
+def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, key: str) -> LogRow:
+    """Return what a log's row has beside what was known before it was read."""
     from imucal.fitting.bins import pack
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize
 
-    recording = logs.named(_read(logs.paths[0], task.reading))
+    recording = logs.named(_read(logs.paths[0], **task.reading))
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
     # One axis at a time: the other processors have other logs.
     report = characterize(recording, wanted, workers=1)
-    log |= {
+    results, bins, name = [], [], ""
+    for axis in report.axes:
+        where = {"key": key, "sensor": axis.sensor.value, "axis": axis.axis}
+        if axis.fit.bins is not None:
+            bins.append({**where, "bins": pack(axis.fit.bins)})
+        values = log_values("", axis.fit, model=settings.model, level=settings.level)
+        for term, value in values.items():
+            told = {field: getattr(value, field) for field in OF_VALUE}
+            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
+            results.append({**where, "term": term, "unit_si": unit, **told})
+    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
+        from imucal.report import write_report
+
+        name = f"reports/{key}"
+        write_report(report, Path(settings.store) / name, formats=())
+    return {
         "verdict": report.verdict.grade,
         "findings": sorted({finding.code for finding in report.all_findings if finding.level != "info"}),
         "samples": max(axis.samples for axis in report.axes),
         "seconds": max(axis.duration_s for axis in report.axes),
         "rate_hz": report.axes[0].rate_hz,
-        "started": log["started"] or _started(recording),
+        "started": task.labels.get("started") or _started(recording),
+        "report": name,
+        "results": results,
+        "bins": bins,
     }
-    rows = LogRows(log=log)
-    for axis in report.axes:
-        where = {"key": log["key"], "sensor": axis.sensor.value, "axis": axis.axis}
-        if axis.fit.bins is not None:
-            rows.bins.append({**where, "bins": pack(axis.fit.bins)})
-        values = log_values("", axis.fit, model=settings.model, level=settings.level)
-        for term, value in values.items():
-            told = {name: getattr(value, name) for name in OF_VALUE}
-            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
-            rows.results.append({**where, "term": term, "unit_si": unit, **told})
-    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
-        from imucal.report import write_report
-
-        name = f"reports/{log['key']}"
-        write_report(report, Path(settings.store) / name, formats=())
-        log["report"] = name
-    return rows
 
 
-def _read(path: Path, reading: Mapping[str, object]) -> Recording:
+def _read(path: Path, *, skip_s: float = 0.0, take_s: float = math.inf, **reading: Any) -> Recording:  # noqa: ANN401
     """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
     from imucal.readers import read
 
-    arguments: dict[str, Any] = dict(reading)
-    skip, take = float(arguments.pop("skip_s", 0.0)), arguments.pop("take_s", None)
-    recording: Recording = read(path, **arguments)
-    if not skip and take is None:
-        return recording
-    return recording.between(skip, float("inf") if take is None else skip + float(take))
+    recording: Recording = read(path, **reading)
+    return recording.between(skip_s, skip_s + take_s) if skip_s or take_s < math.inf else recording
 
 
 def _started(recording: Recording) -> str | None:

@@ -179,7 +179,7 @@ def fitted(samples: FloatArray, model: str | None, criterion: str = "bic", max_g
 def _maximum(samples: FloatArray, model: str, key: str) -> float:
     """Return where the likelihood of a bounded term is greatest: its estimate before it is dropped."""
     structure = parse_structure(model)
-    view = spectral_view(AxisSeries.from_samples(samples, rate_hz=1.0), structure, 2, None)
+    view = spectral_view(AxisSeries.from_samples(samples, rate_hz=1.0), FitSettings(model=model), None)
     choice = choose(
         view.ordinates,
         [structure],

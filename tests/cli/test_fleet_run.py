@@ -124,7 +124,7 @@ def test_what_a_fleet_would_take_is_said_as_people_do(
 ) -> None:
     """Of two days not how many minutes, of terabytes not how many megabytes."""
     tasks = tuple(LogTask(place=f"{i}.npz", size=size) for i in range(number))
-    plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
+    plan = FleetPlan(logs=tasks)
     print_plan(plan, workers)
     assert capsys.readouterr().err == said
 
@@ -184,13 +184,17 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
         ((), 2, "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"),
         (("*.bag",), 3, "*.bag: no log has such a name; expected files, or folders with logs in them"),
         (("x", "--shard", "0/4"), 2, "'0/4' is no part; write i/n with i from 1 to n, such as 1/8"),
-        (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "give --shard or --scheduler, not both"),
+        (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "expected shard or scheduler, not both"),
         (("x", "--labels", "*.csv"), 2, "no label; write such as '{model}/{unit}/*.mcap'"),
-        (("x", "--memory", "much"), 2, "'much': expected a size such as 500M or 2G"),
-        (("x", "--memory", "100MB"), 2, "'100MB' is too little for any log; give 300M or more"),
+        (("x", "--memory", "much"), 2, "memory 'much', expected a size such as 500M or 2G"),
+        (("x", "--memory", "100MB"), 2, "memory '100MB', expected a size such as 500M or 2G, 300M or more"),
         (("x", "--timeout", "0"), 2, "'0' is no time to work; write such as 10min, or auto"),
         (("x", "--model", "auto+"), 2, "model 'auto+'"),
-        (("x", "--model", "auto"), 2, "auto would choose by the log; give the terms, such as 'N + B + K'"),
+        (
+            ("x", "--model", "auto"),
+            2,
+            "model 'auto', expected terms, such as N + B + K: auto would choose by the log",
+        ),
         (("x", "--max-failed", "5"), 2, "'5' is more than all; did you mean 0.05 or 5%?"),
         (("nowhere",), 3, "nowhere: no such file or folder; expected logs, or folders with logs in them"),
         (("x/1.csv", "--labels", "{temperature_c}/*.csv"), 2, "temperature_c is 'x', expected a number"),
@@ -214,7 +218,9 @@ def test_another_model_in_the_same_folder_is_refused(done: Path) -> None:
     """One structure a fleet; what the message says to type works."""
     ended = run("fleet", "run", "logs", "--model", "N + K", "--shard", "1/1", cwd=done)
     assert ended.returncode == 2
-    message = "fleet: holds fits with model N + B + K, found N + K; choose another folder with -o, or start"
+    message = (
+        "fleet: holds fits with model N + B + K, found N + K; choose another folder, or do all logs anew"
+    )
     assert message in " ".join(ended.stderr.split())
 
 

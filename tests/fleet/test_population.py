@@ -10,14 +10,12 @@ from scipy.special import ndtr, ndtri
 
 from imucal.fleet import LogValue, population
 from imucal.fleet.population import (
+    MeanSquare,
     adjusted,
     leave_one_out,
     membership,
-    only_bounded,
-    rms_bound,
-    share_bound,
 )
-from imucal.fleet.posterior import place_of, posterior_of, unit_likelihoods, whole_posterior
+from imucal.fleet.posterior import Posterior, UnitLikelihoods, place_of
 from imucal.fleet.values import LogValues, Squares
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
@@ -42,7 +40,7 @@ def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
 def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) -> float:
     """Return the log-posterior by nested quadrature of each unit's and each log's own effect."""
     place = place_of(values)
-    units = unit_likelihoods(values, omega, place)
+    units = UnitLikelihoods(values, omega, place)
     s2 = units.deviation**2
     jeffreys = 2 * math.log(tau) + 0.5 * math.log(sum(1 / (s + tau**2) ** 2 for s in s2))
     usual = math.log(tau) - (tau**2 + omega**2) / (2 * 0.25)
@@ -57,7 +55,7 @@ def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) 
     scatter = _normal(theta[:, None] - theta, omega) if omega else None
     for unit in range(len(values.names)):
         likelihood = np.ones(theta.size)
-        for row in np.exp(values.log_likelihood(values.unit == unit, theta)):
+        for row in np.exp(values.take(values.unit == unit).log_likelihood(theta)):
             likelihood *= row if scatter is None else integrate.simpson(scatter * row, x=theta, axis=1)
         total += math.log(integrate.simpson(likelihood * _normal(theta - mu, tau), x=theta))
     return total
@@ -74,7 +72,7 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     told = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
     weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
     values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
-    found = posterior_of(values, np.array([omega]), place_of(values))
+    found = Posterior(values, np.array([omega]), place_of(values))
     tau, mu, weight = found.tau.ravel(), found.mu[0], found.weight[0]
     # A density in mu, of which each tau has a grid of its own. Also medians from which a wide spread
     # reaches beyond the grid of the units' own likelihoods.
@@ -175,19 +173,20 @@ def test_a_bound_is_that_of_the_mean_square() -> None:
         for i, v in enumerate((0.5, -0.3, 1.0, 0.2))
     ]
     values = LogValues.of(logs)
-    assert only_bounded(values)
+    square = MeanSquare(values)
+    assert not square.shows
     law = stats.truncnorm(-0.35, math.inf, loc=0.35, scale=1.0)
-    assert rms_bound(values, 0.9) ** 2 == pytest.approx(law.ppf(0.9), rel=1e-4)
+    assert square.bound(0.9) ** 2 == pytest.approx(law.ppf(0.9), rel=1e-4)
     spreads = np.linspace(0, 3, 3001)
     worst = np.max(np.exp(ndtri(0.95) * spreads - spreads**2))
-    assert share_bound(values, 0.95, 0.9) == pytest.approx(rms_bound(values, 0.9) * worst, rel=1e-6)
+    assert square.share_bound(0.95, 0.9) == pytest.approx(square.bound(0.9) * worst, rel=1e-6)
     # Units that scatter more than their errors widen it; one that shows the term decides nothing alone.
-    wide = LogValues.of([replace(log, variance=10 * (log.variance or 0.0)) for log in logs])
+    wide = MeanSquare(LogValues.of([replace(log, variance=10 * (log.variance or 0.0)) for log in logs]))
     scale = math.sqrt(89 / (4 * 3))
     law = stats.truncnorm(-3.5 / scale, math.inf, loc=3.5, scale=scale)
-    assert rms_bound(wide, 0.9) ** 2 == pytest.approx(law.ppf(0.9), rel=1e-4)
-    assert only_bounded(LogValues.of([*logs, replace(logs[0], unit="one", variance=9.0)]))
-    assert not only_bounded(LogValues.of([replace(log, variance=6.0) for log in logs]))
+    assert wide.bound(0.9) ** 2 == pytest.approx(law.ppf(0.9), rel=1e-4)
+    assert not MeanSquare(LogValues.of([*logs, replace(logs[0], unit="one", variance=9.0)])).shows
+    assert MeanSquare(LogValues.of([replace(log, variance=6.0) for log in logs])).shows
 
 
 def test_an_odd_unit_is_found_and_others_are_not() -> None:
@@ -239,7 +238,7 @@ def test_scatter_of_logs_makes_a_unit_less_odd() -> None:
     """The chance of a squared coefficient is that of one drawn from the spread, the scatter and the error."""
     rng = np.random.default_rng(4504)
     values = LogValues.of(strong_fleet(rng, units=30, tau=0.2, error=0.01))
-    posterior = posterior_of(values, np.zeros(1), place_of(values))
+    posterior = Posterior(values, np.zeros(1), place_of(values))
     squares = Squares(np.array([2.5, 2.5]), np.array([0.1, 0.1]), np.zeros(2))
     narrow, wide = posterior.p_values(squares, np.array([0.0, 0.3]))
     draws = rng.choice(posterior.prediction((np.arange(4000) + 0.5) / 4000), 400_000)
@@ -352,13 +351,13 @@ def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) 
     rng = np.random.default_rng(4711)
     fleet = strong_fleet(rng, units=7, logs=logs, tau=0.2, error=error)
     values = LogValues.of(fleet)
-    posterior, found = whole_posterior(values, place_of(values)), population(fleet)
+    posterior, found = Posterior.whole(values, place_of(values)), population(fleet)
     for far in (-1.2, -0.5, 0.0, 0.3, 0.9):
         value = found.median.value * math.exp(far)
         new = LogValue(
             unit="new", value=value, low=value * math.exp(-1.96 * error), high=value * math.exp(1.96 * error)
         )
-        exact = posterior.p_value(*LogValues.of([new]).unit_centre(0, posterior.omega.ravel()))
+        exact = posterior.p_value(LogValues.of([new]))
         # Points lie 0.015 deviations apart; what is less probable than 1e-7 is left out.
         assert membership(found, new) == pytest.approx(exact, rel=0.01, abs=1e-5)
 
@@ -366,7 +365,7 @@ def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) 
 def test_the_law_of_the_next_log_is_that_of_every_point_of_the_posterior() -> None:
     """Normal laws that are nearly the same are merged, which moves no chance by as much as 2e-5."""
     values = LogValues.of(weak_fleet(np.random.default_rng(31), units=12, logs=2, tau=0.3, error=0.3))
-    posterior = whole_posterior(values, place_of(values))
+    posterior = Posterior.whole(values, place_of(values))
     assert len(posterior.omega) > 1
     law, wide = posterior.next_log(), np.hypot(posterior.tau, posterior.omega)
     for point, below in list(zip(law.points, law.below, strict=True))[::40]:

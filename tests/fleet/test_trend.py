@@ -8,7 +8,8 @@ import pytest
 
 from imucal.errors import DataError
 from imucal.fleet import LogValue, trend
-from imucal.fleet.trend import LabelledLogs, adjust, labelled_logs, slope_posterior
+from imucal.fleet.trend import SlopePosterior, adjust, labelled_logs
+from imucal.fleet.values import LogValues
 from tests.benchmarks.fleet_trends import make_fleet, said
 
 
@@ -199,6 +200,20 @@ def test_temperature_and_time_that_move_together_are_refused() -> None:
         trend(logs)
 
 
+def test_a_unit_that_alone_tells_of_temperature_is_not_judged_by_the_others() -> None:
+    """It drifts away, but for all that the others tell it was the warmth."""
+    rng = np.random.default_rng(66)
+    logs = [
+        LogValue(unit=str(u), value=v, low=0.95 * v, high=1.05 * v, temperature_c=20 + t * (u == 0), days=d)
+        for u in range(6)
+        for t, d in ((0.0, 0.0), (10.0, 100.0), (5.0, 200.0), (20.0, 300.0), (3.0, 400.0))
+        for v in (math.exp(0.05 * rng.standard_normal() + 0.01 * d * (u == 0)),)
+    ]
+    found = trend(logs)
+    assert not any(slope.odd for slope in found.slopes)
+    assert {mean.label for mean in found.means} == {"temperature_c", "days"}
+
+
 def test_bounds_with_a_variance_count_and_an_absent_term_is_refused() -> None:
     """A weak log tells by its squared coefficient; where all of them are zero, there is no slope."""
     logs = [
@@ -220,8 +235,8 @@ def test_bounds_with_a_variance_count_and_an_absent_term_is_refused() -> None:
 def test_the_posterior_is_that_of_dense_matrices() -> None:
     """Weights and mean slopes at points of the grid, against covariances of all logs written out."""
     rng = np.random.default_rng(65)
-    logs = labelled_logs(_fleet(rng, beta=0.004, gamma=0.1, spread=0.002, units=4))
-    posterior = slope_posterior(logs)
+    logs, _ = labelled_logs(_fleet(rng, beta=0.004, gamma=0.1, spread=0.002, units=4))
+    posterior = SlopePosterior(logs)
     points = np.argsort(posterior.weight)[[-1, -5, -40]]
     heights = []
     for point in points:
@@ -233,17 +248,17 @@ def test_the_posterior_is_that_of_dense_matrices() -> None:
     assert np.diff(heights) == pytest.approx(np.diff(expected), rel=1e-6)
 
 
-def _dense(logs: LabelledLogs, omega: float, tau: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _dense(logs: LogValues, omega: float, tau: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Return log-posterior, mean slopes and covariance by generalized least squares, levels beside slopes."""
     same = logs.unit[:, None] == logs.unit
-    cover = np.diag(logs.deviation**2 + omega**2) + same * ((logs.x * tau**2) @ logs.x.T)
-    design = np.column_stack([logs.x, np.eye(int(logs.unit[-1]) + 1)[logs.unit]])
+    cover = np.diag(logs.deviation**2 + omega**2) + same * ((logs.labels * tau**2) @ logs.labels.T)
+    design = np.column_stack([logs.labels, np.eye(int(logs.unit[-1]) + 1)[logs.unit]])
     inverse = np.linalg.inv(cover)
     covariance = np.linalg.inv(design.T @ inverse @ design)
-    beta = covariance @ design.T @ inverse @ logs.y
-    rest = logs.y - design @ beta
+    beta = covariance @ design.T @ inverse @ logs.centre
+    rest = logs.centre - design @ beta
     prior = math.log(omega**2 * np.sqrt(np.sum((logs.deviation**2 + omega**2) ** -2.0)))
-    for x, t in zip(logs.x.T, tau, strict=True):
+    for x, t in zip(logs.labels.T, tau, strict=True):
         weight = 1 / (logs.deviation**2 + omega**2)
         error2 = [
             1 / np.sum(w * (own - np.average(own, weights=w)) ** 2)
@@ -254,5 +269,5 @@ def _dense(logs: LabelledLogs, omega: float, tau: np.ndarray) -> tuple[float, np
     height = prior - 0.5 * (
         rest @ inverse @ rest + np.linalg.slogdet(cover)[1] - np.linalg.slogdet(covariance)[1]
     )
-    labels = logs.x.shape[1]
+    labels = logs.labels.shape[1]
     return float(height), beta[:labels], covariance[:labels, :labels]

@@ -9,7 +9,7 @@ import pytest
 from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import running
-from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
+from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogTask
 from imucal.fleet_run.running import child_process, work_on_batch
 from imucal.processes import ChildProcess
 from imucal.resources import POOLS, THREADS
@@ -43,13 +43,13 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
     monkeypatch.setattr(ChildProcess, "ask", full)
     FleetStore(tmp_path / "store").create()
     settings = FleetSettings(store=str(tmp_path / "store"), folder=str(tmp_path), memory=4 << 30)
-    (done,) = work_on_batch(settings, [LogTask(place="a.mcap")], child_process(settings))
-    assert done.status == "crash"
-    assert done.reason == (
+    assert work_on_batch(settings, [LogTask(place="a.mcap")], child_process(settings)) == 1
+    (done,) = FleetStore(tmp_path / "store").logs().rows(named=True)
+    assert done["status"] == "crash"
+    assert done["reason"] == (
         "a.mcap: its process can't be started (Resource temporarily unavailable), as when a machine is full; "
         "run again where there is room"
     )
-    assert FleetStore(tmp_path / "store").logs()["status"].to_list() == ["crash"]
 
 
 def test_a_report_of_a_log_that_cannot_be_written_is_no_fault_of_the_log(tmp_path: Path) -> None:
@@ -70,13 +70,9 @@ def test_a_report_of_a_log_that_cannot_be_written_is_no_fault_of_the_log(tmp_pat
 def test_a_run_says_what_it_has_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before a batch is done, not only after: a long one looked like nothing at work."""
     monkeypatch.setattr(running, "OWN_BATCH_S", 0.0)
-    monkeypatch.setattr(
-        running,
-        "work_on_batch",
-        lambda _, tasks, __: [LogDone(path=task.path, status="ok") for task in tasks],
-    )
+    monkeypatch.setattr(running, "work_on_batch", lambda _, __, ___: 0)
     tasks = tuple(LogTask(place=f"{i}.mcap", size=1) for i in range(3))
-    plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
+    plan = FleetPlan(logs=tasks)
     seen: list[tuple[int, int]] = []
     settings = FleetSettings(store=str(tmp_path), folder=str(tmp_path), memory=4 << 30)
     running.run_plan(plan, settings, tell=lambda count: seen.append((count.done, count.running)))

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from imucal.errors import EngineError
-from imucal.fleet_run.on_dask import dask_client, unprotected
+from imucal.fleet_run.on_dask import dask_workers, unprotected
 
 pytest.importorskip("distributed")
 
@@ -19,6 +19,9 @@ class Workerless:
 
     def wait_for_workers(self, *_: object, **__: object) -> None:
         raise OSError(errno.EAGAIN, "nobody")
+
+    def cancel(self, *_: object, **__: object) -> None:
+        """Have nothing in hand."""
 
     def close(self, **__: object) -> None:
         """Leave nobody."""
@@ -41,7 +44,7 @@ def fails(*_: object, **__: object) -> None:
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch, played: object, said: str) -> None:
     monkeypatch.setattr("distributed.Client", played)
     said = f"tcp://head:8786: {said}"
-    with pytest.raises(EngineError, match=f"^{re.escape(said)}$"), dask_client("tcp://head:8786"):
+    with pytest.raises(EngineError, match=f"^{re.escape(said)}$"), dask_workers("tcp://head:8786", str):
         pass
 
 

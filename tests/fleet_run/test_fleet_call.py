@@ -135,7 +135,7 @@ def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "said"),
     [
-        ({"shard": (0, 4)}, ValueError, r"shard \(0, 4\) is no part; expected \(i, n\) with i from 1 to n"),
+        ({"shard": (0, 4)}, ValueError, r"shard \(0, 4\), expected \(i, n\) with i from 1 to n"),
         ({"shard": (1, 2), "scheduler": "tcp://h:1"}, ValueError, "expected shard or scheduler, not both"),
         ({"reports": "some"}, ValueError, "reports 'some', expected one of none, failed, all"),
         ({"level": 95}, ValueError, "level 95, expected one between 0 and 1"),

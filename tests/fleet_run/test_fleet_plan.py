@@ -3,16 +3,17 @@
 import os
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from imucal.fleet.store import FleetStore
-from imucal.fleet_run import FleetPlan, FleetSettings, LogTask, plan_fleet
+from imucal.fleet_run import FleetPlan, FleetSettings, LogTask
 from imucal.fleet_run.logs import content_at, edge_at, stamps_of
-from imucal.fleet_run.plan import batches, expected_seconds
-from imucal.fleet_run.running import LogRows, commit, failure, first_row
+from imucal.fleet_run.plan import batches, plan_fleet
+from imucal.fleet_run.running import commit, first_row
 
 
 @pytest.fixture
@@ -24,9 +25,12 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FleetSettings:
 
 def plan(settings: FleetSettings, *paths: str, **reading: object) -> FleetPlan:
     """Return the plan of some logs."""
-    return plan_fleet(
-        [LogTask(place=p) for p in paths], settings, FleetStore(settings.store), reading=reading
-    )
+    return plan_fleet([LogTask(place=p) for p in paths], replace(settings, reading=reading))
+
+
+def copies(made: FleetPlan) -> dict[str, str]:
+    """Return which logs are copies, and of which."""
+    return {log.path: log.copy_of for log in made.logs if log.copy_of}
 
 
 def finish(settings: FleetSettings, made: FleetPlan, status: str = "ok") -> None:
@@ -41,11 +45,11 @@ def finish(settings: FleetSettings, made: FleetPlan, status: str = "ok") -> None
         assert stamp is not None
         known = {"content": content_at(path), "edge": edge_at(path), "mtime_ns": stamp.mtime_ns}
         key = settings.key(known["content"], task.reading)  # type: ignore[arg-type] # a text
-        rows.append(LogRows(log={**first_row(task, settings), **known, "key": key, "status": status}))
+        rows.append({**first_row(task, settings, status=status), **known, "key": key})
     commit(rows, settings)
 
 
-def paths(tasks: tuple[LogTask, ...]) -> list[str]:
+def paths(tasks: Sequence[LogTask]) -> list[str]:
     """Return the paths of tasks."""
     return [task.path for task in tasks]
 
@@ -61,7 +65,7 @@ def test_what_is_done_is_not_done_again(settings: FleetSettings) -> None:
     write(a="aaa", b="bb")
     finish(settings, plan(settings, "a", "b"))
     again = plan(settings, "a", "b")
-    assert (again.tasks, again.done) == ((), ("a", "b"))
+    assert (again.tasks, paths(again.own("done"))) == ([], ["a", "b"])
     assert paths(plan(settings, "a", "b", rate_hz=100.0).tasks) == ["a", "b"]
     assert paths(plan(replace(settings, model="N + K"), "a", "b").tasks) == ["a", "b"]
     assert paths(plan(replace(settings, level=0.9), "a", "b").tasks) == ["a", "b"]
@@ -80,7 +84,10 @@ def test_what_may_go_better_is_tried_again(settings: FleetSettings, status: str,
     write(a="aaa")
     finish(settings, plan(settings, "a"), status)
     found = plan(settings, "a")
-    assert (paths(found.tasks), found.again) == ((["a"], ("a",)) if again else ([], ()))
+    assert paths(found.tasks) == paths(found.own("again")) == (["a"] if again else [])
+    # In the order of the logs, whatever became of them.
+    write(b="bb")
+    assert paths(plan(settings, "a", "b").tasks) == (["a", "b"] if again else ["b"])
 
 
 def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) -> None:
@@ -88,8 +95,8 @@ def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) 
     store = FleetStore(settings.store)
     store.create()
     store.add_to_manifest(plan(settings, "a").manifest())
-    commit([failure(LogTask(place="a"), settings, "unreadable", "no such file")], settings)
-    assert plan(settings, "a").again == ("a",)
+    commit([first_row(LogTask(place="a"), settings, status="unreadable", reason="no such file")], settings)
+    assert paths(plan(settings, "a").own("again")) == ["a"]
 
 
 def test_equal_contents_are_done_once(settings: FleetSettings) -> None:
@@ -98,8 +105,12 @@ def test_equal_contents_are_done_once(settings: FleetSettings) -> None:
     write(a="same", b="size", c="same", d=edge + "x" + edge, e=edge + "y" + edge)
     found = plan(settings, "a", "b", "c", "d", "e")
     assert paths(found.tasks) == ["a", "b", "d", "e"]
-    assert found.copies == {"c": "a"}
+    assert copies(found) == {"c": "a"}
     assert found.manifest()["copy_of"].to_list() == [None, None, "a", None, None]
+    # A shard answers for its own logs; the manifest has all.
+    second = plan(replace(settings, shard=(2, 2)), "a", "b", "c", "d", "e")
+    assert paths(second.own()) == ["b", "d"]
+    assert second.manifest().equals(found.manifest())
 
 
 def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -> None:
@@ -108,18 +119,18 @@ def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -
     finish(settings, plan(settings, "a"))
     Path("a").rename("b")
     moved = plan(settings, "b", "other")
-    assert (paths(moved.tasks), moved.done, moved.copies) == (["other"], ("b",), {"b": "a"})
+    assert (paths(moved.tasks), paths(moved.own("done")), copies(moved)) == (["other"], ["b"], {"b": "a"})
     write(a="same")
     both = plan(settings, "b", "a")
-    assert (both.tasks, both.copies) == ((), {"b": "a"})
+    assert (both.tasks, copies(both)) == ([], {"b": "a"})
 
 
 def test_the_same_content_read_in_two_ways_is_two_results(settings: FleetSettings) -> None:
     """A key is of content and settings."""
     write(a="same", b="same")
     entries = [LogTask(place="a"), LogTask(place="b", reading={"rate_hz": 2.0})]
-    found = plan_fleet(entries, settings, FleetStore(settings.store))
-    assert (paths(found.tasks), found.copies) == (["a", "b"], {})
+    found = plan_fleet(entries, settings)
+    assert (paths(found.tasks), copies(found)) == (["a", "b"], {})
 
 
 def test_a_bag_is_all_of_its_files(settings: FleetSettings) -> None:
@@ -128,7 +139,7 @@ def test_a_bag_is_all_of_its_files(settings: FleetSettings) -> None:
         Path(name).mkdir()
         write(**{f"{name}/metadata.yaml": "m", f"{name}/{name}_0.db3": text})
     found = plan(settings, "one", "two", "three")
-    assert (paths(found.tasks), found.copies) == (["one", "three"], {"two": "one"})
+    assert (paths(found.tasks), copies(found)) == (["one", "three"], {"two": "one"})
     assert found.tasks[0].size == 2
 
 
@@ -136,28 +147,22 @@ def test_shards_share_all_logs_whenever_they_start(settings: FleetSettings) -> N
     """Which logs are whose does not change with what is done."""
     names = [f"log{i}" for i in range(10)]
     write(**{name: name * (i + 1) for i, name in enumerate(names)})
-    first = plan(settings, *names).shard(1, 3)
-    finish(settings, first)
-    later = [plan(settings, *names).shard(number, 3) for number in (2, 3)]
-    assert sorted(path for part in (first, *later) for path in paths(part.tasks)) == sorted(names)
+    first, *others = (replace(settings, shard=(number, 3)) for number in (1, 2, 3))
+    part = plan(first, *names)
+    assert paths(part.own()) == paths(part.tasks) == names[::3]
+    finish(settings, part)
+    later = [plan(other, *names) for other in others]
+    assert sorted(path for one in (part, *later) for path in paths(one.tasks)) == sorted(names)
 
 
-def test_a_shard_of_very_many_logs_is_found_at_once() -> None:
+def test_a_shard_of_very_many_logs_is_found_at_once(settings: FleetSettings) -> None:
     """A hundred thousand: by a look at each, and not at each for each."""
     names = [f"{number}.mcap" for number in range(100_000)]
-    whole = FleetPlan(
-        entries=tuple(LogTask(place=name) for name in names),
-        tasks=tuple(LogTask(place=name) for name in names),
-        done=(),
-        again=(),
-        copies={},
-        own=tuple(names),
-    )
     begun = time.process_time()
-    part = whole.shard(2, 2)
+    part = plan(replace(settings, shard=(2, 2)), *names)
     # Each against each took more than a minute.
-    assert time.process_time() - begun < 5
-    assert part.own == tuple(paths(part.tasks)) == tuple(names[1::2])
+    assert time.process_time() - begun < 20
+    assert paths(part.own()) == paths(part.tasks) == names[1::2]
 
 
 def test_content_that_comes_in_small_pieces_is_the_same(tmp_path: Path) -> None:
@@ -188,7 +193,7 @@ def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
     tasks = [LogTask(place=str(i), size=i * 10**6) for i in range(100)]
     made = list(batches(tasks, workers=workers, seconds=seconds))
     assert [task for batch in made for task in batch] == tasks
-    longest = max(sum(map(expected_seconds, batch[:-1])) for batch in made)
+    longest = max(sum(task.seconds for task in batch[:-1]) for batch in made)
     assert longest < max(seconds, 1e-9)
     assert len(made) >= min(2 * workers, 90)
 

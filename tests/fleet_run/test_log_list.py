@@ -6,6 +6,7 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.fleet_run.logs import find_logs
+from tests.cli.run import run
 
 
 @pytest.fixture
@@ -46,10 +47,11 @@ def test_names_stand_for_logs(names: list[str], logs: list[str]) -> None:
     assert found == logs
 
 
-@pytest.mark.usefixtures("tree")
-def test_a_list_has_a_name_a_line() -> None:
-    """Of which each may be a folder, too."""
-    assert find_logs(["-"], ["logs/b\n", "\n", " logs/a/x.csv.gz \n"]) == [*ALL[1:3], ALL[0]]
+def test_a_list_has_a_name_a_line(tree: Path) -> None:
+    """On standard input, of which each may be a folder, too."""
+    done = run("fleet", "run", "-", "--dry-run", cwd=tree, text="logs/b\n\n logs/a/x.csv.gz \n")
+    found = [line.split("\t")[1] for line in done.stdout.splitlines()]
+    assert found == [*ALL[1:3], ALL[0]]
 
 
 def test_a_missing_log_is_a_log() -> None:

@@ -256,24 +256,44 @@ def find_band(
     shortest: float,
     common: tuple[str, ...] = (),
     given: Structure | None = None,
+    near: float | None = None,
+    narrow: bool = True,
 ) -> Band:
     """Return the band, and the response in it, that a rich model describes, which holds all the candidates.
 
     Its correlation times are `shortest` samples at least; its Q counts only where the response is flat,
     because both bend the top of the spectrum. Terms that the caller gave are believed where those with a
     time of any length describe the whole band beside white noise. Every model has the regressors `common`.
+    Where the whole spectrum asks for a response, the band up to `near`, a fraction of Nyquist, is tried
+    first, and taken if it has a sound description; without `narrow` no band but the whole one is.
     """
-    coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
+    if flat := flat_band(ordinates, rich, shortest=shortest, common=common, given=given):
+        return flat
+    plain = tuple(symbol for symbol in rich if symbol != "Q")
+    search = _BandSearch(_coarse(ordinates), plain, shortest, common)
+    return search.filtered(near, BANDS if narrow else BANDS[:1])
+
+
+def flat_band(
+    ordinates: Ordinates,
+    rich: Structure,
+    *,
+    shortest: float,
+    common: tuple[str, ...] = (),
+    given: Structure | None = None,
+) -> Band | None:
+    """Return the whole band without a response, as `find_band`; None if the data ask for more."""
+    coarse = _coarse(ordinates)
     if given is not None and shaped_symbols(given):
         own = _BandSearch(coarse, given, 2.0, common)
         flat = own.flat()
         if flat and (own.white_at_the_top() or "N" not in given):
             return flat
-    search = _BandSearch(coarse, rich, shortest, common)
-    if flat := search.flat():
-        return flat
-    plain = tuple(symbol for symbol in rich if symbol != "Q")
-    return _BandSearch(coarse, plain, shortest, common).filtered()
+    return _BandSearch(coarse, rich, shortest, common).flat()
+
+
+def _coarse(ordinates: Ordinates) -> Ordinates:
+    return coarser(ordinates.below(1.0), singles=48, merge=3)
 
 
 class _BandSearch:
@@ -346,35 +366,42 @@ class _BandSearch:
         """Whether white noise makes most of the blind fit's power at the highest frequencies."""
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
-    def filtered(self) -> Band:
-        """Return the best sound description, or the least bad one."""
+    def filtered(self, near: float | None, fractions: tuple[float, ...]) -> Band:
+        """Return a sound description `near`, the best sound one of all bands, or the least bad one."""
         narrow = self.ordinates.below(BANDS[-1])
         low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
+        if near is not None and (found := _simplest(self.responses(near, low))):
+            return self.simplest(found)
         every: list[_Trial] = []
         best: tuple[_Trial, _Trial] | None = None
-        for fraction in BANDS:
+        for fraction in fractions:
             seen = self.ordinates.below(fraction)
             if seen.size.size < _FEWEST:
                 break
             if best is not None and best[0].deviation < np.sqrt(0.5 / seen.count):
                 break
-            trials = self.responses(seen, fraction, low)
+            trials = self.responses(fraction, low)
             every += trials
             found = _simplest(trials)
             if found is not None and (best is None or found[0].deviation < best[0].deviation):
                 best = found
         if best is None:
             return self.band(min(every, key=lambda t: t.statistic))
-        simplest, richer = best
-        flat = simplest.order == (0, 0) and simplest.fraction == 1.0
-        return self.band(simplest if flat else richer, simplest.order)
+        return self.simplest(best)
 
-    def responses(self, seen: Ordinates, fraction: float, low: FloatArray) -> list[_Trial]:
+    def responses(self, fraction: float, low: FloatArray) -> list[_Trial]:
         """Return the fits of one band with every order of the response that has a likelihood there."""
+        seen = self.ordinates.below(fraction)
         orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
         starts = [start_response(seen, low, order, width=self.width, room=_ORDERS) for order in orders]
         fits = self.fit(seen, fraction, orders, np.concatenate(starts))
         return [t for t in fits if np.isfinite(t.maximum.objective[0])]
+
+    def simplest(self, found: tuple[_Trial, _Trial]) -> Band:
+        """Return the band of a sound description: one order more than it needs, unless it is flat."""
+        simplest, richer = found
+        flat = simplest.order == (0, 0) and simplest.fraction == 1.0
+        return self.band(simplest if flat else richer, simplest.order)
 
     def band(self, trial: _Trial, simplest: Order | None = None) -> Band:
         poles, zeros = trial.order

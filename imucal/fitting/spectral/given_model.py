@@ -17,6 +17,7 @@ such a mean was half to one deviation of a log too low, however many the logs.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.homogeneity import symbol_of, widened
 from imucal.fitting.noise_fit import Estimate, Goodness
-from imucal.fitting.spectral.band import Band, find_band
+from imucal.fitting.spectral.band import Band, find_band, flat_band
 from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import completed, estimate_or_bound, fitted_model, numbered, with_absent
 from imucal.fitting.spectral.common_terms import Parts, visible
@@ -68,12 +69,22 @@ class BinFit:
     misfits: dict[str, float]
 
 
-def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm: int = 2) -> BinFit:
-    """Return the fit of a structure to one or several records: as `fit_mle` from there on."""
+def fit_bins(
+    bins: Sequence[Bins],
+    structure: Structure,
+    *,
+    level: float,
+    max_gm: int = 2,
+    near: float | None = None,
+) -> BinFit:
+    """Return the fit of a structure to one or several records: as `fit_mle` from there on.
+
+    `near` is the band, as a fraction of Nyquist, in which they were described before.
+    """
     parts = [ordinates_of(one) for one in bins]
     every = joined(parts) if len(parts) > 1 else parts[0]
     common = every.names[1:]
-    band = _band(every, parts, structure, max_gm)
+    band = _band(every, parts, structure, max_gm, near)
     seen = every.below(band.fraction)
     # Of all records half the excess kurtosis plus one, weighted by their ordinates.
     surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
@@ -106,22 +117,21 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
     )
 
 
-def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, max_gm: int) -> Band:
+def _band(
+    every: Ordinates, parts: Sequence[Ordinates], structure: Structure, max_gm: int, near: float | None
+) -> Band:
     """Return the band and response of all records; flat where most records by themselves are.
 
     Records whose coefficients differ fit no one model; together they may look like a filter's doing.
     """
-
-    def find(whole: Ordinates) -> Band:
-        rich, common = richest(structure, max_gm), whole.names[1:]
-        return find_band(whole, rich, shortest=SHORTEST, common=common, given=structure)
-
-    band = find(every)
-    if len(parts) > 1 and not band.flat:
-        flat = [alone for alone in map(find, parts) if alone.flat]
-        if 2 * len(flat) > len(parts):
-            return flat[0]
-    return band
+    rich = richest(structure, max_gm)
+    asked: dict[str, Any] = {"shortest": SHORTEST, "common": every.names[1:], "given": structure}
+    if len(parts) == 1:
+        return find_band(every, rich, near=near, **asked)
+    if flat := flat_band(every, rich, **asked):
+        return flat
+    alone = [band for part in parts if (band := flat_band(part, rich, **asked))]
+    return alone[0] if 2 * len(alone) > len(parts) else find_band(every, rich, near=near, **asked)
 
 
 #: A coefficient whose log has less information than this is not told at all.

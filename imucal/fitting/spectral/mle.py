@@ -87,8 +87,8 @@ def fit_mle(
     if series is None:
         msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
         raise ValueError(msg)
-    structure, max_gm = settings.structure, settings.max_gm
-    view = spectral_view(series, structure, max_gm, temperature)
+    structure = settings.structure
+    view = spectral_view(series, settings, temperature)
     shortest = SHORTEST if structure is None else SHORTEST_GIVEN
     band = view.band
     problem = Problem(
@@ -251,15 +251,20 @@ def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, 
     return model, seen
 
 
-def spectral_view(
-    series: AxisSeries, structure: Structure | None, max_gm: int, temperature: FloatArray | None
-) -> View:
+def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatArray | None) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
     found, doubtful, findings = find_shapes(series, blocks)
     common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
-    band = find_band(whole, richest(structure, max_gm), shortest=SHORTEST, common=common, given=structure)
+    band = find_band(
+        whole,
+        richest(settings.structure, settings.max_gm),
+        shortest=SHORTEST,
+        common=common,
+        given=settings.structure,
+        narrow=settings.narrow,
+    )
     return View(
         blocks=blocks,
         band=band,

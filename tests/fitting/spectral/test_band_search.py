@@ -10,6 +10,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.spectral import band
 from imucal.fitting.spectral import band as filter_response
 from imucal.fitting.spectral.band import (
+    BANDS,
     Order,
     _BandSearch,
     _deviation_of_white,
@@ -191,7 +192,7 @@ def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.M
     monkeypatch.setattr(_BandSearch, "responses", lambda *_: [_trial((0, 0), 1.0)])
     for n, whole in ((2000, False), (500, True)):
         data = ordinates_of(simulated("N=1", n, 1))
-        _BandSearch(data, ("N",), 10.0, ()).filtered()
+        _BandSearch(data, ("N",), 10.0, ()).filtered(None, BANDS)
         expected = data if whole else data.below(0.03125)
         npt.assert_array_equal(seen[-1].lam, expected.lam)
 
@@ -300,7 +301,8 @@ def test_which_description_is_tried_first(
             return "given" if own else None
         return "rich" if rich else None
 
-    def filtered(search: _BandSearch) -> str:
+    def filtered(search: _BandSearch, near: float | None, fractions: tuple[float, ...]) -> str:
+        assert (near, fractions) == (None, BANDS)
         assert search.structure == ("N", "GM", "K")
         return "filtered"
 
@@ -310,3 +312,15 @@ def test_which_description_is_tried_first(
     data = ordinates_of(simulated("N=1", 2000, 1))
     found: object = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, given=given)
     assert found == used
+
+
+def test_a_band_is_looked_for_near_another_first_and_in_the_whole_alone_if_so_asked() -> None:
+    """Near the band that it would choose the answer is the same; the whole one is taken, sound or not."""
+    samples = np.convolve(simulated("N=1", 20_000, 41), np.full(9, 1 / 9), "valid")
+    data = ordinates_of(samples)
+    searched = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0)
+    assert searched.fraction < 1.0
+    near = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, near=searched.fraction)
+    assert (near.fraction, near.order, near.poles) == (searched.fraction, searched.order, searched.poles)
+    npt.assert_array_equal(near.response, searched.response)
+    assert find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, narrow=False).fraction == 1.0
