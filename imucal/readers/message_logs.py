@@ -159,7 +159,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
-            why = seen[0] if seen else "the log holds none"
+            why = next(iter(seen), "the log holds none")
             msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
             raise ReadError(msg)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)

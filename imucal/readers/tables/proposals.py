@@ -178,9 +178,7 @@ def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
     chosen = likely(table, taken=taken, tagged=bool(rows))
     if not any(chosen.values()):
         chosen = _one_axis(table, taken, name)
-    if not any(chosen.values()):
-        return ""
-    return table.columns_text(*chosen.values(), rows=rows, time=time)
+    return table.columns_text(*chosen.values(), rows=rows, time=time) if any(chosen.values()) else ""
 
 
 def _one_axis(table: NamedTable, taken: Sequence[int], name: str) -> dict[Sensor, Triad | None]:

@@ -243,7 +243,7 @@ class TextSource:
             msg = f"{name}: {self.compression} of binary data; unpack it, and name the log that was in it"
             raise ReadError(msg) from error
         wide = self.encoding.startswith("utf-16")
-        self._decode = codecs.getincrementaldecoder(self.encoding)() if wide else None
+        self._decode = codecs.getincrementaldecoder(self.encoding)("replace") if wide else None
         text = head.removeprefix(codecs.BOM_UTF8)
         text = self._plain(text)
         self._return_only = b"\r" in text and b"\n" not in text

@@ -518,7 +518,7 @@ def _is_complete(line: str, layout: TextLayout) -> bool:
     """Return whether a line without an end has all its cells, the last one as long as any other."""
     cells = split_line(line, layout.delimiter)
     lengths = [len(cell.partition(".")[2]) for cell in layout.cells(layout.width - 1)]
-    _, point, digits = cells[-1].partition(layout.decimal) if cells else ("", "", "")
+    _, point, digits = cells[-1].partition(layout.decimal)
     return len(cells) == layout.width and bool(point) and len(digits) >= max(lengths, default=0)
 
 

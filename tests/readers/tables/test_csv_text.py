@@ -111,6 +111,17 @@ def test_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
     assert recording.source.path == "standard input"
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_a_text_that_is_cut_within_a_letter(encoding: str, tmp_path: Path) -> None:
+    """Only its last line is lost."""
+    path, rows = tmp_path / "log.csv", [f"{i * 10},0.0{i % 3},0.02,0.03" for i in range(50)]
+    text = "\n".join(["time_ms,gx_rad/s,gy_rad/s,gz_rad/s", *rows]) + "\n"
+    path.write_bytes(text.encode(encoding)[:-11])
+    recording = read(path, ReadOptions())
+    assert recording.series[0].n == 49
+    assert [finding.code for finding in recording.findings] == ["cut-line"]
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
 def test_encodings(encoding: str, tmp_path: Path) -> None:
     """A byte order mark, two bytes a character, or a superscript of Latin-1 change nothing."""

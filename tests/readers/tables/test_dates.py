@@ -119,7 +119,18 @@ def test_kinds_of_text(cells: list[str], kind: str) -> None:
     assert text_kind(cells) == kind
 
 
-@pytest.mark.parametrize("cell", ["13/13/2026 10:00:00", "22-Foo-2026 10:00:00", "10:00", "", "x"])
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "13/13/2026 10:00:00",
+        "22-Foo-2026 10:00:00",
+        "9026-01-02 10:00:00",
+        "0026-01-02 10:00:00",
+        "10:00",
+        "",
+        "x",
+    ],
+)
 def test_what_is_no_time(cell: str) -> None:
     """A text that is no time is told from every time."""
     assert parse_texts([cell]).tolist() == [NO_STAMP]
