@@ -295,27 +295,33 @@ def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[lis
 
 def _read_as(kind: Any, said: Any) -> Any:  # noqa: ANN401 - of any type
     """Return what JSON says as a value of a type: a dataclass, a tuple, something or None, or plain."""
-    read = _reader(kind)
-    return said if read is None or said is None else read(said)
+    return None if said is None else _reader(kind)(said)
 
 
 @functools.cache
-def _reader(kind: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - of any type
-    """Return what makes a value of a type of what JSON says, found out once; None where that is the value."""
+def _reader(kind: Any) -> Callable[[Any], Any]:  # noqa: ANN401 - of any type
+    """Return what makes a value of a type of what JSON says; found out once."""
+    options = get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = get_type_hints(kind)
-        deeper = [(name, read) for name, hint in hints.items() if (read := _reader(hint))]
-        if not deeper:
-            return lambda said: kind(**said)
-        kinds = {name: hints[name] for name, _ in deeper}
-        return lambda said: kind(**said | {name: _read_as(kinds[name], said[name]) for name in kinds})
-    options, origin = get_args(kind), get_origin(kind)
-    if origin is types.UnionType:
+        return _record_reader(kind)
+    if get_origin(kind) is types.UnionType:
         return _reader(options[0])
-    if origin is tuple and options[-1] is Ellipsis:
-        one = _reader(options[0])
-        return tuple if one is None else lambda said: tuple(map(one, said))
-    return (lambda said: tuple(map(_read_as, options, said))) if origin is tuple else None
+    if get_origin(kind) is not tuple:
+        return _as_it_is
+    if options[-1] is Ellipsis:
+        return lambda said: tuple(map(_reader(options[0]), said))
+    return lambda said: tuple(map(_read_as, options, said))
+
+
+def _record_reader(kind: type) -> Callable[[Any], Any]:
+    """Return what makes a dataclass: of a thousand units most fields are plain, and cost nothing."""
+    hints = get_type_hints(kind)
+    deeper = {name: hint for name, hint in hints.items() if _reader(hint) is not _as_it_is}
+    return lambda said: kind(**said | {name: _read_as(hint, said[name]) for name, hint in deeper.items()})
+
+
+def _as_it_is(said: Any) -> Any:  # noqa: ANN401 - of any type
+    return said
 
 
 def symbol_of(term: str) -> str:
