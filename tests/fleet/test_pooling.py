@@ -152,6 +152,17 @@ def test_a_filter_of_one_record_is_not_that_of_all() -> None:
         assert _joint([records[i] for i in order]).band.poles == 0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_log_has_the_values_of_a_blind_search_where_its_fit_tells_the_band(seed: int) -> None:
+    """Behind a filter, whose band the fit has found; one that did not have these terms tells none."""
+    corner = np.exp(-2 * np.pi * (8 + 4 * seed) / RATE)
+    behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-4", 3000, 95, seed))
+    fit = fit_of(np.asarray(behind))
+    assert fit.settings["response_poles"]
+    assert fit.criterion == "given"
+    assert imucal.log_values("u", fit) == imucal.log_values("u", replace(fit, criterion="chance"))
+
+
 def test_a_walk_in_one_record_only_is_found() -> None:
     """A weak term that most records lack: the mean is no narrower than any joint limit."""
     still = [quick_fit(simulated("N=1e-3", 6000, 10, i)) for i in range(3)]

@@ -264,10 +264,10 @@ def find_band(
     Its correlation times are `shortest` samples at least; its Q counts only where the response is flat,
     because both bend the top of the spectrum. Terms that the caller gave are believed where those with a
     time of any length describe the whole band beside white noise. Every model has the regressors `common`.
-    Where the whole spectrum asks for a response, the band up to `near`, a fraction of Nyquist, is tried
-    first, and taken if it has a sound description; without `narrow` no band but the whole one is.
+    Of ordinates that are known not to be flat the band up to `near`, a fraction of Nyquist, is tried first,
+    and taken if it has a sound description; without `narrow` no band but the whole one is.
     """
-    if flat := flat_band(ordinates, rich, shortest=shortest, common=common, given=given):
+    if near is None and (flat := flat_band(ordinates, rich, shortest=shortest, common=common, given=given)):
         return flat
     plain = tuple(symbol for symbol in rich if symbol != "Q")
     search = _BandSearch(_coarse(ordinates), plain, shortest, common)

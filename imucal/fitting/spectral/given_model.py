@@ -79,7 +79,7 @@ def fit_bins(
 ) -> BinFit:
     """Return the fit of a structure to one or several records: as `fit_mle` from there on.
 
-    `near` is the band, as a fraction of Nyquist, in which they were described before.
+    `near` is the band, as a fraction of Nyquist, in which they were described before, and not as flat.
     """
     parts = [ordinates_of(one) for one in bins]
     every = joined(parts) if len(parts) > 1 else parts[0]
@@ -126,12 +126,12 @@ def _band(
     """
     rich = richest(structure, max_gm)
     asked: dict[str, Any] = {"shortest": SHORTEST, "common": every.names[1:], "given": structure}
-    if len(parts) == 1:
+    if near is not None or len(parts) == 1:
         return find_band(every, rich, near=near, **asked)
     if flat := flat_band(every, rich, **asked):
         return flat
     alone = [band for part in parts if (band := flat_band(part, rich, **asked))]
-    return alone[0] if 2 * len(alone) > len(parts) else find_band(every, rich, near=near, **asked)
+    return alone[0] if 2 * len(alone) > len(parts) else find_band(every, rich, **asked)
 
 
 #: A coefficient whose log has less information than this is not told at all.
