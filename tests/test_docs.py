@@ -135,7 +135,9 @@ def test_every_finding_is_described() -> None:
     written = {
         code
         for file in PACKAGE.rglob("*.py")
-        for code in re.findall(r'\b(?:code=|_info\(|_warning\()"([a-z-]+)"', file.read_text(encoding="utf-8"))
+        for code in re.findall(
+            r'\b(?:code=|_info\(|_warning\(|_said\()"([a-z-]+)"', file.read_text(encoding="utf-8")
+        )
     }
     drift = (PACKAGE / "fitting/spectral/disturbances.py").read_text(encoding="utf-8")
     for chosen in re.findall(r"^    code = (.*)$", drift, re.MULTILINE):
