@@ -110,8 +110,8 @@ def characterize(
     long = max((series.n for series in recording.series), default=0) >= _LONG
     findings = recording.findings + look(recording, workers=workers if long else 1)
 
-    # No part of the spectrum of a moved IMU is noise: a search for one takes long and finds none.
-    settings = replace(settings, narrow=not _moved(findings))
+    # Who searches what a moved IMU measured for noise, and for what is none, is long about nothing.
+    settings = replace(settings, still=not _moved(findings))
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:

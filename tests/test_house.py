@@ -11,7 +11,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(14261, 102717, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
-    "fitting": Size(9728, 72751, 33),  # slow terms speak for K, cycles by chance, shifts by name
+    "fitting": Size(9726, 72727, 33),  # slow terms speak for K, cycles by chance, shifts by name
     "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4386, 24111, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3774, 24512, 24),  # --open, --figure, errors as JSON, defaults from a file
@@ -26,7 +26,7 @@ BUDGET = {
     "prediction": Size(1044, 6898, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(51_763, 360_049, 207)
+IN_ALL = Size(51_761, 360_025, 207)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
 

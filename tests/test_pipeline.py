@@ -133,9 +133,9 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
 
 
 def test_every_setting_is_in_the_report() -> None:
-    """So that a run can be repeated; `reading` comes last. Of `narrow` the log itself decides."""
+    """So that a run can be repeated; `reading` comes last. Whether it was `still` the log says itself."""
     document = Settings(level=0.9, reading={"topic": ["/imu"]}).document()
-    assert set(document) == {field.name for field in dataclasses.fields(Settings)} - {"narrow"}
+    assert set(document) == {field.name for field in dataclasses.fields(Settings)} - {"still"}
     assert list(document)[-1] == "reading"
     assert document["level"] == 0.9
 

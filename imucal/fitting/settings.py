@@ -44,7 +44,7 @@ WEIGHTS = ("full", "eta3")
 class FitSettings:
     """What decides a fit; `imucal.fit` says what each setting means.
 
-    Without `narrow` no part of the spectrum is fitted but the whole.
+    Of an IMU that was not `still` neither disturbances nor parts of the spectrum are looked for.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class FitSettings:
     clean: bool = True
     verify: bool = False
     segments: int = 8
-    narrow: bool = True
+    still: bool = True
 
     def __post_init__(self) -> None:
         choices = (

@@ -373,7 +373,5 @@ def _solved(
         solution[held, 0] = value[held]
     left = ordinates.power - 2 * np.einsum("ci,ib->cb", solution, crosses)
     for i in range(number):
-        left += (solution[:, i] ** 2)[:, None] * grams[i, i]
-        for j in range(i):
-            left += (2 * solution[:, i] * solution[:, j])[:, None] * grams[i, j]
+        left += np.einsum("cj,jb->cb", solution[:, i, None] * solution, grams[i])
     return solution, np.where(both_used, inverse, 0.0), left

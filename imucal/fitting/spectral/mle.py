@@ -254,7 +254,7 @@ def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, 
 def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatArray | None) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    found, doubtful, findings = find_shapes(series, blocks)
+    found, doubtful, findings = find_shapes(series, blocks) if settings.still else ((), (), ())
     common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(
@@ -263,7 +263,7 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
         shortest=SHORTEST,
         common=common,
         given=settings.structure,
-        narrow=settings.narrow,
+        narrow=settings.still,
     )
     return View(
         blocks=blocks,
