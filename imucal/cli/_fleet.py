@@ -193,12 +193,10 @@ def is_fleet(path: str | Path) -> bool:
 
 def read_fleet(path: str | Path, model: str | None) -> "Fleet":
     """Load a fleet, as far as exports, checks and comparisons need it: one sensor model, without its logs."""
-    from imucal.fleet_report import load_fleet
-    from imucal.fleet_report.summary import choose_model, model_names
+    from imucal.fleet_report.summary import load_model
 
     try:
-        chosen = choose_model(path, model_names(path), model)
+        return load_model(path, model)
     except ChoiceError as error:
         msg = f"{error}; choose one with --fleet-model"
         raise ChoiceError(msg) from error
-    return load_fleet(path, unit_logs=False, model=chosen)

@@ -234,12 +234,13 @@ class FleetStore:
             found = joined.with_columns(kept).select(found.columns)
         return found.sort("path")
 
-    def results(self) -> pl.DataFrame:
+    def results(self, logs: pl.DataFrame | None = None) -> pl.DataFrame:
         """Return one row a log, axis and term: `RESULTS`, and path, model, unit, temperature_c, days.
 
-        `days` since 1970 are those of `started`; nan where it is not known, as the temperature.
+        `days` since 1970 are those of `started`; nan where it is not known, as the temperature. Who has read
+        the `logs` gives them, and they are not read again.
         """
-        logs = self.logs()
+        logs = self.logs() if logs is None else logs
         labels = logs.select(
             *("part", "key", "path", "model", "unit"),
             pl.col("temperature_c").fill_null(math.nan),

@@ -11,12 +11,14 @@ import hashlib
 import json
 import math
 import types
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
-from functools import partial
-from operator import attrgetter
-from typing import Any, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from imucal._version import __version__
 from imucal.errors import DataError, WriteError
@@ -32,6 +34,9 @@ from imucal.processes import side_by_side, try_side_work
 from imucal.recording import Sensor
 from imucal.resources import threads
 
+if TYPE_CHECKING:
+    import polars as pl
+
 #: Model, sensor, axis and term.
 TermKey: TypeAlias = tuple[str, str, str, str]
 #: Relative difference of two sampling rates that is none.
@@ -42,6 +47,42 @@ _AT_ONCE = 5000
 #: The bound that is near enough, and the most units that are thought of.
 NEAR = 1.1
 _MOST = 10_000
+#: What a row of results says of a log, beside its unit; and which of that may be None.
+_NUMBERS = tuple(field.name for field in fields(LogValue) if field.name != "unit")
+_MAY_LACK = np.isin(_NUMBERS, ("value", "variance", "variance_sd", "correlation_time"))
+
+
+class LogRows(Sequence[LogValue]):
+    """Values of many logs, from their rows of results; made where somebody looks at one.
+
+    `units`, shape (logs,), and `numbers`, shape (logs, fields of a `LogValue` but its unit), are as they
+    stand in the store, which is all that the digest and the key of a question need.
+    """
+
+    def __init__(self, rows: "pl.DataFrame") -> None:
+        self.units: list[str] = rows["unit"].to_list()
+        # A term without a square has none that could grow.
+        numbers = rows.select(_NUMBERS).with_columns(rows["variance_growth"].fill_null(0.0))
+        self.numbers = np.ascontiguousarray(numbers.to_numpy())
+
+    @property
+    def digest(self) -> str:
+        """Of the same values of the same units the same."""
+        return hashlib.blake2b(self.numbers.tobytes() + json.dumps(self.units).encode()).hexdigest()
+
+    @cached_property
+    def _values(self) -> tuple[LogValue, ...]:
+        told = np.where(np.isnan(self.numbers) & _MAY_LACK, None, self.numbers).tolist()
+        return tuple(
+            LogValue(unit=unit, **dict(zip(_NUMBERS, row, strict=True)))
+            for unit, row in zip(self.units, told, strict=True)
+        )
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+    def __getitem__(self, place: Any) -> Any:  # noqa: ANN401 - one by its number, several by a slice
+        return self._values[place]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,15 +112,14 @@ class TermAnswer:
 class TermQuestion:
     """The question what the units of one term are like."""
 
-    logs: tuple[LogValue, ...]
+    logs: LogRows
     content: float
     confidence: float
 
     @property
     def key(self) -> str:
         """Of the same question the same."""
-        rows = list(map(attrgetter(*(field.name for field in fields(LogValue))), self.logs))
-        return _key(TermAnswer, rows, self.content, self.confidence)
+        return _key(TermAnswer, self.logs.digest, self.content, self.confidence)
 
     def answer(self) -> TermAnswer:
         """Find it out."""
@@ -231,7 +271,7 @@ class Answers:
 
         Those that are not there are made in groups, as `fill` yields them with all that they need.
         """
-        keys = [question.key for question in questions]
+        keys, read = [question.key for question in questions], cast("Callable[[Any], A]", _reader(kind))
         known = self.store.derived(keys)
         missing = {key: one for key, one in zip(keys, questions, strict=True) if key not in known}
         for group in fill(list(missing.values())) if missing else ():
@@ -240,7 +280,7 @@ class Answers:
             known |= made
             with suppress(WriteError):
                 self.store.keep_derived(made)
-        return [_read_as(kind, json.loads(known[key])) for key in keys]
+        return [read(json.loads(known[key])) for key in keys]
 
 
 def unit_tests(
@@ -257,23 +297,25 @@ def unit_tests(
     for key, sensor, axis in answers.store.axes().iter_rows():
         if key in units and (units[key][0], sensor, axis) in symbols:
             logs.setdefault((*units[key], sensor, axis), []).append(key)
-    models: list[str] = []
-    questions: list[UnitQuestion] = []
-    for (model, unit, sensor, axis), own in sorted(logs.items()):
-        if len(own) > 1:
-            models.append(model)
-            terms_of = tuple(symbol for symbol in TERMS if symbol in symbols[model, sensor, axis])
-            questions.append(
-                UnitQuestion(unit=unit, sensor=sensor, axis=axis, symbols=terms_of, logs=tuple(sorted(own)))
-            )
+    # By question, the model.
+    asked = {
+        UnitQuestion(
+            unit=unit,
+            sensor=sensor,
+            axis=axis,
+            symbols=tuple(symbol for symbol in TERMS if symbol in symbols[model, sensor, axis]),
+            logs=tuple(sorted(own)),
+        ): model
+        for (model, unit, sensor, axis), own in sorted(logs.items())
+        if len(own) > 1
+    }
     found: dict[TermKey, list[UnitLogs]] = {}
     findings: list[Finding] = []
-    every = answers.to(questions, UnitAnswer, partial(_with_bins, answers.store))
-    for model, question, answer in zip(models, questions, every, strict=True):
-        sensor, axis = question.sensor, question.axis
+    every = answers.to(list(asked), UnitAnswer, partial(_with_bins, answers.store))
+    for (question, model), answer in zip(asked.items(), every, strict=True):
         findings += answer.findings
         for test in answer.tests:
-            found.setdefault((model, sensor, axis, test.term), []).append(test)
+            found.setdefault((model, question.sensor, question.axis, test.term), []).append(test)
     return found, tuple(findings)
 
 
@@ -293,35 +335,22 @@ def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[lis
         ]
 
 
-def _read_as(kind: Any, said: Any) -> Any:  # noqa: ANN401 - of any type
-    """Return what JSON says as a value of a type: a dataclass, a tuple, something or None, or plain."""
-    return None if said is None else _reader(kind)(said)
-
-
 @functools.cache
-def _reader(kind: Any) -> Callable[[Any], Any]:  # noqa: ANN401 - of any type
-    """Return what makes a value of a type of what JSON says; found out once."""
-    options = get_args(kind)
+def _reader(kind: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - of any type
+    """Return what makes a value of a type of what JSON says; None where JSON says the value itself.
+
+    A type is a dataclass, a tuple of any length of one type, a pair of plain values, something or None, or
+    plain. That is found out once: of a thousand units most fields are plain, and cost nothing.
+    """
+    first, *others = get_args(kind) or (None,)
     if isinstance(kind, type) and is_dataclass(kind):
-        return _record_reader(kind)
-    if get_origin(kind) is types.UnionType:
-        return _reader(options[0])
-    if get_origin(kind) is not tuple:
-        return _as_it_is
-    if options[-1] is Ellipsis:
-        return lambda said: tuple(map(_reader(options[0]), said))
-    return lambda said: tuple(map(_read_as, options, said))
-
-
-def _record_reader(kind: type) -> Callable[[Any], Any]:
-    """Return what makes a dataclass: of a thousand units most fields are plain, and cost nothing."""
-    hints = get_type_hints(kind)
-    deeper = {name: hint for name, hint in hints.items() if _reader(hint) is not _as_it_is}
-    return lambda said: kind(**said | {name: _read_as(hint, said[name]) for name, hint in deeper.items()})
-
-
-def _as_it_is(said: Any) -> Any:  # noqa: ANN401 - of any type
-    return said
+        hints = get_type_hints(kind).items()
+        deeper = {name: read for name, hint in hints if (read := _reader(hint)) is not None}
+        return lambda said: kind(**said | {name: read(said[name]) for name, read in deeper.items()})
+    read = _reader(first) if first is not None and others in ([types.NoneType], [...]) else None
+    if get_origin(kind) is tuple:
+        return lambda said: tuple(said if read is None else map(read, said))
+    return read and (lambda said: None if said is None else read(said))
 
 
 def symbol_of(term: str) -> str:
@@ -370,9 +399,6 @@ def _prices(found: Population) -> tuple[tuple[int, float], ...]:
     )
     wanted = {n, 2 * n}
     if excess(n) > NEAR >= excess(_MOST):
-        low, high = n, _MOST
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if excess(middle) <= NEAR else (middle, high)
-        wanted.add(high)
+        every = range(n, _MOST)
+        wanted.add(n + bisect_left(every, -NEAR, key=lambda units: -excess(units)))
     return tuple((units, excess(units)) for units in sorted(wanted))

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -20,6 +20,7 @@ from imucal.fleet.values import LogValue
 from imucal.fleet_report.answers import (
     Answers,
     Ask,
+    LogRows,
     TermAnswer,
     TermKey,
     TermQuestion,
@@ -74,7 +75,7 @@ class FleetTerm(TermAnswer):
     sensor: Sensor
     axis: Axis
     term: str
-    logs: tuple[LogValue, ...]
+    logs: Sequence[LogValue]
     unit_logs: tuple[UnitLogs, ...]
 
     @property
@@ -227,27 +228,54 @@ def load_fleet(
     DataError
         If none of its logs was done.
     """
-    store = FleetStore(folder)
+
+    def chosen(names: Sequence[str]) -> list[str]:
+        return [name for name in names if model in {None, name}]
+
+    return _loaded(FleetStore(folder), chosen, content, confidence, unit_logs=unit_logs, ask=ask)
+
+
+def load_model(folder: str | Path, model: str | None = None) -> Fleet:
+    """Return a fleet with one sensor model alone, without tests of its units' logs, as `load_fleet` does.
+
+    Raises
+    ------
+    ChoiceError
+        If there is no such model, or several and no name; before anything is worked out.
+    """
+    return _loaded(FleetStore(folder), lambda names: [choose_model(folder, names, model)], unit_logs=False)
+
+
+def _loaded(
+    store: FleetStore,
+    choose: Callable[[Sequence[str]], Sequence[str]],
+    content: float = 0.95,
+    confidence: float = 0.95,
+    *,
+    unit_logs: bool,
+    ask: Ask | None = None,
+) -> Fleet:
+    """Return a fleet with those of its sensor models that are chosen by their names."""
     manifest = store.manifest()
     store.refuse_damage()
     # A copy of another log is counted with it.
     asked = manifest["copy_of"].null_count()
-    logs = {row["key"]: _log(row) for row in store.logs().iter_rows(named=True)}
+    table = store.logs()
+    logs = {row["key"]: _log(row) for row in table.iter_rows(named=True)}
     if not logs:
-        msg = f"{folder}: found {asked} logs and none done, expected some; run the fleet first"
+        msg = f"{store.folder}: found {asked} logs and none done, expected some; run the fleet first"
         raise DataError(msg)
-    results = store.results()
+    names = choose(sorted({log.model for log in logs.values() if log.counts}))
     units = {key: (log.model, log.unit or "") for key, log in logs.items() if log.counts}
-    groups = _grouped(results, {key: own for key, (own, _) in units.items() if model in {None, own}})
+    results = store.results(table)
+    groups = _grouped(results, {key: own for key, (own, _) in units.items() if own in names})
     answers = Answers(store, ask)
     tests, findings = unit_tests(answers, units, groups) if unit_logs else ({}, ())
     terms = _terms(answers, groups, tests, (content, confidence))
-    names = sorted({own for own, _ in units.values() if model in {None, own}})
-    models = [_model(name, logs.values(), terms) for name in names]
     loose = _loose(results, logs)
     return Fleet(
-        folder=Path(folder),
-        models=_judged_together(models),
+        folder=store.folder,
+        models=_judged_together([_model(name, logs.values(), terms) for name in names]),
         logs=tuple(logs.values()),
         asked=asked,
         loose=loose,
@@ -255,14 +283,6 @@ def load_fleet(
         findings=findings,
         version=__version__,
     )
-
-
-def model_names(folder: str | Path) -> list[str]:
-    """Return the names of a fleet's sensor models, and not what their units are like."""
-    store = FleetStore(folder)
-    store.refuse_damage()
-    logs = map(_log, store.logs().iter_rows(named=True))
-    return sorted({log.model for log in logs if log.counts})
 
 
 def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) -> str:
@@ -344,17 +364,6 @@ def _grouped(results: "pl.DataFrame", counted: Mapping[str, str]) -> dict[TermKe
     return {(str(key[0]), str(key[1]), str(key[2]), str(key[3])): rows for key, rows in found.items()}
 
 
-#: What a row of results says of a log, beside its unit.
-_TOLD = tuple(field.name for field in fields(LogValue) if field.name != "unit")
-
-
-def _value(row: Row, unit: str) -> LogValue:
-    told = {name: row[name] for name in _TOLD}
-    # A term without a square has none that could grow.
-    told["variance_growth"] = told["variance_growth"] or 0.0
-    return LogValue(unit=unit, **told)
-
-
 def _terms(
     answers: Answers,
     groups: Mapping[TermKey, "pl.DataFrame"],
@@ -362,7 +371,7 @@ def _terms(
     shares: tuple[float, float],
 ) -> list[tuple[str, FleetTerm]]:
     """Return the terms, each with the name of its model; `shares` are content and confidence."""
-    logs = [tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True)) for rows in groups.values()]
+    logs = list(map(LogRows, groups.values()))
     questions = [TermQuestion(logs=own, content=shares[0], confidence=shares[1]) for own in logs]
     return [
         (
@@ -381,11 +390,10 @@ def _terms(
 
 
 def _loose(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> tuple[LooseLog, ...]:
-    values: dict[str, dict[tuple[str, str], LogValue]] = {
-        key: {} for key, log in logs.items() if log.unit is None and not log.left_out
-    }
-    for row in results.iter_rows(named=True):
-        if row["key"] in values:
-            where = (f"{Sensor(row['sensor']).short}_{row['axis']}", row["term"])
-            values[row["key"]][where] = _value(row, row["path"])
+    keys = [key for key, log in logs.items() if log.unit is None and not log.left_out]
+    values: dict[str, dict[tuple[str, str], LogValue]] = {key: {} for key in keys}
+    rows = results.filter(results["key"].is_in(keys)).with_columns(unit="path")
+    places = rows.select("key", "sensor", "axis", "term").iter_rows()
+    for (key, sensor, axis, term), value in zip(places, LogRows(rows), strict=True):
+        values[key][f"{Sensor(sensor).short}_{axis}", term] = value
     return tuple(LooseLog(log=logs[key], values=found) for key, found in values.items())

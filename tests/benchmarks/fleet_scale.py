@@ -7,6 +7,7 @@ eight units, put under all questions, so that a large fleet need not be worked o
 """
 
 import argparse
+import copy
 import json
 import resource
 import subprocess
@@ -89,7 +90,7 @@ def answer_by_one(store: FleetStore) -> None:
                 known[kind] = asdict(small.answer())
             said = known[kind]
             if kind == "TermQuestion":
-                every = {log.unit: None for log in one.logs}
+                every = dict.fromkeys(one.logs.units)
                 few = said["population"]["units"]
                 units = [{**few[i % len(few)], "unit": unit} for i, unit in enumerate(every)]
                 said = {**said, "population": {**said["population"], "units": units}}
@@ -100,9 +101,9 @@ def answer_by_one(store: FleetStore) -> None:
 
 
 def _of_few(question: answers.TermQuestion) -> answers.TermQuestion:
-    return answers.TermQuestion(
-        logs=question.logs[:24], content=question.content, confidence=question.confidence
-    )
+    few = copy.copy(question.logs)
+    few.units, few.numbers = few.units[:24], few.numbers[:24]
+    return answers.TermQuestion(logs=few, content=question.content, confidence=question.confidence)
 
 
 def load(folder: Path) -> None:
