@@ -72,10 +72,11 @@ class LogRows(Sequence[LogValue]):
 
     @cached_property
     def _values(self) -> tuple[LogValue, ...]:
-        told = np.where(np.isnan(self.numbers) & _MAY_LACK, None, self.numbers).tolist()
+        told = self.numbers.astype(object)
+        told[np.isnan(self.numbers) & _MAY_LACK] = None
         return tuple(
             LogValue(unit=unit, **dict(zip(_NUMBERS, row, strict=True)))
-            for unit, row in zip(self.units, told, strict=True)
+            for unit, row in zip(self.units, told.tolist(), strict=True)
         )
 
     def __len__(self) -> int:
@@ -271,7 +272,10 @@ class Answers:
 
         Those that are not there are made in groups, as `fill` yields them with all that they need.
         """
-        keys, read = [question.key for question in questions], cast("Callable[[Any], A]", _reader(kind))
+        keys, read = (
+            [question.key for question in questions],
+            cast("Callable[[Any], A]", _record_reader(kind)),
+        )
         known = self.store.derived(keys)
         missing = {key: one for key, one in zip(keys, questions, strict=True) if key not in known}
         for group in fill(list(missing.values())) if missing else ():
@@ -342,15 +346,19 @@ def _reader(kind: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - of any 
     A type is a dataclass, a tuple of any length of one type, a pair of plain values, something or None, or
     plain. That is found out once: of a thousand units most fields are plain, and cost nothing.
     """
-    first, *others = get_args(kind) or (None,)
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = get_type_hints(kind).items()
-        deeper = {name: read for name, hint in hints if (read := _reader(hint)) is not None}
-        return lambda said: kind(**said | {name: read(said[name]) for name, read in deeper.items()})
-    read = _reader(first) if first is not None and others in ([types.NoneType], [...]) else None
+        return _record_reader(kind)
+    first, *others = get_args(kind) or (None,)
+    read = _reader(first) if others in ([types.NoneType], [...]) else None
     if get_origin(kind) is tuple:
         return lambda said: tuple(said if read is None else map(read, said))
     return read and (lambda said: None if said is None else read(said))
+
+
+def _record_reader(kind: type) -> Callable[[Any], Any]:
+    hints = get_type_hints(kind).items()
+    deeper = {name: read for name, hint in hints if (read := _reader(hint)) is not None}
+    return lambda said: kind(**said | {name: read(said[name]) for name, read in deeper.items()})
 
 
 def symbol_of(term: str) -> str:
