@@ -111,6 +111,8 @@ class _Ask:
     precision: float
     level: float
     duration_s: float | None
+    #: Whether a length is looked for only where that of the record at hand is not enough.
+    longer: bool = False
 
     @property
     def quantile(self) -> float:
@@ -188,7 +190,7 @@ def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 
     One finding for each term of the fit that the record tells less precisely than `precision` (one
     standard deviation); a term that was not seen is taken at its upper bound.
     """
-    needs = _fit_plan(fit, _Ask(fit.rate_hz, precision, ONE_DEVIATION, duration_s)).needs
+    needs = _fit_plan(fit, _Ask(fit.rate_hz, precision, ONE_DEVIATION, duration_s, longer=True)).needs
     findings = []
     for name in dict.fromkeys(need.name.partition(".")[0] for need in needs):
         own = [need for need in needs if need.name.partition(".")[0] == name]
@@ -240,16 +242,20 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
         names = next(own for other, own in named_terms(whole) if other is term)
         for name, value in zip(names, term.values, strict=True):
             reached = shown = None
+            bound = math.inf
             if ask.duration_s is not None:
                 bound = _bound(whole, name, ask.rate_hz, ask.duration_s)
                 reached, shown = _found(bound) * ask.quantile, _share_shown(name, bound)
+            near, enough = ask.duration_s or _USUAL, _largest_bound(name, wanted)
             needs.append(
                 Need(
                     name=name,
                     symbol=term.symbol,
                     value=value,
                     bounded=bounded,
-                    needed_s=_needed(whole, name, ask.rate_hz, wanted, ask.duration_s or _USUAL),
+                    needed_s=near
+                    if ask.longer and bound <= enough
+                    else _needed(whole, name, ask.rate_hz, enough, near),
                     reached=reached,
                     shown=shown,
                 )
@@ -282,12 +288,12 @@ def _share_shown(name: str, bound: float) -> float:
     return 0.5 * math.erfc((bound - half) / (math.sqrt(2) * width))
 
 
-def _needed(model: NoiseModel, name: str, rate_hz: float, wanted: float, near_s: float) -> float:
-    """Return the length of record that shows a parameter to a relative standard error, in s.
+def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s: float) -> float:
+    """Return the length of record, in s, with which a parameter's least relative standard error is `enough`.
 
     The search begins at a record of `near_s`.
     """
-    target = math.log(_largest_bound(name, wanted))
+    target = math.log(enough)
 
     def excess(log_duration: float) -> float:
         bound = _bound(model, name, rate_hz, math.exp(log_duration))

@@ -11,12 +11,12 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(14261, 102717, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
-    "fitting": Size(9726, 72727, 33),  # slow terms speak for K, cycles by chance, shifts by name
+    "fitting": Size(9744, 72909, 33),  # slow terms speak for K, cycles by chance, shifts by name
     "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
-    "top": Size(4386, 24111, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
+    "top": Size(4392, 24142, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3772, 24485, 24),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2108, 15747, 7),  # its logs in one form for the population and the trend
-    "allan": Size(2322, 15636, 7),  # windows far from a gap summed at once
+    "allan": Size(2323, 15603, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2136, 15441, 9),  # seals of a store's files
     "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings
     "checking": Size(1269, 8596, 5),  # configs of filters read back
@@ -26,7 +26,7 @@ BUDGET = {
     "prediction": Size(1044, 6898, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(51_802, 360_240, 207)
+IN_ALL = Size(51_827, 360_420, 207)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
 

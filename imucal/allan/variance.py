@@ -55,6 +55,8 @@ _ROW = 8192
 _MEAN_GAPS, _LONGEST = 4, 256
 #: Places of the grid that one FFT takes when the pattern is correlated.
 _CHUNK = 1 << 17
+#: So many chunks tell what neighbours differ by.
+_ENOUGH = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -475,8 +477,10 @@ def _pattern(series: AxisSeries) -> _Pattern:
     mean_gap = clock.missing / max(len(clock.gaps), 1)
     lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
     mean = float(series.samples.mean())
-    pairs, squares, possible = np.zeros((3, lags))
-    for start in range(0, clock.grid_size, _CHUNK):
+    pairs, squares, seen, possible = np.zeros((4, lags))
+    # The structure of the samples is known well from a few of many chunks; how losses cluster is counted.
+    every = -(-clock.grid_size // (_ENOUGH * _CHUNK))
+    for number, start in enumerate(range(0, clock.grid_size, _CHUNK)):
         size = min(_CHUNK, clock.grid_size - start)
         low, high = clock.index_from(start), clock.index_from(start + size)
         part = clock.slice(low, high)
@@ -487,22 +491,19 @@ def _pattern(series: AxisSeries) -> _Pattern:
         here, value = np.zeros((2, length))
         here[index] = 1.0
         value[index] = series.samples[low:high] - mean
-        products = irfft(np.abs(rfft(value)) ** 2, length)[:lags]
-        room = np.maximum(size - np.arange(lags), 0)
-        if index.size == size >= lags:
-            # Nothing is missing: of the squares, each lag loses those at one end.
-            square = value[:size] ** 2
-            ends = np.cumsum(square[: lags - 1] + square[::-1][: lags - 1])
-            pairs += room
-            squares += 2 * square.sum() - np.concatenate([[0.0], ends]) - 2 * products
-        else:
-            there, squared = rfft(here), rfft(value**2)
-            pairs += irfft(np.abs(there) ** 2, length)[:lags]
+        own = room = np.maximum(size - np.arange(lags), 0)
+        if index.size < size or size < lags or number % every == 0:
+            there = rfft(here)
+            own = irfft(np.abs(there) ** 2, length)[:lags]
+        if number % every == 0:
             # The sum of w[t] w[t+k] (y[t+k] - y[t])² is even in k: the real part holds both squares.
-            squares += irfft(2 * (there * squared.conj()).real, length)[:lags] - 2 * products
+            products = 2 * (there * rfft(value**2).conj()).real - 2 * np.abs(rfft(value)) ** 2
+            squares += irfft(products, length)[:lags]
+            seen += own
+        pairs += own
         possible += room
     share = series.n / clock.grid_size
     covariance = pairs / np.maximum(possible, 1.0) - share**2
-    structure = squares / np.maximum(pairs, 0.5)
+    structure = squares / np.maximum(seen, 0.5)
     structure[0] = 0.0
     return _Pattern(correlation=covariance / max(covariance[0], 1e-300), structure=structure)

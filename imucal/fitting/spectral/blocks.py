@@ -29,7 +29,8 @@ from imucal.fitting.spectral.lines import find_lines, with_sines, without_strong
 from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_ordinates
 from imucal.recording import AxisSeries
 
-_ROUNDS = 3
+#: Rounds at most; the last one is when no part of the spectrum moved by more than this in the one before.
+_ROUNDS, _MOVED = 3, 0.01
 _STEPS = 40
 _CLOSE = 1e-3
 #: More missing samples, or so many more sines than samples, take longer than transforms do.
@@ -56,8 +57,11 @@ def complete(
     pairs = _Pairs.of(gaps, n, groups)
     # Ordinates 0 … n-1; long arrays are written over, or let go as soon as they are not needed.
     mean_of, error_of = dct2(samples), np.broadcast_to(0.0, n)
+    spectrum = np.zeros(groups.size)
     for _ in range(_ROUNDS):
-        spectrum = _means(mean_of[1:], error_of[1:], groups)
+        previous, spectrum = spectrum, _means(mean_of[1:], error_of[1:], groups)
+        if np.all(np.abs(spectrum - previous) < _MOVED * previous):
+            break
         del error_of
         # The transform of the samples is there already, and that of the draw is the draw.
         right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
@@ -83,13 +87,27 @@ def complete(
 
 
 def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
-    """Return what straight lines over each gap give at its places, shape (g,); at an end the neighbour."""
+    """Return what straight lines over each gap give at its places, shape (g,); at an end the neighbours.
+
+    They join the means of as many samples on either side as are missing, where so many follow each other: one
+    neighbour's noise at all places of a gap is far more power at low frequencies than the sensor has.
+    """
     begins = np.diff(gaps, prepend=-2) > 1
     gap = np.cumsum(begins) - 1
-    before, after = gaps[begins] - 1, gaps[np.append(begins[1:], True)[: gaps.size]] + 1
-    left = samples[np.where(before < 0, after, before)]
-    right = samples[np.where(after >= samples.size, before, after)]
-    fraction = (gaps - before[gap]) / (after - before)[gap]
+    first, after = gaps[begins], gaps[np.append(begins[1:], True)[: gaps.size]] + 1
+    size = after - first
+    low = np.maximum(first - size, np.append(0, after[:-1]))
+    high = np.minimum(after + size, np.append(first[1:], samples.size))
+    ends = np.stack([low, first, after, high])
+    ends[:2, first == 0], ends[2:, after == samples.size] = (
+        ends[2:, first == 0],
+        ends[:2, after == samples.size],
+    )
+    left, right = (
+        np.add.reduceat(np.append(samples, 0.0), sides.T.ravel())[::2] / np.diff(sides, axis=0)[0]
+        for sides in (ends[:2], ends[2:])
+    )
+    fraction = (gaps - first[gap] + 1) / (size + 1)[gap]
     return np.asarray(left[gap] + fraction * (right - left)[gap])
 
 
