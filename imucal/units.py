@@ -64,10 +64,6 @@ _WORDS = (
 )
 
 
-def _words(text: str) -> list[str]:
-    return text.split()
-
-
 #: Plain spelling without blanks, underscores and brackets -> name in `SAMPLE_UNITS`.
 _SAMPLE_SPELLINGS = {
     spelling: name
@@ -82,7 +78,7 @@ _SAMPLE_SPELLINGS = {
         "mg": "mg mgs mg0",
         "ug": "ug ugs",
     }.items()
-    for spelling in _words(spellings)
+    for spelling in spellings.split()
 }
 
 _TIME_SPELLINGS = {
@@ -93,12 +89,11 @@ _TIME_SPELLINGS = {
 }
 
 #: Units of other columns: they show that a text is a unit, no more.
-_OTHER_UNITS = frozenset(
-    _words(
-        "degc c degf k ut mt nt t gauss mgauss ga mga pa hpa kpa mbar v mv deg rad m m/s km/h hz % "
-        "nounits localflux n/a -"
-    )
-)
+_OTHERS = """
+degc c degf k ut mt nt t gauss mgauss ga mga pa hpa kpa mbar v mv deg rad m m/s km/h hz % nounits localflux
+n/a -
+"""
+_OTHER_UNITS = frozenset(_OTHERS.split())
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,17 +116,16 @@ class _Unit:
         return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
 
 
-_STANDARD_GRAVITY, _RADIAN = _Unit(G0, m=1, s=-2), _Unit(1.0, rad=1)
 #: What units are made of, in small letters; an arc second as `_WORDS` cut it.
 _BASES: dict[str, _Unit] = {
-    "rad": _RADIAN,
+    "rad": _Unit(1.0, rad=1),
     "deg": _Unit(_DEGREE, rad=1),
     "arcmin": _Unit(_DEGREE / 60, rad=1),
     "arcs": _Unit(_DEGREE / _HOUR, rad=1),
     "dps": _Unit(_DEGREE, rad=1, s=-1),
     "dph": _Unit(_DEGREE / _HOUR, rad=1, s=-1),
     "m": _Unit(1.0, m=1),
-    "g": _STANDARD_GRAVITY,
+    "g": _Unit(G0, m=1, s=-2),
     "gal": _Unit(0.01, m=1, s=-2),
     "s": _Unit(1.0, s=1),
     "min": _Unit(60.0, s=1),

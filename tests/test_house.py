@@ -13,13 +13,13 @@ BUDGET = {
     "readers": Size(14261, 102717, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
     "fitting": Size(9744, 72909, 33),  # slow terms speak for K, cycles by chance, shifts by name
     "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
-    "top": Size(4392, 24142, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
-    "cli": Size(3772, 24485, 24),  # --open, --figure, errors as JSON, defaults from a file
+    "top": Size(4386, 24120, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
+    "cli": Size(3765, 24461, 24),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2108, 15747, 7),  # its logs in one form for the population and the trend
     "allan": Size(2323, 15603, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2136, 15441, 9),  # seals of a store's files
     "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings
-    "checking": Size(1269, 8596, 5),  # configs of filters read back
+    "checking": Size(1243, 8477, 5),  # configs of filters read back
     "noise": Size(1249, 7843, 6),  # models with units
     "screening": Size(1161, 8488, 4),  # g only where the mean vector agrees
     "remote": Size(1137, 6557, 4),  # progress by the furthest byte, redirects said in words

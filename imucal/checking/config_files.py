@@ -15,6 +15,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
+from imucal.checking.limits import text_of
 from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import LimitsError
 from imucal.noise.terms import TERMS
@@ -129,12 +130,7 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     DataError
         If the report lacks an axis that the format needs.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        msg = f"{path}: can't be read ({reason}), expected the config file of a filter"
-        raise LimitsError(msg) from error
+    text = text_of(path, "the config file of a filter")
     settings, choices = read_settings(text), _choices(text)
     there = {setting.name for setting in settings}
     # Of formats with the same keys, that whose other lines are in the file, too.

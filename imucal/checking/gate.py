@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from itertools import chain
-from typing import Literal, TypedDict
 
 from imucal.checking.limits import LOG_QUANTITIES, Baseline, Limit, Limits
 from imucal.checking.verdict import CheckResult, Measured, Row, judge
@@ -12,14 +11,6 @@ from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.json_file import load
 from imucal.report.result import AxisReport, Report
-
-
-class _Asked(TypedDict):
-    """What a row says of its limit."""
-
-    side: Literal["min", "max"]
-    limit: float
-    unit: str
 
 
 def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
@@ -121,14 +112,9 @@ def _limit(report: Report, limit: Limit) -> Iterator[Row]:
 
 
 def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
-    measured = measure(axis, limit.quantity)
-    asked: _Asked = {"side": limit.side, "limit": limit.value, "unit": limit.unit}
-    if not measured:
-        said = f"{where}: the model has no {limit.quantity}, and no bound on it"
-        text = f"{said}; fit a model with it, or remove the limit"
-        yield Row(where=where, subject=limit.quantity, verdict="undecided", text=text, **asked)
-    for key, value in measured:
-        yield judge(where, key, value.scaled(1 / limit.factor), **asked)
+    for key, value in measure(axis, limit.quantity) or ((limit.quantity, None),):
+        scaled = None if value is None else value.scaled(1 / limit.factor)
+        yield judge(where, key, scaled, side=limit.side, limit=limit.value, unit=limit.unit)
 
 
 def _findings(report: Report, limits: Limits) -> Iterator[Row]:

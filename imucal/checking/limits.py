@@ -171,13 +171,17 @@ def read_limits(path: Path) -> Limits:
         If the file can't be read, is not TOML, or has a key, unit or value that is not known.
     """
     path = Path(path)
+    return parse_limits(text_of(path, "a TOML file of limits"), name=str(path), folder=path.parent)
+
+
+def text_of(path: Path, expected: str) -> str:
+    """Return the text of a file that is checked, or checked against; a LimitsError says what was expected."""
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        msg = f"{path}: can't be read ({reason}), expected a TOML file of limits"
+        msg = f"{path}: can't be read ({reason}), expected {expected}"
         raise LimitsError(msg) from error
-    return parse_limits(text, name=str(path), folder=path.parent)
 
 
 def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None) -> Limits:
@@ -212,7 +216,11 @@ class _File:
             axes = table.pop("axes", None)
             if axes is not None and section in _SENSORS:
                 required[Sensor(section)] = self._axes(f"{section}.axes", axes)
-            limits += self._section(section, table)
+            of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
+            also = ("axes",) if section in _SENSORS else ()
+            self._known(section, table, (*of_axes, *LOG_QUANTITIES), also=also)
+            for quantity, entry in table.items():
+                limits += self._limit(section, quantity, self._table(f"{section}.{quantity}", entry))
             if axes is not None and section not in _SENSORS:
                 self._refuse(f"{section}.axes", "only gyroscope and accelerometer have axes", "remove it")
         findings = self._findings(self._table("findings", document.get("findings", {})))
@@ -241,15 +249,6 @@ class _File:
                 self._refuse(f"{section}.{key}", f"{symbol} has limits twice", "write one entry for both")
             found[symbol] = value
         return found
-
-    def _section(self, section: str, table: Mapping[str, object]) -> list[Limit]:
-        of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
-        known = (*of_axes, *LOG_QUANTITIES)
-        self._known(section, table, known, also=("axes",) if section in _SENSORS else ())
-        limits: list[Limit] = []
-        for quantity, entry in table.items():
-            limits += self._limit(section, quantity, self._table(f"{section}.{quantity}", entry))
-        return limits
 
     def _limit(self, section: str, quantity: str, table: Mapping[str, object]) -> list[Limit]:
         place = f"{section}.{quantity}"
@@ -318,11 +317,7 @@ class _File:
 
     def _codes(self, place: str, value: object) -> frozenset[str]:
         codes = self._texts(place, value)
-        for code in codes:
-            if code not in FINDING_CODES:
-                near = difflib.get_close_matches(code, FINDING_CODES, n=1, cutoff=0.5)
-                hint = f"did you mean {near[0]!r}?" if near else "expected the code of a finding"
-                self._refuse(place, f"unknown code {code!r}", hint)
+        self._known(place, codes, FINDING_CODES)
         return frozenset(codes)
 
     def _texts(self, place: str, value: object) -> list[str]:
@@ -343,14 +338,16 @@ class _File:
         return float(value)
 
     def _known(
-        self, place: str, keys: Collection[str], known: Collection[str], also: tuple[str, ...] = ()
+        self, place: str, keys: Collection[str], known: Collection[str], *, also: tuple[str, ...] = ()
     ) -> None:
         for key in keys:
             if key not in known and key not in also:
                 near = [name for name in known if name in _SENSORS and key and name.startswith(key)]
                 near += difflib.get_close_matches(key, [*known, *also], n=1, cutoff=0.5)
-                hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join([*known, *also])}"
-                self._refuse(place, f"unknown key {key!r}", hint)
+                code = known is FINDING_CODES
+                expected = "the code of a finding" if code else ", ".join([*known, *also])
+                hint = f"did you mean {near[0]!r}?" if near else f"expected {expected}"
+                self._refuse(place, f"unknown {'code' if code else 'key'} {key!r}", hint)
 
     def _refuse(self, place: str, found: str, expected: str) -> NoReturn:
         where = f"{self.name}: {place}" if place else self.name

@@ -140,27 +140,30 @@ class CheckResult:
 def judge(
     where: str,
     subject: str,
-    measured: Measured,
+    measured: Measured | None,
     *,
     side: Literal["min", "max"],
     limit: float,
     unit: str = "",
 ) -> Row:
-    """Return the verdict on one limit; `measured` and `limit` are in `unit`."""
-    inside, outside = measured.high <= limit, measured.low > limit
-    if side == "min":
-        inside, outside = measured.low >= limit, measured.high < limit
-    verdict: Verdict = "pass" if inside else "fail" if outside else "undecided"
-    beyond = "above" if side == "max" else "below"
-    side_word = "largest" if side == "max" else "smallest"
-    shown = f"{subject} is {measured.text()} {unit}".rstrip()
-    if measured.value is None:
-        shown = f"{subject} is not identified, but {measured.text()} {unit}".rstrip()
-    said = {
-        "pass": f"not {beyond} the {side_word} allowed, {limit:.6g}",
-        "fail": f"{beyond} the {side_word} allowed, {limit:.6g}",
-        "undecided": f"the interval holds the {side_word} allowed, {limit:.6g}; record for longer to decide",
-    }
+    """Return the verdict on one limit, in `unit` as `measured` is; that is None of what the model lacks."""
+    verdict: Verdict = "undecided"
+    if measured is None:
+        text = f"the model has no {subject}, and no bound on it; fit a model with it, or remove the limit"
+    else:
+        inside, outside = measured.high <= limit, measured.low > limit
+        if side == "min":
+            inside, outside = measured.low >= limit, measured.high < limit
+        verdict = "pass" if inside else "fail" if outside else "undecided"
+        beyond, most = ("above", "largest") if side == "max" else ("below", "smallest")
+        shown = f"{'not identified, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
+        allowed = f"the {most} allowed, {limit:.6g}"
+        said = {
+            "pass": f"not {beyond} {allowed}",
+            "fail": f"{beyond} {allowed}",
+            "undecided": f"the interval holds {allowed}; record for longer to decide",
+        }
+        text = f"{subject} is {shown}; {said[verdict]}"
     return Row(
         where=where,
         subject=subject,
@@ -169,11 +172,12 @@ def judge(
         unit=unit,
         measured=measured,
         verdict=verdict,
-        text=f"{where}: {shown}; {said[verdict]}",
+        text=f"{where}: {text}",
     )
 
 
 SCHEMA = "imucal/checking/1"
+_MEASURED = ("value", "low", "high")
 
 
 def to_document(result: CheckResult) -> dict[str, object]:
@@ -187,7 +191,16 @@ def to_document(result: CheckResult) -> dict[str, object]:
         "passed": result.passed,
         "noise": {"verdict": result.noise.grade, "sentence": result.noise.sentence},
         "counts": {name: result.count(name) for name in ("pass", "fail", "undecided")},
-        "rows": [_row_entry(row) for row in result.rows],
+        "rows": [
+            {
+                **{name: getattr(row, name) for name in ("where", "subject", "side", "limit", "unit")},
+                **{name: row.measured and plain(getattr(row.measured, name)) for name in _MEASURED},
+                "verdict": row.verdict,
+                "text": row.text,
+                "instead": row.instead or None,
+            }
+            for row in result.rows
+        ],
     }
 
 
@@ -198,12 +211,8 @@ def junit_xml(result: CheckResult) -> str:
     """
     failures = sum(result.fails(row) for row in result.rows)
     skipped = 0 if result.undecided_fails else result.count("undecided")
-    counts = {
-        "tests": str(len(result.rows)),
-        "failures": str(failures),
-        "errors": "0",
-        "skipped": str(skipped),
-    }
+    numbers = {"tests": len(result.rows), "failures": failures, "errors": 0, "skipped": skipped}
+    counts = {name: str(number) for name, number in numbers.items()}
     root = ET.Element("testsuites", {"name": "imucal check", **counts})
     suite = ET.SubElement(root, "testsuite", {"name": _xml_text(result.source), **counts})
     for row in result.rows:
@@ -233,21 +242,6 @@ def github_annotations(result: CheckResult, *, file: str = "") -> tuple[str, ...
         title = _property(f"imucal {row.where}: {row.rule}")
         lines.append(f"::{command} {place}title={title}::{_data(row.text)}")
     return tuple(lines)
-
-
-def _row_entry(row: Row) -> dict[str, object]:
-    measured = row.measured
-    return {
-        "where": row.where,
-        "subject": row.subject,
-        "side": row.side,
-        "limit": row.limit,
-        "unit": row.unit,
-        **{name: measured and plain(getattr(measured, name)) for name in ("value", "low", "high")},
-        "verdict": row.verdict,
-        "text": row.text,
-        "instead": row.instead or None,
-    }
 
 
 def _data(text: str) -> str:

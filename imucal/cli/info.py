@@ -23,6 +23,8 @@ from imucal.units import data_size, duration
 
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
+#: What it says of a finding.
+_FINDING = ("level", "code", "axis", "text", "advice")
 #: What reading a topic gave: its recording, or why there is none; None of a topic that was not read.
 Reading: TypeAlias = Recording | str | None
 #: When several logs are read as one.
@@ -106,7 +108,7 @@ def _log_document(contents: LogContents, found: dict[str, Reading]) -> dict[str,
         **picked(contents, "path", "format", "compression", "unpacked_bytes", "size_bytes", "start_ns"),
         "duration_s": contents.duration_s,
         "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
-        "findings": [_finding_json(finding) for finding in contents.findings],
+        "findings": [picked(finding, *_FINDING) for finding in contents.findings],
     }
 
 
@@ -115,30 +117,24 @@ def _topic_json(topic: TopicContents, found: Reading) -> dict[str, object]:
     if isinstance(found, str):
         entry["error"] = found
     elif found is not None:
-        clocks = {series.sensor: series.clock for series in found.series}
+        clocks = {str(series.sensor): series.clock for series in found.series}
         entry["clocks"] = {
-            str(sensor): {
-                "source": clock.source,
-                "rate_hz": clock.rate_hz,
+            sensor: {
+                **picked(clock, "source", "rate_hz"),
                 "samples": clock.n,
-                "jitter_s": clock.jitter_s,
-                "missing": clock.missing,
+                **picked(clock, "jitter_s", "missing"),
                 "gaps": [asdict(gap) for gap in clock.gaps],
             }
             for sensor, clock in clocks.items()
         }
         entry["decisions"] = found.source.decisions
-        entry["findings"] = [_finding_json(finding) for finding in _findings(found)]
+        entry["findings"] = [picked(finding, *_FINDING) for finding in _findings(found)]
     return entry
 
 
 def _findings(found: Recording) -> tuple[Finding, ...]:
     """Return the findings of a log that was read, and what `fit` would say of its accelerometer's unit."""
     return (*found.findings, *worst_first(found, screen_units(found)))
-
-
-def _finding_json(finding: Finding) -> dict[str, object]:
-    return picked(finding, "level", "code", "axis", "text", "advice")
 
 
 def _without_repeated_note(topic: TopicContents, found: Reading) -> TopicContents:
@@ -297,10 +293,9 @@ def _jitter(seconds: float) -> str:
     """Return ``jitter 72 ns``; a stamp is a whole number of ns, so that less is none."""
     if seconds < 1e-9:
         return "no jitter"
-    unit, size = next(
-        pair for pair in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if seconds >= pair[1]
-    )
-    return f"jitter {seconds / size:.3g} {unit}"
+    sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    unit = next(unit for unit, size in sizes.items() if seconds >= size)
+    return f"jitter {seconds / sizes[unit]:.3g} {unit}"
 
 
 def _date(ns: int) -> str:

@@ -7,7 +7,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -270,11 +270,9 @@ class LogRequest:
     verbose: bool
     models: Mapping[Sensor, str] = field(default_factory=dict)
 
-    @contextmanager
-    def local(self) -> Iterator["LocalLogs"]:
+    def local(self) -> AbstractContextManager["LocalLogs"]:
         """Lend the logs as files of this machine, those by URL with a progress bar where a person watches."""
-        with lent(self.logs, quiet=self.quiet) as logs:
-            yield logs
+        return lent(self.logs, quiet=self.quiet)
 
     def read(self) -> Recording:
         """Read the log, with a progress bar where a person watches."""
