@@ -19,7 +19,7 @@ BUDGET = {
     "allan": Size(2323, 15603, 7),  # windows far from a gap summed at once
     "fleet_report": Size(2136, 15426, 9),  # values of a log made where they are looked at
     "fleet_run": Size(1482, 9043, 6),  # call and command are one flow with one set of settings
-    "checking": Size(1242, 8474, 5),  # configs of filters read back
+    "checking": Size(1247, 8519, 5),  # configs of filters read back
     "noise": Size(1246, 7828, 6),  # models with units
     "screening": Size(1161, 8488, 4),  # g only where the mean vector agrees
     "remote": Size(1137, 6557, 4),  # progress by the furthest byte, redirects said in words

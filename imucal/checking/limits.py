@@ -216,11 +216,7 @@ class _File:
             axes = table.pop("axes", None)
             if axes is not None and section in _SENSORS:
                 required[Sensor(section)] = self._axes(f"{section}.axes", axes)
-            of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
-            also = ("axes",) if section in _SENSORS else ()
-            self._known(section, table, (*of_axes, *LOG_QUANTITIES), also=also)
-            for quantity, entry in table.items():
-                limits += self._limit(section, quantity, self._table(f"{section}.{quantity}", entry))
+            limits += self._section(section, table)
             if axes is not None and section not in _SENSORS:
                 self._refuse(f"{section}.axes", "only gyroscope and accelerometer have axes", "remove it")
         findings = self._findings(self._table("findings", document.get("findings", {})))
@@ -249,6 +245,15 @@ class _File:
                 self._refuse(f"{section}.{key}", f"{symbol} has limits twice", "write one entry for both")
             found[symbol] = value
         return found
+
+    def _section(self, section: str, table: Mapping[str, object]) -> list[Limit]:
+        of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
+        also = ("axes",) if section in _SENSORS else ()
+        self._known(section, table, (*of_axes, *LOG_QUANTITIES), also=also)
+        limits: list[Limit] = []
+        for quantity, entry in table.items():
+            limits += self._limit(section, quantity, self._table(f"{section}.{quantity}", entry))
+        return limits
 
     def _limit(self, section: str, quantity: str, table: Mapping[str, object]) -> list[Limit]:
         place = f"{section}.{quantity}"
