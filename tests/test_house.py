@@ -12,7 +12,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 BUDGET = {
     "readers": Size(14261, 102717, 52),  # two readings of a clock, HDF5, ArduPilot, JSON lines, ways out
     "fitting": Size(9744, 72909, 33),  # slow terms speak for K, cycles by chance, shifts by name
-    "report": Size(5749, 41951, 21),  # one view for page, table and notebook; pictures for papers
+    "report": Size(5609, 40976, 21),  # one view for page, table and notebook; pictures for papers
     "top": Size(4392, 24142, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3772, 24485, 24),  # --open, --figure, errors as JSON, defaults from a file
     "fleet": Size(2108, 15747, 7),  # its logs in one form for the population and the trend
