@@ -149,14 +149,11 @@ def judge_findings(
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
     """Return the axes about whose noise none of the findings speaks."""
-    return [name for name in axes if not any(_concerns(finding, name) for finding in grave)]
-
-
-def _concerns(finding: Finding, axis: str) -> bool:
-    """Return whether a finding that is not good speaks of the noise of an axis."""
-    if finding.axis is None:
-        return finding.code in OF_ALL_AXES
-    return _within(axis, finding.axis)
+    return [
+        name
+        for name in axes
+        if not any(f.code in OF_ALL_AXES if f.axis is None else _within(name, f.axis) for f in grave)
+    ]
 
 
 def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str:

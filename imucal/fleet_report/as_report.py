@@ -72,7 +72,12 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
             _axis(
                 found,
                 terms[0],
-                {term.term: _estimate(fleet, term, value, what) for term in terms if _is_shown(term)},
+                # A Gauss-Markov term that no log shows is none.
+                {
+                    term.term: _estimate(fleet, term, value, what)
+                    for term in terms
+                    if not TERMS[term.symbol].repeatable or any(log.value for log in term.logs)
+                },
                 duration,
                 fleet=fleet,
             )
@@ -128,11 +133,6 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
         correlation_time=_correlation_time(term) if TERMS[term.symbol].repeatable else None,
         origin=f"{what} of {len(found.units)} units" if value == "tolerance" else "",
     )
-
-
-def _is_shown(term: FleetTerm) -> bool:
-    """Return whether a term is always there, or some log shows it: a bounded Gauss-Markov term is none."""
-    return not TERMS[term.symbol].repeatable or any(log.value for log in term.logs)
 
 
 def _correlation_time(term: FleetTerm) -> Interval:

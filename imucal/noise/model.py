@@ -47,7 +47,9 @@ class NoiseModel:
             If the text is not a sum of valued terms, a unit is none of its term's, or a term but GM
             stands twice.
         """
-        terms = tuple(_parse_term(part, sensor) for part in _split(text))
+        # Each plus sign parts terms that neither stands in an exponent nor in parentheses.
+        parts = re.split(r"(?<![\d.][eE])\+(?![^(]*\))", text)
+        terms = tuple(_parse_term(part, sensor) for part in parts)
         _refuse_repeats(tuple(term.symbol for term in terms))
         return cls(terms=terms)
 
@@ -117,11 +119,6 @@ def structure_text(symbols: Iterable[str]) -> str:
     ordered = tuple(symbols)
     counts = {symbol: ordered.count(symbol) for symbol in dict.fromkeys(ordered)}
     return " + ".join(symbol if count == 1 else f"{count}*{symbol}" for symbol, count in counts.items())
-
-
-def _split(text: str) -> list[str]:
-    """Split at each plus sign that neither stands in an exponent nor in parentheses."""
-    return re.split(r"(?<![\d.][eE])\+(?![^(]*\))", text)
 
 
 def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:

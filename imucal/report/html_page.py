@@ -252,18 +252,21 @@ def render_page(report: Report, *, drawings: Drawings | None = None) -> str:
         ("method", "How the numbers were made", lambda: method_section(report)),
     ]
     made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
+    recorded = (f"{a.sensor}: {duration(a.duration_s)} at {a.rate_hz:.6g} Hz" for a in report.axes)
+    packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib")
     return render(
         "report.html",
         title=f"{report.source.name} – IMU noise report",
         heading=report.source.name,
         grade=report.verdict.grade,
         sentence=report.verdict.sentence,
-        lead=_lead(report),
+        lead=" · ".join(dict.fromkeys(recorded)) or "No axis could be analysed.",
         sections=[section for section in made if section[2]],
         folded=(*(axis.name for axis in report.axes), "terms", "method"),
         version=report.version,
         data=Markup(page_data(report)),
-        plotly=Markup(_plotly()),
+        # Deflated, as the package has it.
+        plotly=Markup(base64.b64encode(packed.read_bytes()).decode("ascii")),
     )
 
 
@@ -271,15 +274,3 @@ def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:
     """Return a section, or a notice in its place that says why it is missing: one section costs no page."""
     body, failed = try_side_work(make, None, what=f"This section is missing: {title}", code="not-drawn")
     return Markup('<p class="notice">{}</p>').format(failed[0].text) if failed else body
-
-
-def _plotly() -> str:
-    """Return the script that draws the plots, deflated as the package has it, in base64."""
-    packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib").read_bytes()
-    return base64.b64encode(packed).decode("ascii")
-
-
-def _lead(report: Report) -> str:
-    """Return one line on what was recorded."""
-    texts = (f"{a.sensor}: {duration(a.duration_s)} at {a.rate_hz:.6g} Hz" for a in report.axes)
-    return " · ".join(dict.fromkeys(texts)) or "No axis could be analysed."

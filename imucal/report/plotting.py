@@ -65,7 +65,8 @@ def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tu
         If there is no picture of such a value, or not one of the axes for each sensor.
     """
     if isinstance(value, Recording | Report):
-        each = _by_sensor(value)
+        parts: Sequence[Any] = value.series if isinstance(value, Recording) else value.axes
+        each = {s: own for s in Sensor if (own := [part for part in parts if part.sensor is s])}
         places = _places(ax, len(each))
         for place, (sensor, parts) in zip(places, each.items(), strict=True):
             _draw_sensor(parts, place)
@@ -92,12 +93,6 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
         msg = f"found {len(given)} axes, expected {count}, one for each sensor; give so many as ax, or none"
         raise ArgumentError(msg)
     return given
-
-
-def _by_sensor(value: Recording | Report) -> dict[Sensor, list[Any]]:
-    parts = value.series if isinstance(value, Recording) else value.axes
-    found = {sensor: [part for part in parts if part.sensor is sensor] for sensor in Sensor}
-    return {sensor: own for sensor, own in found.items() if own}
 
 
 def _draw_sensor(parts: list[Any], axes: "Axes") -> None:

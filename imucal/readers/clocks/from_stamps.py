@@ -75,7 +75,12 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
     """Return a finding where stamps are no times of sampling, and what that does to the rate."""
     tau, usual = period.tau_ns, period.usual_ns
     text = ""
-    if jitter_ns > tau:
+    if period.coherent:
+        text = (
+            f"Stamps jitter by {period.jitter:.2g} sampling periods, and samples are missing. The rate, "
+            f"{1e9 / tau:.6g} Hz, is that of the stamps' phases; which samples are missing is not sure."
+        )
+    elif jitter_ns > tau:
         text = (
             f"Stamps stray from an even grid by {jitter_ns / tau:.3g} sampling periods (standard deviation): "
             f"samples were stamped late, not when they were taken. The rate, {1e9 / tau:.6g} Hz, is their "
@@ -316,7 +321,10 @@ class _Stamps:
         for longest in (0, 0) if period.burst > 1 else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
-            if 0.5 < tau / period.tau_ns < 2:
+            if period.coherent:
+                # About places of which some are wrong, stamps seem to stray farther than they do.
+                jitter = period.jitter * period.tau_ns
+            elif 0.5 < tau / period.tau_ns < 2:
                 period = replace(period, tau_ns=tau)
         log_ns = self.log_ns if self.source != LOG_TIME else None
         missing, jumps = _believable(stamps, log_ns, breaks, resets, period.tau_ns)

@@ -36,6 +36,11 @@ _FAR = 64
 _DEEPEST, _SLOWEST = 512, 2_000_000
 #: Whether the last stamp of a batch tells when it was read, or its first, and the same for its sample.
 _READ = ((True, True), (False, False), (False, True))
+#: Of single samples with white jitter: the least jitter, in periods, share of steps about a period, fewest
+#: stamps of a run that tell their period, most that are looked at, and least mean length of their phases.
+_WHITE, _ALONE, _FEWEST, _PHASES, _COHERENT = 0.1, 0.55, 256, 2048, 0.12
+#: The least ratio of the period to the mean step where losses are many enough to be worth it.
+_LOST = 1.003
 #: Samples that may be read at once, at most; also those that may catch up after a pause.
 REACH = 1 << 13
 #: Samples worked on at once: what fits the processor's cache.
@@ -68,6 +73,8 @@ class Period:
         of a coarse clock by its tick; 0 where the stamps are fine.
     bounded
         Whether batches stay near their places; where they do not, nothing explains the stamps.
+    coherent
+        Whether the period is that of the stamps' phases, which needs no count of what is missing.
     """
 
     tau_ns: float
@@ -81,6 +88,7 @@ class Period:
     regular: bool = False
     loose: float = 0.0
     bounded: bool = True
+    coherent: bool = False
 
     @property
     def rate_hz(self) -> float:
@@ -110,15 +118,18 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     # The usual short step.
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
     missing = None
-    if unit < (1 - _SAME) * late.tau_ns and (unit := _whole_unit(positive, unit)):
-        missing = Period(tau_ns=unit)
+    if unit < (1 - _SAME) * late.tau_ns:
+        missing = _of_phases(runs, steps, wide, quantum, conserved=conserved)
+        if missing is None and (unit := _whole_unit(positive, unit)):
+            missing = Period(tau_ns=unit)
     chosen = late
     if missing is not None:
         longer = positive[positive > 1.4 * missing.tau_ns]
         coarse = quantum > missing.tau_ns / 2 and np.log10(quantum) % 1 == 0
         paused = bool(coarse or median(longer) >= 4 * missing.tau_ns)
         chosen = _chosen(late, missing, rate_hz, conserved=conserved, paused=paused, pauses=longer.size)
-    near = positive[np.abs(positive / chosen.tau_ns - 1) < 0.25] if chosen is missing else steps
+    reach = 0.5 if chosen.coherent else 0.25
+    near = positive[np.abs(positive / chosen.tau_ns - 1) < reach] if chosen is missing else steps
     # The standard deviation of one stamp, from the median absolute deviation of steps.
     deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2)
     usual = median(steps)
@@ -131,6 +142,38 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     )
 
 
+def _of_phases(
+    runs: list[IntArray], steps: IntArray, wide: float, quantum: int, *, conserved: bool
+) -> Period | None:
+    """Return the period of single samples with white jitter by their stamps' phases; None if these show none.
+
+    It lies below the mean step, `wide`, in ns: by little where all stamps stay near even places. White
+    jitter of s periods leaves exp(-(2 pi s)²/2) of the phases' mean length, 0.45 at a fifth of a period,
+    however many samples are missing. Steps have twice the variance, and those of two periods hide among them.
+    """
+    usual = median(steps)
+    off = np.abs(steps - usual)
+    if max(_WHITE * usual, quantum) > 1.05 * median(off) or np.mean(2 * off < usual) < _ALONE:
+        return None
+    least, found = wide / 1.05 if conserved else min(0.75 * usual, wide), []
+    for run in runs:
+        times = (run[:_PHASES] - run[0]) / wide
+        if times.size < _FEWEST or not 0 < times[-1] < 10 * times.size:
+            return None
+        low, high = 1.0, wide / least
+        points = 2 * (high - low) * times[-1]
+        for _ in range(2):
+            rates = np.linspace(low, high, int(points) + 1)
+            length = [abs(np.exp(2j * np.pi * one * times).mean()) for one in rates.tolist()]
+            rate = float(rates[np.argmax(length)])
+            low, high, points = rate - 0.5 / times[-1], rate + 0.5 / times[-1], 80
+        if max(length) < _COHERENT + 5 / np.sqrt(times.size):
+            return None
+        found.append(rate)
+    rate = median(np.array(found))
+    return Period(tau_ns=wide / rate, coherent=True) if rate > _LOST else None
+
+
 def _chosen(
     late: Period, missing: Period, rate_hz: float | None, *, conserved: bool, paused: bool, pauses: int
 ) -> Period:
@@ -138,6 +181,8 @@ def _chosen(
     share = 1 - missing.tau_ns / late.tau_ns
     if rate_hz is not None:
         return min(late, missing, key=lambda reading: abs(np.log(reading.rate_hz / rate_hz)))
+    if missing.coherent:
+        return missing
     buffered = late.burst <= _DEEPEST and missing.tau_ns <= _SLOWEST
     if conserved and (buffered or share <= 0.5) and (paused or share > 0.5):
         return late

@@ -181,6 +181,22 @@ def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
     assert note.text.endswith("The rate is the mean; at that of the steps N would be +4.7%.")
 
 
+@pytest.mark.parametrize("jitter", [0.125, 0.15, 0.2])
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.2, 0.4])
+@pytest.mark.parametrize("rate", [100.0, 416.0])
+def test_losses_hide_in_no_jitter(rate: float, share: float, jitter: float) -> None:
+    """Steps of one and of two periods overlap; the phases of the stamps tell the period all the same."""
+    case = lossy(rate, share, jitter=jitter, n=4000, seed=8123)
+    reading = clock_of(case)
+    clock = reading.clock
+    assert clock.rate_hz == pytest.approx(rate, rel=1e-4)
+    (said,) = (finding.text for finding in reading.findings if finding.code == "uneven-stamps")
+    assert said.startswith("Stamps jitter by 0.")
+    lost = 4000 - case.stamps.size
+    assert abs(clock.missing - lost) <= 4 + 0.04 * lost
+    assert clock.n >= 0.99 * case.stamps.size
+
+
 def test_steps_shorter_than_the_mean_are_no_interpolation() -> None:
     """Pairs and threes of a buffer that nearly keeps the sensor's time."""
     for size in (2, 3, 4):
