@@ -1,12 +1,13 @@
 """HTML from templates: text is escaped unless it is `Markup` already."""
 
+import math
 from functools import cache
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
 from imucal.printable import printable
-from imucal.units import pretty
+from imucal.units import duration, pretty
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -39,7 +40,9 @@ def _environment(package: str) -> "Environment":
         lstrip_blocks=True,
     )
     environment.globals["text_of"] = lambda name: Markup(loader.get_source(environment, name)[0])  # noqa: S704
-    environment.globals |= {"both_units": both_units, "pretty": pretty}
+    environment.globals |= {"both_units": both_units, "duration": duration, "pretty": pretty}
+    environment.filters["pretty"] = pretty
+    environment.tests["nan"] = math.isnan
     return environment
 
 

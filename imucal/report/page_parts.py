@@ -7,6 +7,7 @@ noise over time has heights relative to the record's value: one scale for every 
 import json
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 from itertools import count
 from typing import TypeAlias
 
@@ -16,14 +17,14 @@ from markupsafe import Markup
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, Segments, Trace
+from imucal.fitting.noise_fit import Estimate, NoiseFit, Segments, Trace
 from imucal.noise.terms import TERMS
 from imucal.prediction import drift
 from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
-from imucal.report.exports.config_numbers import COVERING, Choices, Numbers
+from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.target import FORMULAS, itself, price
 from imucal.report.figure import axis_title, shown_points
 from imucal.report.markup import both_units, render
@@ -43,44 +44,23 @@ _NOTHING = "–"
 def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
     """Return the pictures and the tables of both sensors; `pictures` has addresses by the names of files."""
     tables = [
-        {
-            "caption": _summary_caption(axes),
-            "view": seen,
-            "states": {row.key: _states(seen, row.key) for row in seen.rows if row.key.endswith(" T")},
-            "scores": [_score(fit.goodness.statistic) for fit in seen.fits],
-        }
+        (
+            *(seen, axes[0], [f"{axis.rate_hz:.6g}" for axis in axes]),
+            {row.key: _states(seen, row.key) for row in seen.rows if row.key.endswith(" T")},
+        )
         for seen, axes in zip(views(report), report.by_sensor.values(), strict=True)
     ]
     return render("summary.html", tables=tables, pictures=pictures)
 
 
-def _summary_caption(axes: list[AxisReport]) -> str:
-    first = axes[0]
-    rates = " / ".join(dict.fromkeys(f"{axis.rate_hz:.6g}" for axis in axes))
-    samples = f"{first.samples:,}".replace(",", "\N{NO-BREAK SPACE}")
-    return (
-        f"{str(first.sensor).capitalize()}: {duration(first.duration_s)} at {rates} Hz, {samples} samples, "
-        f"{100 * first.fit.level:.4g} % intervals"
-    )
-
-
-def _states(seen: View, key: str) -> list[str]:
+def _states(seen: View, key: str) -> list[tuple[float, float] | None]:
     """Return phi and q of a Gauss-Markov term on each axis, for a filter at the sampling rate."""
-    texts = []
+    found = []
     for fit in seen.fits:
         estimate = next((e for e in fit.estimates if key == f"{e.key} T"), None)
         term = estimate and numbers.gauss_markov_term(fit, estimate)
-        tau0 = 1 / fit.rate_hz
-        unit = pretty(seen.sensor.unit) if seen.sensor else ""
-        texts.append(f"{term.phi(tau0):.9g}, {term.q(tau0):.4g} {unit}" if term else _NOTHING)
-    return texts
-
-
-def _score(score: float) -> str:
-    if math.isnan(score):
-        return "unknown"
-    text = f"{score + 0.0:.1f}".replace("-0.0", "0.0").replace("-", "−")
-    return f"{text} ({'the model does not fit' if score > 3 else 'the model fits'})"
+        found.append((term.phi(1 / fit.rate_hz), term.q(1 / fit.rate_hz)) if term else None)
+    return found
 
 
 def findings_section(report: Report) -> Markup:
@@ -129,18 +109,7 @@ def _sentence(text: str) -> str:
 
 def glossary_section() -> Markup:
     """Return what the terms are, in both conventions."""
-    rows = []
-    for symbol, term in TERMS.items():
-        sheets = [term.datasheet_unit(sensor) for sensor in Sensor]
-        cells = [
-            term.words.in_the_curve,
-            term.words.meaning,
-            " · ".join(pretty(unit) for unit in term.units),
-            " · ".join(f"{pretty(unit.name)} (×{unit.factor:.6g})" for unit in sheets),
-            term.words.other_names,
-        ]
-        rows.append((Markup("<b>{}</b> {}").format(symbol, " / ".join(dict.fromkeys(term.names))), cells))
-    return render("terms.html", rows=rows)
+    return render("terms.html", terms=TERMS.items(), sensors=tuple(Sensor))
 
 
 def method_section(report: Report) -> Markup:
@@ -148,46 +117,9 @@ def method_section(report: Report) -> Markup:
     return render(
         "method.html",
         source=report.source,
-        fit=report.axes[0].fit if report.axes else None,
-        fits=[_fit_row(axis) for axis in report.axes],
+        axes=report.axes,
         settings={key: json.dumps(value, default=str) for key, value in report.settings.items()},
     )
-
-
-def _fit_row(axis: AxisReport) -> _Row:
-    fit, goodness = axis.fit, axis.fit.goodness
-    more = f" and {len(goodness.lines) - 6} more" if len(goodness.lines) > 6 else ""
-    others = [f"{c.structure} (+{c.delta:.1f})" for c in fit.candidates if c.delta > 0][:3]
-    gaps = f"{len(axis.gaps)}, {sum(gap.duration_s for gap in axis.gaps):.3g} s" if axis.gaps else "none"
-    return axis.name, [
-        f"{axis.rate_hz:.8g} Hz",
-        gaps,
-        f"{fit.model} ({fit.method})" if fit.model.terms else "none shown",
-        _used(goodness),
-        f"{_first_lines(goodness)}{more}" or "none",
-        f"{fit.response.kind}, {fit.response.cutoff_hz:.3g} Hz" if fit.response else "none found",
-        _misfit(goodness),
-        ", ".join(others) or "nothing near",
-    ]
-
-
-def _used(goodness: Goodness) -> str:
-    used = []
-    if goodness.band_hz:
-        used.append(f"{goodness.band_hz[0]:.3g} to {goodness.band_hz[1]:.4g} Hz")
-    if goodness.tau_s:
-        used.append(f"τ {goodness.tau_s[0]:.3g} to {goodness.tau_s[1]:.4g} s")
-    return "; ".join(used) or "all"
-
-
-def _first_lines(goodness: Goodness) -> str:
-    return ", ".join(f"{line.frequency_hz:.4g} Hz" for line in goodness.lines[:6])
-
-
-def _misfit(goodness: Goodness) -> str:
-    if math.isnan(goodness.statistic):
-        return "unknown"
-    return f"{goodness.statistic:.1f} (p = {goodness.p_value:.2g}, χ²/bin {goodness.chi2_per_bin:.3f})"
 
 
 def axis_section(report: Report, axis: AxisReport, pictures: Mapping[str, str]) -> Markup:
@@ -201,19 +133,11 @@ def axis_section(report: Report, axis: AxisReport, pictures: Mapping[str, str]) 
         where=axis_title(axis),
         minimum=[numbers.with_interval(quantity) for quantity in lowest],
         minimum_s=numbers.seconds(axis.fit.curve.minimum[1]),
-        lines=_first_lines(axis.fit.goodness),
-        moments=[_moments(axis, unit) for unit in (units.level, DatasheetUnit(axis.unit, 1.0))],
+        conventions=(units.level, DatasheetUnit(axis.unit, 1.0)),
         over_time=segments_figure(axis),
         unit=pretty(axis.unit),
         points=list(_curve_rows(axis)),
     )
-
-
-def _moments(axis: AxisReport, unit: DatasheetUnit) -> str:
-    """Return ``mean 420 deg/h, standard deviation 350 deg/h``."""
-    name = pretty(unit.name)
-    mean, std = axis.mean * unit.factor, axis.std * unit.factor
-    return f"mean {mean:.6g} {name}, standard deviation {std:.4g} {name}"
 
 
 def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
@@ -246,7 +170,8 @@ def segments_figure(axis: AxisReport) -> Markup | None:
     return render(
         "over_time.html",
         axis=axis,
-        title=_segments_title(axis, segments),
+        where=axis_title(axis),
+        segments=segments,
         width=_WIDTH,
         height=len(rows) * (_ROW + _TOP) + _BOTTOM,
         left=_LEFT,
@@ -254,15 +179,6 @@ def segments_figure(axis: AxisReport) -> Markup | None:
         rows=rows,
         times=_times(segments),
     )
-
-
-def _segments_title(axis: AxisReport, segments: Segments) -> str:
-    text = (
-        f"{axis_title(axis)} in {segments.start_s.size} parts of the record, relative to their mean: "
-        f"each with its {100 * axis.fit.level:.4g} % interval; the band is the interval of the whole."
-    )
-    changing = [f"{t.key} ({100 * t.spread:.2g} %)" for t in segments.changing]
-    return f"{text} Not the same in all parts: {', '.join(changing)}." if changing else text
 
 
 def _segments_row(
@@ -326,46 +242,10 @@ def drift_section(report: Report) -> Markup | None:
     if not report.verdict.usable or not report.axes:
         return None
     found = drift(report)
-    rows = []
     # The last of a kind is what all parts make together.
-    for quantity in {q.name.split(" ")[0].rstrip(","): q for q in found.quantities}.values():
-        known = [numbers.drifted(point, quantity.unit) for point in quantity.points]
-        texts = [numbers.with_interval(each, exponent=0) for each in known]
-        notes = [f"{p.term}{', extrapolated' if p.seen is False else ''}" for p in quantity.points]
-        cells = map(Markup("{} <small>{}</small>").format, texts, notes)
-        rows.append((quantity.name.removesuffix(", both").capitalize(), list(cells)))
-    times = [f"after {duration(point.time_s)}" for point in found.quantities[0].points]
-    return render("drift.html", drift=found, rest=duration(found.rest_s), titles=["Error", *times], rows=rows)
-
-
-#: What filters ask for: formula and kind in words, key of `FORMULAS`, unit.
-_USES = (
-    ("N", "continuous: a density, the same at every rate", "", "{u}/sqrt(Hz)"),
-    ("K", "continuous: a density of the bias's steps, the same at every rate", "", "{u}/sqrt(s)"),
-    ("N²", "continuous: a covariance density", "^2", "({u})^2/Hz"),
-    ("K²", "continuous: a covariance density", "^2", "({u})^2/s"),
-    ("N √f", "discrete: the standard deviation of one sample at the rate f", " sqrt(f)", "{u}"),
-    (
-        "N √(2f)",
-        "discrete, for VINS, which halves the white variance, so that √f alone would be √2 too low",
-        *(" sqrt(2 f)", "{u}"),
-    ),
-    ("K √f", "discrete, as VINS integrates it", " sqrt(f)", "{u}"),
-    (
-        "N² f",
-        "discrete: the variance of one sample, as FAST-LIO takes it; a ROS covariance has N as fitted",
-        *("^2 f", "({u})^2"),
-    ),
-    ("K² f", "discrete, as FAST-LIO integrates it", "^2 f", "({u})^2"),
-    (
-        "N / √0.01 s",
-        "discrete at the period of PX4's filter, 0.01 s, not at the IMU's rate",
-        *(" / sqrt(0.01 s)", "{u}"),
-    ),
-    ("K / √0.01 s", "discrete at the period of PX4's filter, 0.01 s", " / sqrt(0.01 s)", "{u}/s"),
-    ("B", "the flicker coefficient; neither a density nor the curve's minimum", "", "{u}"),
-)
-_MARKOV = "continuous: a bias that forgets, the slowest Gauss-Markov term; the summary has phi and q at f"
+    last = {quantity.name.split(" ")[0].rstrip(","): quantity for quantity in found.quantities}
+    titles = ["Error", *(f"after {duration(point.time_s)}" for point in found.quantities[0].points)]
+    return render("drift.html", drift=found, quantities=last.values(), titles=titles, numbers=numbers)
 
 
 def downstream_section(report: Report) -> Markup:
@@ -374,23 +254,18 @@ def downstream_section(report: Report) -> Markup:
         said = f"{report.verdict.sentence}. No filter should be given its numbers."
         return Markup("<p>{}</p>").format(said)
     chosen = Numbers(report=report, choices=Choices(), target="the page", covers=True)
-    sensors = chosen.sensors
-    uses = [
-        (words, [kind, *(_use(chosen, sensor, words[0], formula, unit) for sensor in sensors)])
-        for words, kind, formula, unit in _USES
-    ]
-    uses.append(("σ, T", [_MARKOV, *(_slowest(chosen, sensor) for sensor in sensors)]))
-    name = Markup("{}: <code>{}</code>")
     return render(
         "downstream.html",
-        rates=", ".join(f"f = {chosen.rate_hz(s):.6g} Hz ({s})" for s in sensors),
-        pairs=list(_pairs(report)),
-        titles=["Formula", "Kind", *(str(s).capitalize() for s in sensors)],
-        uses=uses,
-        programs=[
-            (name.format(target.title, target.name), ["; ".join(target.formulas), target.kind])
-            for target in TARGETS.values()
+        chosen=chosen,
+        pairs=[
+            (sensor, pair, itself(axes), price(pair).replace(" x ", " × "))
+            for sensor, axes in report.by_sensor.items()
+            for pair in usual_pairs([axis.fit for axis in axes])
         ],
+        terms=TERMS,
+        use=partial(_use, chosen),
+        slowest=partial(_slowest, chosen),
+        programs=TARGETS.values(),
         floors=[
             (f"{seen.sensor.short}_{name}", _floors(fit, seen.units))
             for seen in views(report)
@@ -398,20 +273,6 @@ def downstream_section(report: Report) -> Markup:
             for name, fit in zip(seen.names, seen.fits, strict=True)
         ],
     )
-
-
-def _pairs(report: Report) -> Iterator[tuple[str, list[str]]]:
-    """Yield what each sensor's pair is, for a filter that coasts for a minute and for five."""
-    for sensor, axes in report.by_sensor.items():
-        for pair in usual_pairs([axis.fit for axis in axes]):
-            values = [
-                Markup("{:.4g} <small>{}</small>").format(value, pretty(TERMS[symbol].unit(sensor)))
-                for symbol, value in zip(COVERING, (pair.white, pair.walk), strict=True)
-            ]
-            yield (
-                f"{str(sensor).capitalize()}, {pair.horizon_s:g} s",
-                [*values, price(pair).replace(" x ", " × "), itself(axes)],
-            )
 
 
 def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) -> str:
@@ -426,14 +287,10 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
     return Markup("{}{:.4g} <small>{}, {}</small>").format(bound, value, shown, where)
 
 
-def _slowest(chosen: Numbers, sensor: Sensor) -> str:
-    """Return sigma and T of the axis whose slowest Gauss-Markov term is the largest."""
-    known = [(term, axis.axis) for axis in chosen.axes(sensor) if (term := chosen.gauss_markov(axis))]
-    if not known:
-        return _NOTHING
-    (sigma, time), axis = max(known)
-    text = Markup("{:.4g} <small>{}, </small>{:.4g} <small>s, {}</small>")
-    return text.format(sigma, pretty(sensor.unit), time, axis)
+def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:
+    """Return sigma and T of the axis whose slowest Gauss-Markov term is the largest, and the axis."""
+    known = ((chosen.gauss_markov(axis), axis.axis) for axis in chosen.axes(sensor))
+    return max(((term, axis) for term, axis in known if term), default=None)
 
 
 def _floors(fit: NoiseFit, units: SheetUnits) -> list[Markup]:

@@ -9,7 +9,7 @@ from imucal.report.markup import both_units, render
 
 def _cells(text: str | None) -> str:
     """Return a table whose one row is of a text."""
-    return render("terms.html", rows=[(text, [text] * 5)])
+    return render("notebook.html", caption="", titles=(), rows=[(text, [text])])
 
 
 def test_text_is_escaped_and_markup_is_not() -> None:
@@ -29,5 +29,5 @@ def test_none_shows_as_nothing() -> None:
 
 def test_a_value_that_nobody_gave_is_an_error() -> None:
     """Not an empty place on the page."""
-    with pytest.raises(jinja2.UndefinedError, match="'rows' is undefined"):
-        render("terms.html")
+    with pytest.raises(jinja2.UndefinedError, match="'caption' is undefined"):
+        render("notebook.html")
