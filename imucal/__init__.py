@@ -66,31 +66,29 @@ __all__ = [
 
 #: Module -> the public names that are loaded from it (PEP 562).
 _HOMES = {
-    "imucal.allan": ("AllanCurve", "Spectrum", "allan_curve", "spectrum"),
-    "imucal.clock": ("Clock",),
-    "imucal.comparison": ("compare",),
-    "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
-    "imucal.findings": ("Finding",),
-    "imucal.facade": ("check", "export", "fit", "info"),
-    "imucal.fitting": ("NoiseFit",),
-    "imucal.fitting.decomposition": ("Decomposition", "decompose"),
-    "imucal.fleet": ("LogValue", "PooledFit", "Population", "log_values", "pool", "population"),
-    "imucal.fleet_report": (
-        *("Fleet", "FleetTerm", "SensorModel", "check_fleet", "fleet_as_report", "load_fleet", "write_fleet"),
-    ),
-    "imucal.fleet_run": ("run_fleet",),
-    "imucal.grading": ("NoiseVerdict",),
-    "imucal.noise": ("NoiseModel",),
-    "imucal.noise.integrals": ("avar_from_acvf", "avar_from_psd"),
-    "imucal.pipeline": ("Settings", "characterize", "screen"),
-    "imucal.planning": ("plan",),
-    "imucal.prediction": ("Drift", "FilterNumbers", "drift", "filter_numbers"),
-    "imucal.readers": ("read",),
-    "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
-    "imucal.rests": ("at_rest",),
-    "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
-    "imucal.report.given": ("model_as_report",),
-    "imucal.report.plotting": ("plot",),
+    "allan": "AllanCurve Spectrum allan_curve spectrum",
+    "clock": "Clock",
+    "comparison": "compare",
+    "errors": "ChoiceError DataError ImucalError ReadError WriteError",
+    "findings": "Finding",
+    "facade": "check export fit info",
+    "fitting": "NoiseFit",
+    "fitting.decomposition": "Decomposition decompose",
+    "fleet": "LogValue PooledFit Population log_values pool population",
+    "fleet_report": "Fleet FleetTerm SensorModel check_fleet fleet_as_report load_fleet write_fleet",
+    "fleet_run": "run_fleet",
+    "grading": "NoiseVerdict",
+    "noise": "NoiseModel",
+    "noise.integrals": "avar_from_acvf avar_from_psd",
+    "pipeline": "Settings characterize screen",
+    "planning": "plan",
+    "prediction": "Drift FilterNumbers drift filter_numbers",
+    "readers": "read",
+    "recording": "AxisSeries Recording Sensor",
+    "rests": "at_rest",
+    "report": "AxisReport Report load_report write_report",
+    "report.given": "model_as_report",
+    "report.plotting": "plot",
 }
 
 # Now, as the libraries beneath ask only once how many threads they may start.
@@ -99,12 +97,11 @@ limit_pools()
 
 def __getattr__(name: str) -> object:
     for module, names in _HOMES.items():
-        if name in names:
-            value: object = getattr(importlib.import_module(module), name)
+        if name in names.split():
+            value: object = getattr(importlib.import_module(f"imucal.{module}"), name)
             globals()[name] = value
             return value
-    msg = f"module 'imucal' has no attribute {name!r}"
-    raise AttributeError(msg)
+    raise AttributeError(f"module 'imucal' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -96,8 +96,7 @@ _HELD = 1 << 21
 
 def release(*arrays: NDArray[Any]) -> None:
     """Hand the pages of arrays that lie in mapped files back to the system; does nothing to others."""
-    for held in _mappings(arrays):
-        _hand_back(held)
+    _hand_back(_mappings(arrays))
 
 
 def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
@@ -111,12 +110,10 @@ def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
     for start in range(0, n, size):
         yield slice(start, min(start + size, n))
         passed += size
-        if held and passed >= _HELD:
+        if passed >= _HELD:
             passed = 0
-            for one in held:
-                _hand_back(one)
-    for one in held:
-        _hand_back(one)
+            _hand_back(held)
+    _hand_back(held)
 
 
 def never_changes(values: NDArray[Any]) -> bool:
@@ -141,6 +138,7 @@ def _mapping(array: NDArray[Any]) -> mmap.mmap | None:
     return base if isinstance(base, mmap.mmap) else None
 
 
-def _hand_back(held: mmap.mmap) -> None:
-    if hasattr(held, "madvise"):
-        held.madvise(mmap.MADV_DONTNEED)
+def _hand_back(held: list[mmap.mmap]) -> None:
+    for one in held:
+        if hasattr(one, "madvise"):
+            one.madvise(mmap.MADV_DONTNEED)

@@ -20,21 +20,10 @@ _ABANDONED_S = 3600.0
 def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     """Yield a scratch path to write to; on success what was written there takes the place of `path`.
 
-    The scratch path has the same name in a folder beside the target, which is removed whatever
-    happens, Ctrl-C included; an existing file stays as it was until the new one is complete.
-
-    Parameters
-    ----------
-    path
-        The file.
-    ours
-        Words near the start of every file of this kind: an existing file without them is somebody's
-        own and is not replaced. None replaces any file.
-
-    Raises
-    ------
-    WriteError
-        If the file can't be written, or what is in its place is not to be replaced.
+    The scratch path has the same name in a folder beside the target, which is removed whatever happens,
+    Ctrl-C included; an existing file stays as it was until the new one is complete. An existing file
+    without the words `ours` near its start is somebody's own and is not replaced; None replaces any. A
+    WriteError says that the file can't be written, or that what is in its place is not to be replaced.
     """
     _refuse_foreign(path, ours)
     try:
@@ -62,8 +51,7 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
     if not path.exists() or path.is_dir():
         return
     if not path.is_file():
-        msg = f"{path}: is not a regular file; choose another place"
-        raise WriteError(msg)
+        raise WriteError(f"{path}: is not a regular file; choose another place")
     if ours is None:
         return
     try:

@@ -7,19 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ArgumentError
+from imucal.frozen import frozen
 
 #: Unit -> seconds.
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def seconds_of(text: str | float) -> float:
-    """Return a duration in s of a number alone, or with s, min, m, h or d.
-
-    Raises
-    ------
-    ArgumentError
-        If the text is no duration.
-    """
+    """Return a duration in s of a number alone, or with s, min, m, h or d; else an ArgumentError."""
     text = str(text).strip()
     number = text.rstrip("smindh")
     try:
@@ -27,21 +22,15 @@ def seconds_of(text: str | float) -> float:
     except ValueError:
         seconds = np.nan
     if not 0 <= seconds < np.inf:
-        msg = f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h"
-        raise ArgumentError(msg)
+        raise ArgumentError(f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h")
     return seconds
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Segment:
-    """A run of unbroken samples.
+    """A run of unbroken samples, ``samples[start:stop]``.
 
-    Attributes
-    ----------
-    start, stop
-        The samples are ``samples[start:stop]``.
-    offset
-        Place of the first of them on the clock's even grid: it was taken at ``offset * tau0``.
+    `offset` is the place of the first of them on the clock's even grid: it was taken at ``offset * tau0``.
     """
 
     start: int
@@ -54,18 +43,11 @@ class Segment:
         return self.stop - self.start
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Gap:
-    """Samples that are missing between two segments.
+    """So many `missing` samples between two segments: ``duration_s = missing * tau0``.
 
-    Attributes
-    ----------
-    start_s
-        Time of the first missing sample, in s from the first sample.
-    missing
-        Number of missing samples.
-    duration_s
-        ``missing * tau0``, in s.
+    `start_s` is the time of the first missing sample, in s from the first sample.
     """
 
     start_s: float
@@ -73,7 +55,7 @@ class Gap:
     duration_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Clock:
     """When the samples were taken: an even grid, of which segments are filled.
 
@@ -103,19 +85,17 @@ class Clock:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            msg = f"rate_hz must be positive and finite, got {self.rate_hz}"
-            raise ValueError(msg)
+            raise ValueError(f"rate_hz must be positive and finite, got {self.rate_hz}")
         expected, place = 0, 0
         for segment in self.segments:
             if segment.start != expected or segment.stop <= segment.start or segment.offset < place:
-                msg = f"segments must follow each other and not overlap, got {segment}"
-                raise ValueError(msg)
+                raise ValueError(f"segments must follow each other and not overlap, got {segment}")
             expected, place = segment.stop, segment.offset + segment.size
 
     @classmethod
     def even(cls, n: int, rate_hz: float, *, source: str = "given rate") -> "Clock":
         """Return the clock of `n` samples without a gap."""
-        segments = (Segment(start=0, stop=n, offset=0),) if n else ()
+        segments = (Segment(0, n, 0),) if n else ()
         return cls(source=source, rate_hz=rate_hz, segments=segments)
 
     @property
@@ -158,31 +138,28 @@ class Clock:
         """Number of missing samples."""
         return self.grid_size - self.n
 
-    def grid(self) -> NDArray[np.int64]:
-        """Place of every sample on the even grid, shape (n,), from 0."""
-        if not self.segments:
-            return np.zeros(0, dtype=np.int64)
-        first = self.segments[0].offset
-        return np.concatenate([np.arange(s.size) + (s.offset - first) for s in self.segments])
+    def grid(self, first: int = 0, stop: int | None = None) -> NDArray[np.int64]:
+        """Place of each sample from index `first` to before `stop` (all) on the even grid, from 0."""
+        places = [np.zeros(0, dtype=np.int64)]
+        for segment in self.segments:
+            start, end = max(first, segment.start), segment.stop if stop is None else min(stop, segment.stop)
+            if start < end:
+                moved = segment.offset - segment.start - self.segments[0].offset
+                places.append(np.arange(start + moved, end + moved))
+        return places[1] if len(places) == 2 else np.concatenate(places)
 
     def index_at(self, time_s: float) -> int:
         """Return the index of the first sample taken at `time_s` or later, in s from the first; n if none."""
-        if not self.segments:
-            return 0
         # A stamp on the grid counts as on time even when the product rounds up.
-        place = time_s * self.rate_hz + self.segments[0].offset - 1e-6
-        for segment in self.segments:
-            if place <= segment.offset + segment.size - 1:
-                return segment.start + max(0, int(np.ceil(place - segment.offset)))
-        return self.n
+        return self.index_from(float(np.ceil(time_s * self.rate_hz - 1e-6)))
 
-    def index_from(self, place: int) -> int:
+    def index_from(self, place: float) -> int:
         """Return the index of the first sample at a place of the grid or after it; n if none."""
         at = bisect_left(self.segments, place, key=lambda s: s.offset + s.size - self.segments[0].offset - 1)
         if at == len(self.segments):
             return self.n
         segment = self.segments[at]
-        return segment.start + max(0, place - segment.offset + self.segments[0].offset)
+        return segment.start + max(0, int(place) - segment.offset + self.segments[0].offset)
 
     def slice(self, first: int, stop: int) -> "Clock":
         """Return the clock of the samples from index `first` to before `stop`."""
@@ -191,14 +168,13 @@ class Clock:
             start, end = max(first, segment.start), min(stop, segment.stop)
             if start < end:
                 offset = segment.offset + start - segment.start
-                segments.append(Segment(start=start - first, stop=end - first, offset=offset))
+                segments.append(Segment(start - first, end - first, offset))
         return self._of(segments)
 
     def keeping(self, keep: NDArray[np.bool_]) -> "Clock":
         """Return the clock of the samples where `keep`, shape (n,), is true; the rest become gaps."""
         if keep.shape != (self.n,):
-            msg = f"keep must have shape ({self.n},), got {keep.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"keep must have shape ({self.n},), got {keep.shape}")
         segments, start = [], 0
         for segment in self.segments:
             flags = np.zeros(segment.size + 2, dtype=np.int8)
@@ -207,7 +183,7 @@ class Clock:
             firsts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
             for first, end in zip(firsts.tolist(), ends.tolist(), strict=True):
                 stop = start + end - first
-                segments.append(Segment(start=start, stop=stop, offset=segment.offset + first))
+                segments.append(Segment(start, stop, segment.offset + first))
                 start = stop
         return self._of(segments)
 

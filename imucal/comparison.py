@@ -12,12 +12,13 @@ width; two bounds can't be told apart.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, TypeAlias
 
 from imucal.errors import DataError
 from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate
+from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.given import GIVEN
@@ -31,26 +32,14 @@ Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]
 _TIME = ".T"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Difference:
-    """One term of one axis in both reports.
+    """One term of one axis in both reports: the estimates a and b, None where a report has none.
 
-    Attributes
-    ----------
-    axis, key, symbol, sensor, unit
-        Such as ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time), ``GM``; the unit is SI.
-    a, b
-        The estimates; None where a report has none.
-    ratio
-        b / a; None where either is bounded or missing.
-    z
-        Score of ``b - a``, less the tolerance; None where nothing was tested.
-    p
-        Two-sided p-value of z.
-    p_adjusted
-        p after Holm's adjustment for all terms tested.
-    outcome
-        What follows.
+    `axis`, `key` and `symbol` are such as ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time) and
+    ``GM``, the unit is SI. `z` is the score of their difference, less the tolerance, `p` its two-sided
+    p-value and `p_adjusted` that after Holm's adjustment for all terms tested, all None where nothing was
+    tested.
     """
 
     axis: str
@@ -60,29 +49,26 @@ class Difference:
     unit: str
     a: Estimate | None
     b: Estimate | None
-    ratio: float | None
     z: float | None
     p: float | None
-    p_adjusted: float | None
+    p_adjusted: float | None = None
     outcome: Outcome
 
+    @property
+    def ratio(self) -> float | None:
+        """The ratio b / a of the values; None where either is bounded, missing, or a is zero."""
+        if self.a is None or self.b is None or not self.a.value or self.b.value is None:
+            return None
+        return self.b.value / self.a.value
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
+@frozen
 class Comparison:
-    """What came of comparing two reports.
+    """What came of comparing the reports of two logs, whose paths are a and b.
 
-    Attributes
-    ----------
-    a, b
-        Paths of the logs.
-    alpha
-        Probability of calling any term different when none is.
-    tolerance
-        Relative difference that doesn't count.
-    differences
-        A row for each term of each axis.
-    notes
-        What else may make the reports differ, in sentences.
+    `alpha` is the probability of calling any term different when none is, `tolerance` the relative
+    difference that doesn't count. There is a difference for each term of each axis; `notes` are sentences
+    on what else may make the reports differ.
     """
 
     a: str
@@ -125,11 +111,9 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
         If `alpha` isn't between 0 and 1, or `tolerance` is negative.
     """
     if not 0 < alpha < 1:
-        msg = f"alpha must be between 0 and 1, got {alpha}"
-        raise ValueError(msg)
+        raise ValueError(f"alpha must be between 0 and 1, got {alpha}")
     if not (tolerance >= 0 and math.isfinite(tolerance)):
-        msg = f"tolerance must be 0 or more, got {tolerance}"
-        raise ValueError(msg)
+        raise ValueError(f"tolerance must be 0 or more, got {tolerance}")
     axes_a, axes_b = ({axis.name: axis for axis in report.axes} for report in (a, b))
     if not axes_a.keys() & axes_b.keys():
         msg = (
@@ -186,10 +170,8 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
                 unit="s" if key.endswith(_TIME) else TERMS[symbol].unit(axis.sensor),
                 a=first,
                 b=second,
-                ratio=_ratio(first, second),
                 z=z,
                 p=None if z is None else math.erfc(abs(z) / math.sqrt(2)),
-                p_adjusted=None,
                 outcome="only-b" if first is None else "only-a" if second is None else "bounded",
             )
         )
@@ -205,13 +187,8 @@ def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
         found[estimate.key] = estimate
         if (time := estimate.correlation_time) is not None:
             key = estimate.key + _TIME
-            found[key] = Estimate(
-                key=key,
-                symbol=estimate.symbol,
-                status="estimated",
-                value=time.value,
-                low=time.low,
-                high=time.high,
+            found[key] = replace(
+                estimate, key=key, status="estimated", value=time.value, low=time.low, high=time.high
             )
     return found
 
@@ -219,12 +196,6 @@ def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
 def _symbol(key: str) -> str:
     """Return ``GM`` for ``GM2.T``."""
     return key.removesuffix(_TIME).rstrip("0123456789")
-
-
-def _ratio(a: Estimate | None, b: Estimate | None) -> float | None:
-    if a is None or b is None or not a.value or b.value is None:
-        return None
-    return b.value / a.value
 
 
 def _score(a: Estimate, b: Estimate, levels: tuple[float, float], tolerance: float) -> float | None:
@@ -235,14 +206,13 @@ def _score(a: Estimate, b: Estimate, levels: tuple[float, float], tolerance: flo
     beyond = abs(second - first) - tolerance * abs(first)
     if beyond <= 0:
         return 0.0
-    larger, smaller = (b, a) if second > first else (a, b)
-    level_larger, level_smaller = levels[::-1] if second > first else levels
-    down = ((larger.value or 0.0) - larger.low) / _quantile(level_larger)
-    # A bound is one-sided: all of its tail is above.
-    one_sided = smaller.value is None and level_smaller > 0.5
-    up = (smaller.high - (smaller.value or 0.0)) / _quantile(
-        2 * level_smaller - 1 if one_sided else level_smaller
-    )
+    sides = ((a, levels[0]), (b, levels[1]))
+    (larger, level), (smaller, level_smaller) = sides[::-1] if second > first else sides
+    if smaller.value is None and level_smaller > 0.5:
+        # A bound is one-sided: all of its tail is above.
+        level_smaller = 2 * level_smaller - 1
+    down = ((larger.value or 0.0) - larger.low) / _quantile(level)
+    up = (smaller.high - (smaller.value or 0.0)) / _quantile(level_smaller)
     deviation = math.hypot(down, up)
     if math.isnan(deviation):
         return None

@@ -50,36 +50,33 @@ class WriteError(ImucalError):
     exit_code = 5
 
 
-class LimitsError(ImucalError):
+class UsageError(ImucalError):
+    """What was asked for can't be meant."""
+
+    exit_code = 2
+
+
+class LimitsError(UsageError):
     """The limits file of a check, or the config that it checks, can't be read or checked."""
 
-    exit_code = 2
 
-
-class SettingError(ImucalError):
+class SettingError(UsageError):
     """An environment variable that sets imucal up holds what it can't."""
 
-    exit_code = 2
 
-
-class ArgumentError(ImucalError, ValueError):
+class ArgumentError(UsageError, ValueError):
     """An argument says what can't be meant; the message says what can."""
 
-    exit_code = 2
 
-
-class MissingError(ImucalError, KeyError):
+class MissingError(UsageError, KeyError):
     """There is no axis or term of that name; the message lists those there are."""
 
-    exit_code = 2
     # A KeyError would show its message in quotes.
     __str__ = Exception.__str__
 
 
-class ManifestError(ImucalError):
+class ManifestError(UsageError):
     """The manifest of a fleet can't be read, or says what can't be meant."""
-
-    exit_code = 2
 
 
 class EngineError(ImucalError):

@@ -3,7 +3,7 @@
 These take what is at hand (an array, a path, a text) and hand it to the stage that does the work.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +21,8 @@ from imucal.fitting import fit as fit_axis
 from imucal.pipeline import Settings, characterize
 from imucal.readers import LogContents, describe
 from imucal.recording import AxisSeries, Recording
-from imucal.report.exports import AxisPolicy, Basis, Unidentified
 from imucal.report.exports import export as export_report
+from imucal.report.exports.config_numbers import Options
 from imucal.report.json_file import load
 from imucal.report.result import Report
 
@@ -44,18 +44,6 @@ class FitOptions(TypedDict, total=False):
     verify: bool
     max_gm: int
     segments: int
-
-
-class ExportOptions(TypedDict, total=False):
-    """What to write; see `imucal.report.exports.export`."""
-
-    axis_policy: AxisPolicy
-    inflate: Mapping[str, float]
-    unidentified: Unidentified
-    topic: str
-    numbers: Basis
-    horizon_s: float
-    step_s: float
 
 
 @contextmanager
@@ -131,8 +119,7 @@ def fit(
 
 def _own_samples(samples: "ArrayLike", rate_hz: float | None, sensor: str) -> AxisSeries:
     if isinstance(samples, str | Path):
-        msg = f"{samples} is a path; type imucal.fit(imucal.read({str(samples)!r}))"
-        raise ArgumentError(msg)
+        raise ArgumentError(f"{samples} is a path; type imucal.fit(imucal.read({str(samples)!r}))")
     try:
         array = np.asarray(samples, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -160,7 +147,7 @@ def _report(report: object) -> Report:
 
 
 def export(
-    report: Report | str | Path, target: str, path: str | Path, **options: Unpack[ExportOptions]
+    report: Report | str | Path, target: str, path: str | Path, **options: Unpack[Options]
 ) -> tuple[Path, ...]:
     """Write the config file of a filter or simulator, such as ``export(report, "kalibr", "imu.yaml")``.
 

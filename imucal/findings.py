@@ -1,12 +1,13 @@
 """A finding: something the user should know about a log or a result, as data."""
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from functools import cache
 from typing import Literal, TypeAlias
 
 Level: TypeAlias = Literal["info", "warning", "error"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Finding:
     """One observation, in a plain sentence.
 
@@ -30,5 +31,19 @@ class Finding:
     code: str
     text: str
     advice: str = ""
+    _: KW_ONLY
     axis: str | None = None
     keep_s: tuple[float, float] | None = None
+
+
+@cache
+def code_phrases() -> dict[str, str]:
+    """Return what the verdict's sentence says of each code that a finding may have.
+
+    Empty where that is the code itself, its hyphens as blanks.
+    """
+    from importlib.resources import files
+
+    lines = files("imucal").joinpath("finding_codes.txt").read_text(encoding="utf-8").splitlines()
+    parts = (line.partition(": ") for line in lines if not line.startswith("#"))
+    return {code: phrase for code, _, phrase in parts}

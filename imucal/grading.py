@@ -5,10 +5,10 @@ A finding decides by its level, unless `OTHERWISE` says more of its code; the gr
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from imucal.findings import Finding, Level
+from imucal.findings import Finding, Level, code_phrases
+from imucal.frozen import frozen
 
 #: good: stationary noise; look: it may be, see the findings first; not-noise: the numbers are wrong.
 Grade: TypeAlias = Literal["good", "look", "not-noise"]
@@ -30,57 +30,11 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
 #: Codes that, said of the whole log, concern the noise of every axis.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
-#: What the sentence says of a code; the code itself, its hyphens as blanks, where it is not here.
-PHRASES: Mapping[str, str] = {
-    "absurd-rate": "the sampling rate is absurd",
-    "bad-rows": "rows that are not numbers",
-    "clock-jump": "a jump of the clock",
-    "clocks-differ": "clocks that differ",
-    "coarse-lsb": "coarse steps",
-    "cycle": "a slow cycle",
-    "damaged": "damage to the log",
-    "duplicate-axes": "two axes hold the same samples",
-    "extra-samples": "samples too many",
-    "fast-rate": "a rate that no MEMS sensor has",
-    "file-missing": "a missing file",
-    "gaps": "missing samples",
-    "log-time-used": "stamps that can't be used",
-    "model-misfit": "a model that doesn't describe the data",
-    "motion": "the IMU was moved",
-    "no-data": "no data",
-    "no-result": "no result",
-    "nonstationary": "noise that changes with time",
-    "not-checked": "a check that could not judge",
-    "not-finite": "samples that are no numbers",
-    "poor-fit": "a model that doesn't describe the curve",
-    "predicts-badly": "halves that don't predict each other",
-    "rate-differs": "a rate other than the log's own",
-    "rate-given": "a rate other than the log's own",
-    "sawtooth": "a level that ramps and jumps back",
-    "second-opinion": "the second opinion",
-    "short-times": "short times left out",
-    "step": "a jump of the level",
-    "stuck": "a stuck value",
-    "swapped-sensors": "gyroscope and accelerometer are swapped",
-    "telegraph": "a level that jumps to and fro",
-    "temperature": "the temperature",
-    "tone": "a tone",
-    "touch": "something touched or shook the IMU",
-    "truncated": "a log that was cut off",
-    "two-maxima": "two explanations",
-    "uneven-stamps": "uneven stamps",
-    "unit-assumed": "an assumed unit",
-    "unit-suspect": "a unit that looks wrong",
-    "verified": "an exact likelihood that disagrees",
-    "wal-ignored": "a database that was not closed",
-    "warm-up": "a warm-up",
-}
-
 #: So many reasons are named; the others are counted.
 _NAMED = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NoiseVerdict:
     """What to think of a recording.
 
@@ -116,18 +70,11 @@ def judge_findings(
     errors: Mapping[str, float] | None = None,
     too_short: bool = False,
 ) -> NoiseVerdict:
-    """Return the verdict on a recording.
+    """Return the verdict on a recording, from all findings that are known of the log and its axes.
 
-    Parameters
-    ----------
-    findings
-        All that are known of the log and its axes.
-    axes
-        Names of all axes, such as ``gyro_x``; those without a result too.
-    errors
-        Relative half-width of the interval of N, by axis, where one is known.
-    too_short
-        Whether the record is too short to tell B and K.
+    `axes` are the names of all, such as ``gyro_x``, those without a result too; `errors` has the relative
+    half-width of the interval of N by axis, where one is known; a record that is `too_short` can't tell B
+    and K.
     """
     grave = [finding for finding in findings if grade_of(finding) != "good"]
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
@@ -174,7 +121,7 @@ def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
     """Return the phrases of some findings with their axes; of many the first ones and a number."""
     places: dict[str, list[str]] = {}
     for finding in findings:
-        phrase = PHRASES.get(finding.code, finding.code.replace("-", " "))
+        phrase = code_phrases().get(finding.code) or finding.code.replace("-", " ")
         places.setdefault(phrase, []).append(finding.axis or "")
     phrases = [_placed(phrase, names, axes) for phrase, names in places.items()]
     more = len(phrases) - _NAMED

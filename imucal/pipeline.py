@@ -1,7 +1,7 @@
 """characterize: Recording -> Report, axis by axis. No input, no output."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from importlib import import_module
 from itertools import chain
 from typing import TypeAlias
@@ -19,6 +19,7 @@ from imucal.fitting.cross_checks import ambiguity_findings, fit_of_curve, second
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.not_noise import not_noise
+from imucal.frozen import frozen
 from imucal.planning import resolution_findings
 from imucal.prediction import self_check
 from imucal.processes import findings_or_why_not, side_by_side
@@ -34,8 +35,8 @@ _BLOCK, _PART = 1 << 20, 1 << 15
 _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
 #: Shorter axes are screened in less time than a process is forked.
 _LONG = 500_000
-#: What every axis needs of libraries that are loaded when they are used.
-_LIBRARIES = ("scipy.fft", "scipy.special")
+#: What every axis needs of modules that are loaded when they are used.
+_MODULES = ("scipy.fft", "scipy.special", "imucal.fitting.moments")
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
@@ -49,7 +50,7 @@ _FEWEST_DEGREES = 16
 Progress: TypeAlias = Callable[[int, int, str], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Settings(FitSettings):
     """How a recording is characterised; see `imucal.fit` and `imucal.allan_curve`.
 
@@ -104,7 +105,8 @@ def characterize(
     """
     settings = settings or Settings()
     workers = _workers(recording, workers)
-    _load_libraries()
+    # Once, by the process that others are forked from.
+    list(map(import_module, _MODULES))
     # What is not noise, a fit by maximum likelihood finds and says itself.
     look = screen_values if settings.method == "mle" else screen
     long = max((series.n for series in recording.series), default=0) >= _LONG
@@ -128,8 +130,7 @@ def characterize(
     failures = [failure for failure in found if isinstance(failure, Finding)]
     if not axes:
         reasons = _reasons(failures) or "the log holds no samples"
-        msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
-        raise DataError(msg)
+        raise DataError(f"{recording.source.path}: no axis can be analysed: {reasons}")
     return Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
@@ -144,16 +145,10 @@ def _moved(findings: Sequence[Finding]) -> bool:
     return any(finding.code == "motion" and finding.level == "error" for finding in findings)
 
 
-def _load_libraries() -> None:
-    """Load what every axis needs of SciPy, once, by the process that others are forked from."""
-    for name in _LIBRARIES:
-        import_module(name)
-
-
 def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]) -> Finding:
     """Return why an axis has no result, with the screening's advice about an axis without data."""
     advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
-    return Finding(level="error", code="no-result", axis=series.name, text=f"{error}.", advice=advice)
+    return Finding("error", "no-result", f"{error}.", advice, axis=series.name)
 
 
 def _of_no_result(
@@ -198,8 +193,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 def _workers(recording: Recording, wanted: int | None) -> int:
     """Return how many axes to work on at a time: as wanted or as there are processors, and memory holds."""
     if wanted is not None and wanted < 1:
-        msg = f"workers must be at least 1, got {wanted}"
-        raise ValueError(msg)
+        raise ValueError(f"workers must be at least 1, got {wanted}")
     largest = max((series.n for series in recording.series), default=0)
     count, room = (threads(), min(memory_limit(), _ROOM)) if wanted is None else (wanted, memory_limit())
     return max(1, min(count, room // (_BESIDES + _BYTES * largest)))
@@ -219,8 +213,7 @@ def _characterize_axis(
 ) -> AxisReport:
     finite = series.finite()
     if not finite.n:
-        msg = f"{series.name}: no finite samples among {series.n}"
-        raise DataError(msg)
+        raise DataError(f"{series.name}: no finite samples among {series.n}")
     # The fit says so of a short one, for which it needs no time and no memory.
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)

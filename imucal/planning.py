@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import named_terms, relative_deviations
+from imucal.frozen import frozen
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
@@ -24,6 +25,8 @@ from imucal.solvers import root, root_near
 
 #: The level of an interval of one standard deviation to each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
+#: The relative precision that is planned for where nobody asks for another.
+_SHARP = 0.1
 #: Nobody records for longer, in s: ten years. Longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
 #: Where the search for a length begins without a record, in s.
@@ -44,28 +47,15 @@ _SHOWN_USUALLY = (0.305, 0.09)
 MOSTLY_SHOWN = 0.8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Need:
-    """What one parameter needs.
+    """What one parameter needs, such as ``N``, ``GM.sigma`` or ``GM.T``, of the term with that symbol.
 
-    Attributes
-    ----------
-    name
-        ``N``, ``GM.sigma``, ``GM.T``, ….
-    symbol
-        Symbol of its term.
-    value
-        Its coefficient (s for a correlation time), in SI.
-    bounded
-        Whether `value` is an upper bound: a term that large would need so much.
-    needed_s
-        Length of record for the wanted precision, in s, long enough to show the term in four of five
-        records; infinite where no record tells it.
-    reached
-        Relative precision that the record at hand gives; None where none was given.
-    shown
-        Share of records as long as the one at hand that tell the term from zero; None where none was
-        given. The others only bound it.
+    `value` is its coefficient (s for a correlation time), in SI; where it is `bounded` an upper bound: a
+    term that large would need so much. `needed_s` is the length of record for the wanted precision, in s,
+    long enough to show the term in four of five records; infinite where no record tells it. `reached` is
+    the relative precision that the record at hand gives, `shown` the share of records as long that tell the
+    term from zero; the others only bound it. Both are None where no record is at hand.
     """
 
     name: str
@@ -77,19 +67,19 @@ class Need:
     shown: float | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AxisPlan:
     """The needs of one axis; `axis` is empty and `sensor` None for a model without a log."""
 
-    axis: str
-    sensor: Sensor | None
+    axis: str = ""
+    sensor: Sensor | None = None
     model: str
     rate_hz: float
     duration_s: float | None
     needs: tuple[Need, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Plan:
     """What records of some length tell, for a relative precision at a level."""
 
@@ -126,7 +116,7 @@ def plan(
     source: NoiseModel | NoiseFit | Report,
     *,
     rate_hz: float | None = None,
-    precision: float = 0.1,
+    precision: float = _SHARP,
     level: float = ONE_DEVIATION,
     duration_s: float | None = None,
 ) -> Plan:
@@ -151,8 +141,7 @@ def plan(
         If an argument is out of range, or a model comes without a rate.
     """
     if not (precision > 0 and 0 < level < 1):
-        msg = f"precision must be positive and level between 0 and 1, got {precision} and {level}"
-        raise ValueError(msg)
+        raise ValueError(f"precision must be positive and level between 0 and 1, got {precision} and {level}")
 
     def ask(own_rate_hz: float, own_duration_s: float | None) -> _Ask:
         duration = own_duration_s if duration_s is None else duration_s
@@ -168,8 +157,7 @@ def plan(
     elif isinstance(source, NoiseFit):
         axes = (_fit_plan(source, ask(source.rate_hz, None)),)
     elif rate_hz is None:
-        msg = "a model has no sampling rate of its own; give rate_hz"
-        raise ValueError(msg)
+        raise ValueError("a model has no sampling rate of its own; give rate_hz")
     else:
         axes = (_axis_plan(source, [(term, False) for term in source.terms], ask(rate_hz, None)),)
     return Plan(precision=precision, level=level, axes=axes)
@@ -184,25 +172,25 @@ def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
             yield from ((axis.name, axis) for axis in axes)
 
 
-def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 0.1) -> tuple[Finding, ...]:
+def resolution_findings(fit: NoiseFit, duration_s: float) -> tuple[Finding, ...]:
     """Say for each term whether the record was long enough, such as ``K needs 6.2 h for ±10 %, …``.
 
-    One finding for each term of the fit that the record tells less precisely than `precision` (one
+    One finding for each term of the fit that the record tells less precisely than ±10 % (one
     standard deviation); a term that was not seen is taken at its upper bound.
     """
-    needs = _fit_plan(fit, _Ask(fit.rate_hz, precision, ONE_DEVIATION, duration_s, longer=True)).needs
+    needs = _fit_plan(fit, _Ask(fit.rate_hz, _SHARP, ONE_DEVIATION, duration_s, longer=True)).needs
     findings = []
     for name in dict.fromkeys(need.name.partition(".")[0] for need in needs):
         own = [need for need in needs if need.name.partition(".")[0] == name]
         longest = max(own, key=lambda need: need.needed_s)
         if longest.needed_s > _WORTH_SAYING * duration_s:
             needed, had = describe_time(longest.needed_s), describe_time(duration_s)
-            sharp = f"±{100 * precision:.3g} %"
+            sharp = f"±{100 * _SHARP:.3g} %"
             text = f"{name} needs {needed} for {sharp}; this log has {had}."
             if longest.bounded:
                 text = f"{name} is not visible in {had}. If it equals its bound, {needed} would "
                 text += f"measure it to {sharp}."
-            findings.append(Finding(level="info", code="record-length", text=text))
+            findings.append(Finding("info", "record-length", text))
     return tuple(findings)
 
 
@@ -247,27 +235,11 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
                 bound = _bound(whole, name, ask.rate_hz, ask.duration_s)
                 reached, shown = _found(bound) * ask.quantile, _share_shown(name, bound)
             near, enough = ask.duration_s or _USUAL, _largest_bound(name, wanted)
-            needs.append(
-                Need(
-                    name=name,
-                    symbol=term.symbol,
-                    value=value,
-                    bounded=bounded,
-                    needed_s=near
-                    if ask.longer and bound <= enough
-                    else _needed(whole, name, ask.rate_hz, enough, near),
-                    reached=reached,
-                    shown=shown,
-                )
-            )
-    return AxisPlan(
-        axis="",
-        sensor=None,
-        model=str(model),
-        rate_hz=ask.rate_hz,
-        duration_s=ask.duration_s,
-        needs=tuple(sorted(needs, key=lambda need: list(TERMS).index(need.symbol))),
-    )
+            long = ask.longer and bound <= enough
+            needed = near if long else _needed(whole, name, ask.rate_hz, enough, near)
+            needs.append(Need(name, term.symbol, value, bounded, needed, reached, shown))
+    needs.sort(key=lambda need: list(TERMS).index(need.symbol))
+    return AxisPlan(model=str(model), rate_hz=ask.rate_hz, duration_s=ask.duration_s, needs=tuple(needs))
 
 
 def _bound(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> float:

@@ -92,28 +92,18 @@ class PowerLaw(Enum):
                 return 1.0 / half**2
 
     def dct_spectrum(self, n: int, first: IntArray, count: IntArray) -> FloatArray:
-        """Return the expected square of the orthonormal DCT-II ordinates, averaged over bins.
+        """Return the mean over bins of E[X_k²], the expected square of orthonormal DCT-II ordinates; (b,).
 
-        Parameters
-        ----------
-        n
-            Number of samples, at least 2.
-        first, count
-            First ordinate and number of ordinates of each bin, shape (b,); ordinates 1 … n-1.
+        Of n >= 2 samples, per unit variance parameter; `first` and `count` are the first ordinate and the
+        number of ordinates of each bin, shape (b,), of ordinates 1 … n-1.
 
-        Returns
-        -------
-        Mean of E[X_k²] over each bin, shape (b,), per unit variance parameter.
+        White noise and the random walk are exact, and their ordinates uncorrelated. Quantization is exact
+        with its two boundary values. Flicker is exact in the limit of many samples; its relative error is
+        below 0.05/n². Bins of up to 8 ordinates are summed; the mean over wider ones has relative error
+        below 3e-8 where the first ordinate is above 128. Cost O(b).
 
-        Notes
-        -----
-        White noise and the random walk are exact, and their ordinates uncorrelated. Quantization
-        is exact with its two boundary values. Flicker is exact in the limit of many samples; its
-        relative error is below 0.05/n². Bins of up to 8 ordinates are summed; the mean over wider
-        ones has relative error below 3e-8 where the first ordinate is above 128. Cost O(b).
-
-        Source: E[X_k²] = r_0-weighted cosine sum of the structure function; for flicker summed in
-        closed form, with Si for the finite length.
+        Source: E[X_k²] = r_0-weighted cosine sum of the structure function; for flicker summed in closed
+        form, with Si for the finite length.
         """
         start: FloatArray = np.asarray(first, dtype=np.float64)
         size: FloatArray = np.asarray(count, dtype=np.float64)

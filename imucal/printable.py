@@ -14,6 +14,11 @@ def printable(text: str) -> str:
     return _escaped(text, lambda sign: sign.encode("unicode_escape").decode("ascii"))
 
 
+def one_line(text: str) -> str:
+    """Return text that stays on its line: control characters become spaces."""
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
 def printable_json(text: str) -> str:
     """Return a JSON text of the same value in which such signs stand as JSON's escapes."""
     return _escaped(text, _json_escape)

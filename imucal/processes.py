@@ -28,7 +28,6 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO, Literal, TypeAlias, TypeVar, cast
@@ -37,6 +36,7 @@ import numpy as np
 
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.frozen import frozen
 
 if TYPE_CHECKING:
     from multiprocessing.context import ForkProcess
@@ -67,20 +67,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Answer:
-    """How a question ended.
+    """How a question ended: with the `value` that the function returned, where it is done.
 
-    Attributes
-    ----------
-    outcome
-        What became of it.
-    value
-        What the function returned, where it is done.
-    words
-        The error's type and text, where it failed; what the child wrote last, where it ended.
-    code
-        Exit code of a child that ended, negative for a signal, as `subprocess.Popen.returncode`.
+    `words` are the error's type and text, where it failed, or what the child wrote last, where it ended;
+    `code` is then its exit code, negative for a signal, as `subprocess.Popen.returncode`.
     """
 
     outcome: Outcome
@@ -96,14 +88,9 @@ class ChildClosedError(Exception):
 class ChildProcess:
     """A process that answers one question at a time.
 
-    Parameters
-    ----------
-    environment
-        Variables that it has besides those of this process; None takes one away.
-    counted
-        What its limit of memory counts.
-    folder
-        Its working folder; None for that of this process.
+    It has the variables of `environment` besides those of this process, where None takes one away; its
+    limit of memory counts what `counted` says; it works in `folder`, or in this process's where that is
+    None.
     """
 
     def __init__(
@@ -120,23 +107,11 @@ class ChildProcess:
         self._closed = False
 
     def ask(self, function: Callable[..., object], *args: object, seconds: float, memory: int) -> Answer:
-        """Call a function of a module in the child.
+        """Call a function of a module in the child; all can be pickled.
 
-        Parameters
-        ----------
-        function, args
-            What to call; all can be pickled.
-        seconds
-            After these it is ended.
-        memory
-            Bytes that it may take, where the operating system can limit it.
-
-        Raises
-        ------
-        OSError
-            If the child can't be started.
-        ChildClosedError
-            If it was closed, before or meanwhile.
+        It is ended after so many seconds, and may take so many bytes of memory, where the operating system
+        can limit it. An OSError says that the child can't be started, a ChildClosedError that it was
+        closed, before or meanwhile.
         """
         question = pickle.dumps((self._counted, memory, function, args))
         with self._lock:
@@ -320,17 +295,11 @@ def side_by_side(
 ) -> list[R]:
     """Return what `work` makes of each item, in their order.
 
-    Items are begun in their order, each in one of `workers` forked processes, or here one by one where
-    none may be forked. Where one fails, or its process is killed, no other is begun there; that one and
-    what is left are done here one by one, so that an error is raised as if all had been. No process
-    outlives the call, nor this process.
-
-    Parameters
-    ----------
-    workers
-        Most items at a time.
-    done
-        Called with the number of items done and the first that is not done; None when all are.
+    Items are begun in their order, each in one of at most `workers` forked processes, or here one by one
+    where none may be forked. Where one fails, or its process is killed, no other is begun there; that one
+    and what is left are done here one by one, so that an error is raised as if all had been. No process
+    outlives the call, nor this process. `done` is called with the number of items done and the first that
+    is not done, None when all are.
     """
     found: dict[int, R] = {}
 
@@ -480,13 +449,7 @@ def try_side_work(
 
     That it can't judge some data, as a DataError or a failed calculation says, is a finding. A fault of the
     program is one too, so that it costs nobody hours of data; with IMUCAL_DEBUG set it is raised instead.
-
-    Parameters
-    ----------
-    what
-        The sentence's beginning, such as ``The Allan curve gives no second opinion``.
-    code, axis
-        Of the finding.
+    Its sentence begins with `what`, such as ``The Allan curve gives no second opinion``.
     """
     try:
         return make(), ()
@@ -498,7 +461,7 @@ def try_side_work(
         if faults_are_raised():
             raise
         why = f"internal error ({_last_words(error)}); please report it, IMUCAL_DEBUG=1 shows where"
-    return otherwise, (Finding(level="warning", code=code, axis=axis, text=f"{what}: {why}."),)
+    return otherwise, (Finding("warning", code, f"{what}: {why}.", axis=axis),)
 
 
 def findings_or_why_not(

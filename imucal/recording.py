@@ -8,11 +8,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, blocks, read_only
+from imucal.arrays import FloatArray, ReadOnlyArrays, blocks, read_only
 from imucal.clock import Clock, seconds_of
 from imucal.display import Displayed
 from imucal.errors import DataError, MissingError
 from imucal.findings import Finding
+from imucal.frozen import frozen, frozen_alone
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 
@@ -66,11 +67,9 @@ class AxisSeries(Displayed):
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples, dtype=np.float64)
         if samples.ndim != 1:
-            msg = f"samples must have shape (n,), got {samples.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"samples must have shape (n,), got {samples.shape}")
         if samples.size != self.clock.n:
-            msg = f"the clock has {self.clock.n} samples, the series {samples.size}"
-            raise ValueError(msg)
+            raise ValueError(f"the clock has {self.clock.n} samples, the series {samples.size}")
         object.__setattr__(self, "samples", read_only(samples))
 
     @classmethod
@@ -149,40 +148,24 @@ class AxisSeries(Displayed):
         return replace(self, samples=self.samples[first:stop], clock=self.clock.slice(first, stop))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Temperature:
-    """The IMU's temperature, where the log has it.
+@frozen_alone
+class Temperature(ReadOnlyArrays):
+    """The IMU's temperature in degrees Celsius, shape (n,), read-only float64, where the log has it.
 
-    Attributes
-    ----------
-    samples
-        Shape (n,), read-only float64, in degrees Celsius.
-    clock
-        When they were taken; the same object as an axis's where both stand in the same messages.
+    The clock is the same object as an axis's where both stand in the same messages.
     """
 
     samples: FloatArray
     clock: Clock
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", read_only(np.asarray(self.samples, dtype=np.float64)))
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LogFileInfo:
-    """A file of a log, so that it can be told from any other.
+    """A file of a log, so that it can be told from any other; its path as it was read.
 
-    Attributes
-    ----------
-    path
-        As it was read; a URL without user and query.
-    size_bytes
-        Its size.
-    blake2b
-        Its BLAKE2b checksum of 64 bytes in hexadecimal digits, as ``b2sum`` prints it; None where the file
-        could not be read to its end. Source: RFC 7693.
-    etag
-        ETag of the object behind a URL, or the time of its last change; None of a file of this machine.
+    A path that is a URL has no user and query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693) in
+    hexadecimal digits, as ``b2sum`` prints it; None where the file could not be read to its end. `etag` is
+    that of the object behind a URL, or the time of its last change; None of a file of this machine.
     """
 
     path: str
@@ -194,18 +177,13 @@ class LogFileInfo:
         object.__setattr__(self, "path", _as_text(self.path))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ReadRange:
-    """Which part of a log was read, over all its axes.
+    """Which part of a log was read, over all its axes, gaps included.
 
-    Attributes
-    ----------
-    from_s
-        What was left out before it, in s from the first sample.
-    duration_s
-        From the first sample to the end of the last, gaps included, in s.
-    start_ns, end_ns
-        The same by the stamps, in ns of their epoch; None where the log has no stamps.
+    `from_s` is what was left out before it, in s from the first sample; `duration_s` goes from the first
+    sample to the end of the last. Start and end are the same by the stamps, in ns of their epoch, None
+    where the log has none.
     """
 
     from_s: float = 0.0
@@ -216,35 +194,27 @@ class ReadRange:
     @classmethod
     def of(cls, series: Sequence[AxisSeries], *, from_s: float = 0.0) -> "ReadRange":
         """Return the range of some axes, of which there is one at least."""
-        clocks = [one.clock for one in series]
-        spans = [
-            (c.start_ns, c.start_ns + round(c.duration_s * 1e9)) for c in clocks if c.start_ns is not None
-        ]
-        if not spans:
-            return cls(from_s=from_s, duration_s=max(clock.duration_s for clock in clocks))
-        start, end = min(start for start, _ in spans), max(end for _, end in spans)
+        if (span := span_ns(series)) is None:
+            return cls(from_s=from_s, duration_s=max(one.duration_s for one in series))
+        start, end = span
         return cls(from_s=from_s, duration_s=(end - start) / 1e9, start_ns=start, end_ns=end)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Source:
-    """Where a recording comes from.
+def span_ns(series: Iterable[AxisSeries]) -> tuple[int, int] | None:
+    """Return when the first sample of axes was taken and the last one ends, in ns; None without stamps."""
+    spans = [(c.start_ns, c.duration_s) for one in series if (c := one.clock).start_ns is not None]
+    return (min(spans)[0], max(start + round(length * 1e9) for start, length in spans)) if spans else None
 
-    Attributes
-    ----------
-    path
-        The log, as the user named it.
-    format
-        ``csv``, ``mcap``, ``rosbag1``, ``rosbag2-sqlite3``, ``rosbag2-mcap``, …
-    topics, message_types
-        What was read, pairwise; for a table its column names and an empty tuple.
-    decisions
-        How each choice was made, such as ``("gyroscope unit", "deg/s, from the column header")``.
-    files
-        Size and checksum of each file; empty where they were not asked for, but for standard input, which
-        nobody can read again.
-    read
-        Which part of the log was read; None for all of it, until a report says which that is.
+
+@frozen
+class Source:
+    """Where a recording comes from: the log, as the user named it, and its format such as ``rosbag2-mcap``.
+
+    Topics and message types are what was read, pairwise; of a table its column names and no types.
+    `decisions` say how each choice was made, such as ``("gyroscope unit", "deg/s, from the column
+    header")``. `files` have size and checksum; there are none where nobody asked for them, but for standard
+    input, which nobody can read again. `read` is which part of the log was read; None for all of it, until
+    a report says which that is.
     """
 
     path: str
@@ -302,8 +272,7 @@ class Recording(Displayed):
             where = (
                 f"from {start_s:g} s on" if end_s == float("inf") else f"from {start_s:g} s to {end_s:g} s"
             )
-            msg = f"{self.source.path}: no samples {where}; it lasts {longest:.6g} s"
-            raise DataError(msg)
+            raise DataError(f"{self.source.path}: no samples {where}; it lasts {longest:.6g} s")
         temperature = self.temperature
         if temperature is not None:
             clock = temperature.clock
@@ -335,15 +304,13 @@ class Recording(Displayed):
         for series in self.series:
             if sensor in {series.sensor, series.sensor.short} and series.axis == axis:
                 return series
-        msg = f"{self.source.path}: no axis {sensor} {axis}; {self._names}"
-        raise DataError(msg)
+        raise DataError(f"{self.source.path}: no axis {sensor} {axis}; {self._names}")
 
     def __getitem__(self, name: str) -> AxisSeries:
         for series in self.series:
             if series.name == name:
                 return series
-        msg = f"{self.source.path}: no axis {name!r}; {self._names}"
-        raise MissingError(msg)
+        raise MissingError(f"{self.source.path}: no axis {name!r}; {self._names}")
 
     @property
     def _names(self) -> str:
@@ -361,7 +328,7 @@ def gap_findings(clocks: Iterable[Clock]) -> Iterator[Finding]:
             f"{'one gap' if len(gaps) == 1 else f'{len(gaps)} gaps'}; "
             f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
         )
-        yield Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)
+        yield Finding("warning" if share > _FEW else "info", "gaps", text)
 
 
 def _sane(samples: FloatArray) -> NDArray[np.bool_]:

@@ -30,11 +30,7 @@ def memory_limit() -> int:
     """Return how many bytes one step may take: ``IMUCAL_MEMORY``, or a quarter of the memory there is.
 
     There is what the machine has, or what its control group (a container, a job) may take if that is less.
-
-    Raises
-    ------
-    SettingError
-        If ``IMUCAL_MEMORY`` is no size.
+    A SettingError says that ``IMUCAL_MEMORY`` is no size.
     """
     size = size_setting(MEMORY)
     if size is not None:
@@ -46,10 +42,7 @@ def memory_limit() -> int:
 def size_setting(name: str, *, least: int = 1) -> int | None:
     """Return the bytes that an environment variable says, such as ``500M``; None where it is not set.
 
-    Raises
-    ------
-    SettingError
-        If it is no size, or less than `least`.
+    A SettingError says that it is no size, or less than `least`.
     """
     text = os.environ.get(name, "").strip()
     if not text:
@@ -57,8 +50,7 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
     try:
         return parse_size(text, least=least)
     except ValueError as error:
-        msg = f"{name}: found {text!r}, expected {error}; set one, or unset it"
-        raise SettingError(msg) from error
+        raise SettingError(f"{name}: found {text!r}, expected {error}; set one, or unset it") from error
 
 
 def memory_there_is() -> int | None:
@@ -69,28 +61,20 @@ def memory_there_is() -> int | None:
 def parse_size(text: str, *, least: int = 1) -> int:
     """Return the bytes of a size such as ``500M`` or ``2GB``; a K is 1024.
 
-    Raises
-    ------
-    ValueError
-        If it is none, or less than `least`; says what is expected.
+    A ValueError, of none or one less than `least`, says what is expected.
     """
     match = _SIZE.fullmatch(text.strip())
     size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else -1
     if size < least:
-        msg = "a size such as 500M or 2G"
-        raise ValueError(msg)
+        raise ValueError("a size such as 500M or 2G")
     return int(size)
 
 
 def column_limit() -> int:
     """Return how many bytes of samples may be held before a temporary file takes them.
 
-    It is ``IMUCAL_MEMORY`` where that is set; else half a gigabyte, or what one step may take if less.
-
-    Raises
-    ------
-    SettingError
-        If ``IMUCAL_MEMORY`` is no size.
+    It is ``IMUCAL_MEMORY`` where that is set, a SettingError where it is no size; else half a gigabyte, or
+    what one step may take if less.
     """
     limit = memory_limit()
     return limit if os.environ.get(MEMORY, "").strip() else min(limit, _COLUMNS)
@@ -99,20 +83,15 @@ def column_limit() -> int:
 def threads() -> int:
     """Return how many threads may work: ``IMUCAL_THREADS``, or the processors that this process may use.
 
-    Those are the ones it may run on, or as many as its control group (a container) has time of, if fewer.
-
-    Raises
-    ------
-    SettingError
-        If ``IMUCAL_THREADS`` is no positive number.
+    Those are the ones it may run on, or as many as its control group (a container) has time of, if fewer. A
+    SettingError says that ``IMUCAL_THREADS`` is no positive number.
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
         there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return min([there, *control_group_processors()])
     if not (text.isascii() and text.isdigit() and int(text)):
-        msg = f"{THREADS}: found {text!r}, expected a number from 1; set one, or unset it"
-        raise SettingError(msg)
+        raise SettingError(f"{THREADS}: found {text!r}, expected a number from 1; set one, or unset it")
     return int(text)
 
 
@@ -147,11 +126,8 @@ def control_group_limits(
 
     Source: Linux, Documentation/admin-guide/cgroup-v1/memory.rst and cgroup-v2.rst.
     """
-    found = [
-        _words(folder / ("memory.max" if unified else "memory.limit_in_bytes"))
-        for folder, unified in _folders(groups, root, "memory")
-    ]
-    return [int(words[0]) for words in found if len(words) == 1 and _is_number(words[0])]
+    found = _numbers(groups, root, "memory", ["memory.max"], ["memory.limit_in_bytes"])
+    return [size for size, *others in found if not others]
 
 
 def control_group_processors(
@@ -161,42 +137,34 @@ def control_group_processors(
 
     Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
     """
-    found = []
-    for folder, unified in _folders(groups, root, "cpu"):
-        files = ["cpu.max"] if unified else ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
-        numbers = [word for name in files for word in _words(folder / name)]
-        # The quota of a group without one is "max", or -1.
-        if len(numbers) == 2 and all(map(_is_number, numbers)):
-            found.append(-(-int(numbers[0]) // int(numbers[1])))
-    return found
+    # The quota of a group without one is "max", or -1.
+    found = _numbers(groups, root, "cpu", ["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"])
+    return [-(-numbers[0] // numbers[1]) for numbers in found if len(numbers) == 2]
 
 
-def _folders(groups: Path, root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of a process's groups and those above, and whether all controllers have the same.
+def _numbers(
+    groups: Path, root: Path, controller: str, unified: list[str], own: list[str]
+) -> Iterator[list[int]]:
+    """Yield the numbers in files of a process's groups and those above, where all of them limit something.
 
-    A line of `groups` is such as ``4:memory:/docker/1f``, or ``0::/user.slice`` where they have.
+    A line of `groups` is such as ``4:memory:/docker/1f``; or ``0::/user.slice`` where all controllers have
+    the same groups, and the files are the `unified` ones instead of the controller's own.
     """
-    try:
-        lines = groups.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return
-    for line in lines:
+    for line in _text(groups).splitlines():
         _, controllers, path = (*line.split(":", 2), "", "")[:3]
         if controllers and controller not in controllers.split(","):
             continue
-        group = PurePosixPath(path.lstrip("/"))
+        group, top = PurePosixPath(path.lstrip("/")), root / controller if controllers else root
         for part in (group, *group.parents):
-            yield (root / controller if controllers else root) / part, not controllers
+            texts = (_text(top / part / name) for name in (own if controllers else unified))
+            words = [word for text in texts for word in text.split()]
+            if words and all(word.isdecimal() and int(word) > 0 for word in words):
+                yield list(map(int, words))
 
 
-def _is_number(word: str) -> bool:
-    """Whether a word is a number that limits something."""
-    return word.isdigit() and int(word) > 0
-
-
-def _words(file: Path) -> list[str]:
-    """Return the words in a file; none where there is no such file."""
+def _text(file: Path) -> str:
+    """Return the text of a file; none where there is no such file."""
     try:
-        return file.read_text(encoding="ascii").split()
+        return file.read_text(encoding="utf-8")
     except (OSError, ValueError):
-        return []
+        return ""

@@ -11,7 +11,7 @@ quietest stretch of each axis, and then all windows that are about as quiet.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.screening.motion import disturbances_of, rests_between
 from imucal.screening.windows import Profile, Windows, profile, time
@@ -40,7 +41,7 @@ _SHAKEN = 1.5
 _TURNED = math.radians(1.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Stretch:
     """Nothing moved from start to end, in s; `why` it is not used all the same, or an empty text."""
 
@@ -187,7 +188,7 @@ def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration:
         text += f" Left out: {left}."
     if rests[0].start_s > 0:
         text += f" Other times count from {rests[0].start_s:.1f} s, where the first begins."
-    return Finding(level="info", code="rests", text=text)
+    return Finding("info", "rests", text)
 
 
 def _rests(count: int) -> str:

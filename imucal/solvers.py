@@ -22,14 +22,8 @@ _NO_GAIN = 1e-12
 def root(function: Callable[[float], float], low: float, high: float, *, tolerance: float) -> float:
     """Return where a continuous function changes its sign between `low` and `high`, to within `tolerance`.
 
-    Raises
-    ------
-    ValueError
-        If it has the same sign at both ends.
-
-    Notes
-    -----
-    Two evaluations a step; near a simple root a step doubles the number of right digits.
+    A ValueError says that it has the same sign at both ends. Two evaluations a step; near a simple root a
+    step doubles the number of right digits.
 
     Source: Ridders (1979), IEEE Trans. Circuits Syst. 26, 979.
     """
@@ -100,15 +94,7 @@ def root_near(
 def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
     """Return x >= 0 that makes |matrix x - target|² least, shape (p,), and that sum of squares.
 
-    Parameters
-    ----------
-    matrix
-        Shape (k, p), p at most some dozens; its columns may be of any length.
-    target
-        Shape (k,).
-
-    Notes
-    -----
+    The matrix has shape (k, p), p at most some dozens, and columns of any length; the target shape (k,).
     Mostly the ordinary solution has none below zero. Of more variables than rows, few rise above it.
 
     Source: Lawson & Hanson (1974), "Solving least squares problems", ch. 23.

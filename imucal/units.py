@@ -23,12 +23,7 @@ SAMPLE_UNITS: dict[Sensor, dict[str, float]] = {
         "mdeg/s": 1e-3 * _DEGREE,
         "deg/h": _DEGREE / _HOUR,
     },
-    Sensor.ACCELEROMETER: {
-        "m/s^2": 1.0,
-        "g": G0,
-        "mg": 1e-3 * G0,
-        "ug": 1e-6 * G0,
-    },
+    Sensor.ACCELEROMETER: {"m/s^2": 1.0, "g": G0, "mg": 1e-3 * G0, "ug": 1e-6 * G0},
 }
 
 #: Unit of time stamps in a log -> ns.
@@ -171,13 +166,11 @@ def duration(seconds: float) -> str:
     """Return a length of time as people say it: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``."""
     if float(f"{seconds:.3g}") < 60:
         return f"{seconds:.3g} s"
-    if seconds < _HOUR - 0.5:
-        (whole, rest), units = divmod(round(seconds), 60), ("min", "s")
-    elif seconds < 48 * _HOUR - 30:
-        (whole, rest), units = divmod(round(seconds / 60), 60), ("h", "min")
-    else:
-        (whole, rest), units = divmod(round(seconds / _HOUR), 24), ("d", "h")
-    return f"{whole} {units[0]} {rest} {units[1]}" if rest else f"{whole} {units[0]}"
+    small, size, count, large = "h", _HOUR, 24, "d"
+    if seconds < 48 * _HOUR - 30:
+        small, size, count, large = ("s", 1, 60, "min") if seconds < _HOUR - 0.5 else ("min", 60, 60, "h")
+    whole, rest = divmod(round(seconds / size), count)
+    return f"{whole} {large} {rest} {small}" if rest else f"{whole} {large}"
 
 
 def time_unit(seconds: float) -> tuple[float, str]:
@@ -211,14 +204,8 @@ def find_unit(text: str, units: Mapping[str, float]) -> tuple[str, float] | None
     """Return the name and the factor to SI of a unit that measures what some units do, or None.
 
     Takes such as ``mdps/rtHz``, ``°/√h``, ``(deg/s)/Hz^0.5``, ``µg per root Hz``: any product of powers.
-
-    Parameters
-    ----------
-    text
-        The unit as people write it.
-    units
-        Units of one kind with their factors, that of SI first. A unit that is none of them, but of
-        their kind, is called as it was written.
+    `units` are of one kind, with their factors, that of SI first; one that is none of them, but of their
+    kind, is called as it was written.
     """
     if text in units:
         return text, units[text]
@@ -258,8 +245,7 @@ def _evaluated(node: ast.expr) -> _Unit:
             return _evaluated(left) ** float(ast.unparse(right))
         case ast.Call(ast.Name("sqrt"), [inside]):
             return _evaluated(inside) ** 0.5
-    msg = f"{ast.unparse(node)} is no unit"
-    raise ValueError(msg)
+    raise ValueError(f"{ast.unparse(node)} is no unit")
 
 
 def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:

@@ -12,21 +12,22 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": set(),
-    "grading": {"findings"},
+    "frozen": set(),
+    "grading": {"findings", "frozen"},
     "_version": set(),
     "atomic": {"errors"},
-    "clock": {"errors"},
+    "clock": {"errors", "frozen"},
     "display": set(),
     "printable": set(),
     "resources": {"errors"},
-    "recording": {"arrays", "clock", "display", "errors", "findings"},
-    "processes": {"errors", "findings"},
+    "recording": {"arrays", "clock", "display", "errors", "findings", "frozen"},
+    "processes": {"errors", "findings", "frozen"},
     "powerlaw": {"arrays"},
     "solvers": {"arrays"},
-    "units": {"recording"},
+    "units": {"frozen", "recording"},
 }
 BASE = set(BELOW)
-BELOW["remote"] = {"_version", "errors", "resources"}
+BELOW["remote"] = {"_version", "errors", "frozen", "resources"}
 BELOW |= {
     "readers": BASE | {"remote"},
     "screening": BASE,
@@ -34,7 +35,6 @@ BELOW |= {
     "noise": BASE,
     "fitting": BASE | {"allan", "noise", "screening"},
     "simulation": BASE | {"noise", "readers"},
-    "log_files": BASE,
     "prediction": BASE | {"allan", "noise", "fitting"},
     "report": BASE | {"allan", "noise", "fitting", "prediction"},
 }

@@ -88,7 +88,7 @@ def test_values_show_themselves_in_twelve_lines(name: str) -> None:
 
 def test_a_fleet_shows_itself(tmp_path: Path) -> None:
     """A line a sensor model; the page's table of numbers for the config; a row a term and axis."""
-    write_store(tmp_path / "fleet", units=4, weak="", failures=False)
+    write_store(tmp_path / "fleet", units=4, weak="", failures=False, names=("gyro_x",))
     fleet = imucal.load_fleet(tmp_path / "fleet", unit_logs=False)
     assert 2 <= len(repr(fleet).splitlines()) <= 12
     assert html.fromstring(fleet._repr_html_()).xpath(".//table[@class='summary config']")

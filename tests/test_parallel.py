@@ -9,33 +9,20 @@ import textwrap
 import threading
 import time
 import warnings
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imucal.processes import may_fork, side_by_side
 
-F = TypeVar("F", bound=Callable[..., object])
-
 WORKERS = [1, 2, 3, 9]
 SKIP = pytest.mark.skipif(not may_fork(), reason="processes are not forked here")
 
 
-@pytest.fixture
-def alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave threads of servers that other tests of this process have started out of account."""
-    monkeypatch.setattr(threading, "enumerate", lambda: [threading.main_thread()])
-
-
-def forked(test: F) -> F:
-    """Mark a test of work in forked processes."""
-    pytest.mark.usefixtures("alone")(test)
-    SKIP(test)
-    return test
+pytestmark = pytest.mark.usefixtures("forks")
 
 
 @pytest.mark.parametrize("workers", WORKERS)
@@ -62,7 +49,7 @@ def test_what_is_done_is_told(workers: int) -> None:
     assert told[-1] == (4, None)
 
 
-@forked
+@SKIP
 def test_the_work_is_done_by_so_many_other_processes() -> None:
     """None of them is there afterwards."""
 
@@ -94,7 +81,7 @@ def test_the_first_error_in_their_order_is_raised(workers: int) -> None:
     assert not multiprocessing.active_children()
 
 
-@forked
+@SKIP
 @pytest.mark.parametrize("how", ["killed", "no memory", "no pickle"])
 def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
     """A child that the system kills, one without memory, a result that can't be sent."""
@@ -114,7 +101,7 @@ def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
     assert [own for _, own in found][:2] == [False, True]
 
 
-@forked
+@SKIP
 def test_what_is_of_the_item_is_not_sent() -> None:
     """A result that holds its item is given back with the very item, as if it had been made here."""
     items = [np.zeros(1000) for _ in range(3)]
@@ -122,7 +109,7 @@ def test_what_is_of_the_item_is_not_sent() -> None:
     assert all(one["of"] is item for one, item in zip(found, items, strict=True))
 
 
-@forked
+@SKIP
 def test_children_hold_little_of_their_own() -> None:
     """What their parent has they share."""
 
@@ -135,7 +122,7 @@ def test_children_hold_little_of_their_own() -> None:
     assert held.all()
 
 
-@forked
+@SKIP
 def test_warnings_of_a_child_are_shown_here() -> None:
     """Each as often as its filter lets it through."""
 
@@ -148,7 +135,7 @@ def test_warnings_of_a_child_are_shown_here() -> None:
     assert sorted(str(one.message) for one in caught) == ["of 0", "of 1", "of 2"]
 
 
-@forked
+@SKIP
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGKILL"])
 def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
     """However it ends; after an interrupt with the parent's words alone."""

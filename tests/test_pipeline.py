@@ -140,6 +140,7 @@ def test_every_setting_is_in_the_report() -> None:
     assert document["level"] == 0.9
 
 
+@pytest.mark.usefixtures("forks")
 def test_a_report_does_not_depend_on_how_many_axes_are_worked_on_at_a_time() -> None:
     """Axes, an axis without a result, and findings stand in the same order with the same numbers."""
     rng = np.random.default_rng(913)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -179,9 +180,9 @@ def test_a_log_is_decoded_by_as_many_threads(tmp_path: Path, monkeypatch: pytest
     started: list[int] = []
     pool = ThreadPoolExecutor
 
-    def counted(number: int) -> object:
+    def counted(number: int, initializer: Callable[..., None] | None = None) -> object:
         started.append(number)
-        return pool(number)
+        return pool(number, initializer=initializer)
 
     monkeypatch.setattr("imucal.readers.messages.loader.ThreadPoolExecutor", counted)
     for number, pools in (("1", set()), ("2", {2})):

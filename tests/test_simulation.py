@@ -12,14 +12,13 @@ import numpy.testing as npt
 import pytest
 from click.testing import CliRunner
 
-from imucal import log_files
+from imucal import simulation
 from imucal.cli import imucal
 from imucal.errors import WriteError
-from imucal.log_files import WRITERS, write_log
 from imucal.noise import NoiseModel
 from imucal.readers import read
 from imucal.recording import Recording
-from imucal.simulation import SensorTruth, simulate_recording
+from imucal.simulation import WRITERS, SensorTruth, simulate_recording, write_log
 
 GRAVITY = 9.80665
 
@@ -58,7 +57,7 @@ def test_a_log_is_the_same_in_blocks_of_any_size(
     """Also where a gap lies inside a block, and where the samples lie in temporary files."""
     whole, parts = tmp_path / f"whole{suffix}", tmp_path / f"parts{suffix}"
     write_log(short_recording(), whole)
-    monkeypatch.setattr(log_files, "_MESSAGES", 64)
+    monkeypatch.setattr(simulation, "_MESSAGES", 64)
     monkeypatch.setenv("IMUCAL_MEMORY", "10k")
     write_log(short_recording(), parts)
     assert parts.read_bytes() == whole.read_bytes()
@@ -90,7 +89,7 @@ def test_the_same_seed_gives_the_same_samples() -> None:
 def test_samples_are_whole_multiples_of_the_resolution() -> None:
     """A resolution quantises the output."""
     truth = SensorTruth(model=NoiseModel.parse("N=1e-2"), mean=(0.0, 0.0, GRAVITY), lsb=0.125)
-    samples = truth.samples(100, rate_hz=100.0, rng=np.random.default_rng(1))
+    samples = np.stack(list(truth.rows(100, rate_hz=100.0, rng=np.random.default_rng(1))))
     npt.assert_array_equal(samples / 0.125, np.round(samples / 0.125))
 
 

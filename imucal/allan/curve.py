@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.display import Displayed
@@ -30,8 +31,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         How: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
         (a table made by another tool).
     edf_method
-        ``hybrid``, ``model``, ``greenhall``; ``eta3`` (max(M/2m, 1)) of a ``given`` curve; empty where
-        unknown.
+        ``hybrid``, ``model``, ``greenhall``; empty where unknown.
     """
 
     tau: FloatArray
@@ -47,11 +47,9 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         ReadOnlyArrays.__post_init__(self)
         shapes = {self.tau.shape, self.m.shape, self.avar.shape, self.edf.shape}
         if len(shapes) != 1 or self.tau.ndim != 1:
-            msg = f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}"
-            raise ValueError(msg)
+            raise ValueError(f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}")
         if not np.all(np.diff(self.tau) > 0):
-            msg = "tau must rise"
-            raise ValueError(msg)
+            raise ValueError("tau must rise")
 
     @property
     def adev(self) -> FloatArray:
@@ -71,14 +69,11 @@ class AllanCurve(Displayed, ReadOnlyArrays):
 
         Source: NIST SP 1065 (2008), sec. 5.3.1.
         """
-        from scipy.special import chdtri
-
         if not 0 < level < 1:
-            msg = f"level must be between 0 and 1, got {level}"
-            raise ValueError(msg)
+            raise ValueError(f"level must be between 0 and 1, got {level}")
         tail = (1 - level) / 2
-        low = self.edf * self.avar / chdtri(self.edf, tail)
-        high = self.edf * self.avar / chdtri(self.edf, 1 - tail)
+        low = self.edf * self.avar / scipy.special.chdtri(self.edf, tail)
+        high = self.edf * self.avar / scipy.special.chdtri(self.edf, 1 - tail)
         return np.sqrt(low), np.sqrt(high)
 
     @property

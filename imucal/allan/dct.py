@@ -21,10 +21,12 @@ from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays, read_only
 from imucal.errors import DataError
+from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -49,20 +51,14 @@ def dct2(samples: FloatArray, mean: float = 0.0) -> FloatArray:
     """Return the orthonormal DCT-II of `samples` less a constant, shape (n,), in little memory."""
     if samples.size >= LONG:
         return four_step_dct(samples, mean)
-    from scipy.fft import dct
-
-    transformed: FloatArray = dct(samples - mean, type=2, norm="ortho", overwrite_x=True)
-    return transformed
+    return np.asarray(scipy.fft.dct(samples - mean, type=2, norm="ortho", overwrite_x=True))
 
 
 def idct2(ordinates: FloatArray) -> FloatArray:
     """Return the samples, shape (n,), of which `ordinates`, which are overwritten, are the DCT-II."""
     if ordinates.size >= LONG:
         return four_step_idct(ordinates)
-    from scipy.fft import idct
-
-    samples: FloatArray = idct(ordinates, type=2, norm="ortho", overwrite_x=True)
-    return samples
+    return np.asarray(scipy.fft.idct(ordinates, type=2, norm="ortho", overwrite_x=True))
 
 
 def split(n: int) -> int:
@@ -84,8 +80,6 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     With v the even samples followed by the odd ones backwards, V its transform, and W = exp(-i pi k / 2n)
     V[k], ordinate k is the real part of W, and ordinate n - k its imaginary part with the sign changed.
     """
-    from scipy.fft import fft
-
     n = samples.size
     rows = split(n)
     columns = n // rows
@@ -93,7 +87,11 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     half = (n + 1) // 2
     np.subtract(samples[::2], mean, out=result[:half])
     np.subtract(samples[1::2], mean, out=result[half:][::-1])
-    inner = _transformed_columns(result.reshape(rows, columns))
+    # The transform of each column.
+    values, inner = result.reshape(rows, columns), np.empty((rows // 2 + 1, columns), dtype=np.complex128)
+    step = max(_FEWEST, _PIECE // rows)
+    for start in range(0, columns, step):
+        inner[:, start : start + step] = scipy.fft.rfft(values[:, start : start + step], axis=0)
     # V[r + rows * c] stands in row r, column c; rows beyond the middle are conjugates of those before.
     place = result.reshape(columns, rows)
     shift = np.sqrt(2 / n) * np.exp(-0.5j * np.pi / columns * np.arange(columns))
@@ -101,7 +99,7 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     for start in range(0, len(inner), step):
         stop = min(start + step, len(inner))
         part = inner[start:stop] * _turns(np.arange(start, stop), n, columns)
-        part = fft(part, axis=1, overwrite_x=True)
+        part = scipy.fft.fft(part, axis=1, overwrite_x=True)
         part *= shift
         place[:, start:stop] = part.real.T
         # Of row 0, and of the one in the middle, these stand there already.
@@ -117,8 +115,6 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
 
     The ordinates are overwritten.
     """
-    from scipy.fft import ifft, irfft
-
     n = ordinates.size
     rows = split(n)
     columns = n // rows
@@ -137,31 +133,18 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
             part.imag[0, 0] = 0.0
             part.imag[0, 1:] = -place[:0:-1, 0]
         part *= shift
-        part[:] = ifft(part, axis=1, overwrite_x=True)
+        part[:] = scipy.fft.ifft(part, axis=1, overwrite_x=True)
         part *= _turns(np.arange(start, stop), n, columns).conj()
     values = ordinates.reshape(rows, columns)
     step = max(_FEWEST, _PIECE // rows)
     for start in range(0, columns, step):
-        values[:, start : start + step] = irfft(inner[:, start : start + step], rows, axis=0)
+        values[:, start : start + step] = scipy.fft.irfft(inner[:, start : start + step], rows, axis=0)
     del inner, part
     half = (n + 1) // 2
     result = np.empty(n)
     result[::2] = values.ravel()[:half]
     result[1::2] = values.ravel()[half:][::-1]
     return result
-
-
-def _transformed_columns(values: FloatArray) -> ComplexArray:
-    """Return the transform of each column, of real values: shape (rows // 2 + 1, columns)."""
-    from scipy.fft import rfft
-
-    rows, columns = values.shape
-    transformed = np.empty((rows // 2 + 1, columns), dtype=np.complex128)
-    step = max(_FEWEST, _PIECE // rows)
-    for start in range(0, columns, step):
-        part = slice(start, start + step)
-        transformed[:, part] = rfft(values[:, part], axis=0)
-    return transformed
 
 
 def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
@@ -174,24 +157,15 @@ def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
     near = np.exp(1j * angle * (np.arange(few) + 0.25))
     far = np.exp(1j * angle * (few * np.arange(-(-columns // few))))
     products = far[:, :, np.newaxis] * near[:, np.newaxis, :]
-    turns: ComplexArray = products.reshape(rows.size, -1)[:, :columns]
-    return turns
+    return np.asarray(products.reshape(rows.size, -1)[:, :columns])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class DctBins(ReadOnlyArrays):
-    """Bins of the ordinates k = 1 … n-1, one ordinate wide at first, then of a steady ratio.
+    """Bins of the ordinates k = 1 … n-1 of n samples, one ordinate wide at first, then of a steady ratio.
 
-    Attributes
-    ----------
-    n
-        Number of samples of the series.
-    first
-        First ordinate k of each bin, shape (b,).
-    count
-        Number of ordinates in each bin, shape (b,).
-    omega
-        Mean angular frequency of each bin, shape (b,), in rad/sample; ordinate k lies at pi k / n.
+    Each bin begins with the ordinate `first` and holds `count`; `omega` is its mean angular frequency in
+    rad/sample, where ordinate k lies at pi k / n. Shape (b,) each.
     """
 
     n: int
@@ -221,18 +195,13 @@ class DctBins(ReadOnlyArrays):
 
 @lru_cache(maxsize=64)
 def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
-    """Return the bins for `n` samples, at least 2.
+    """Return the bins for `n` samples, at least 2; numbers below their least are a ValueError.
 
-    The ordinates 1 … `singles` have a bin each; above, bins widen so that `per_octave` cover an octave.
-
-    Raises
-    ------
-    ValueError
-        If `n` < 2, `singles` < 1 or `per_octave` < 1.
+    The ordinates 1 … `singles`, 1 or more, have a bin each; above, bins widen so that `per_octave`, 1 or
+    more, cover an octave.
     """
     if n < 2 or singles < 1 or per_octave < 1:
-        msg = f"need n >= 2, singles >= 1 and per_octave >= 1, got {n}, {singles}, {per_octave}"
-        raise ValueError(msg)
+        raise ValueError(f"need n >= 2, singles >= 1 and per_octave >= 1, got {n}, {singles}, {per_octave}")
     firsts = list(range(1, min(singles, n - 1) + 1))
     edge, wanted = firsts[-1] + 1, float(firsts[-1] + 1)
     while edge < n:
@@ -298,14 +267,9 @@ def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> 
 def dct_ordinates(samples: FloatArray) -> FloatArray:
     """Return the orthonormal DCT-II ordinates k = 1 … n-1 of `samples`, shape (n-1,), in U.
 
-    The mean is ordinate 0; it is removed first, so that it costs no digits. Lengths with large
-    prime factors take up to ten times as long; see `fast_length`. Those of a shared transform are
-    read-only.
-
-    Raises
-    ------
-    DataError
-        If there are fewer than 2 samples, or any is not finite.
+    The mean is ordinate 0; it is removed first, so that it costs no digits. Lengths with large prime factors
+    take up to ten times as long; see `fast_length`. Those of a shared transform are read-only. Fewer than 2
+    samples, or any that is not finite, are a DataError.
     """
     shared = _SHARED.get()
     place = shared.place(samples) if shared else None
@@ -329,8 +293,7 @@ def own_ordinates(samples: FloatArray) -> FloatArray:
 
 def _transform(samples: FloatArray) -> FloatArray:
     if samples.size < 2:
-        msg = f"the spectrum needs at least 2 samples, got {samples.size}"
-        raise DataError(msg)
+        raise DataError(f"the spectrum needs at least 2 samples, got {samples.size}")
     mean = float(samples.mean())
     if not np.isfinite(mean):
         msg = "the spectrum needs finite samples; got NaN or infinity: leave those samples out first"
@@ -341,14 +304,10 @@ def _transform(samples: FloatArray) -> FloatArray:
 def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
     """Return the sum of the squared ordinates of each bin, shape (b,), in U².
 
-    Raises
-    ------
-    ValueError
-        If `ordinates` does not have shape (bins.n - 1,).
+    Ordinates of another shape than (bins.n - 1,) are a ValueError.
     """
     if ordinates.shape != (bins.n - 1,):
-        msg = f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}"
-        raise ValueError(msg)
+        raise ValueError(f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}")
     power = np.empty(bins.size)
     for here, seen, starts in bins.parts():
         power[here] = np.add.reduceat(np.square(ordinates[seen]), starts)
@@ -385,19 +344,17 @@ def fast_length(n: int) -> int:
     """
     if n < _QUICK:
         return n
-    within = range(n, n - int(_CUT * n) - 1, -1)
-    return next((length for length in within if _is_smooth(length)), n)
+    for length in range(n, n - int(_CUT * n) - 1, -1):
+        rest = length
+        for factor in range(2, _PRIME + 1):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return length
+    return n
 
 
-def _is_smooth(n: int) -> bool:
-    """Whether no prime factor of `n` is above `_PRIME`."""
-    for factor in range(2, _PRIME + 1):
-        while n % factor == 0:
-            n //= factor
-    return n == 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Spectrum(ReadOnlyArrays):
     """A two-sided power spectral density, averaged over bins of rising width.
 

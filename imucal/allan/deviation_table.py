@@ -3,7 +3,6 @@
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
+from imucal.frozen import frozen_alone
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, pretty
 
@@ -34,22 +34,13 @@ _MULTIPLE = 0.02
 _FINE = 1000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class NamedCurve:
-    """One column of deviations.
+    """One column of deviations: its heading without the unit, or ``column 2`` … where the table has none.
 
-    Attributes
-    ----------
-    name
-        Its heading, without the unit; ``column 2`` … where the table has no headings.
-    sensor
-        What was measured, as the heading or the unit says; None where neither does.
-    unit
-        Unit of the curve: SI where the unit was known, else an empty string (as in the table).
-    curve
-        The Allan variances.
-    findings
-        What had to be assumed.
+    `sensor` is what was measured, as the heading or the unit says, None where neither does; `unit` that of
+    the `curve`, SI where it was known, else an empty string (as in the table); `findings` say what had to be
+    assumed.
     """
 
     name: str
@@ -59,39 +50,17 @@ class NamedCurve:
     findings: tuple[Finding, ...] = ()
 
 
-def read_curve(
-    path: str | Path,
-    *,
-    rate_hz: float | None = None,
-    n: int | None = None,
-    estimator: str = "overlapping",
-    units: Sequence[str] = (),
-) -> tuple[NamedCurve, ...]:
+def read_curve(path: str | Path, *, rate_hz: float | None = None) -> tuple[NamedCurve, ...]:
     """Read a table whose first column is tau in s and whose others are Allan deviations.
 
-    Columns are separated by commas, semicolons, tabs or spaces; lines that start with ``#`` or ``%``
-    are skipped; one line of headings may stand first. Headings name the averaging time (``tau``),
-    deviations, or variances (``avar``); a unit may follow in brackets, such as ``gyro_x [deg/s]``.
-    Columns of counts, degrees of freedom and limits are passed over.
+    Columns are separated by commas, semicolons, tabs or spaces; lines that start with ``#`` or ``%`` are
+    skipped; one line of headings may stand first. Headings name the averaging time (``tau``), deviations, or
+    variances (``avar``); a unit may follow in brackets, such as ``gyro_x [deg/s]``. Columns of counts,
+    degrees of freedom and limits are passed over.
 
-    Parameters
-    ----------
-    path
-        The table.
-    rate_hz
-        Sampling rate of the samples it was made from; without it the shortest averaging time is
-        taken for the sampling period where the others are multiples of it.
-    n
-        Number of those samples.
-    estimator
-        ``overlapping`` or ``standard`` (adjacent windows).
-    units
-        One unit for all columns, or one each, where the headings hold none.
-
-    Raises
-    ------
-    ReadError
-        If the file can't be read, is no such table, or names an unknown unit.
+    `rate_hz` is that of the samples that it was made from; without it the shortest averaging time is taken
+    for the sampling period where the others are multiples of it. A ReadError says that the file can't be
+    read, is no such table, or names an unknown unit.
     """
     path = Path(path)
     headings, rows = _parse(path)
@@ -100,51 +69,24 @@ def read_curve(
     tau = rows[:, first]
     _require_times(path, tau)
     m, findings = _factors(tau, rate_hz)
-    wanted = [i for i, name in enumerate(headings) if i != first and not _OTHER.fullmatch(_bare(name))]
-    given = _units(path, units, len(wanted))
-    if not wanted:
-        msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
-        raise ReadError(msg)
     curves = []
-    for i, unit in zip(wanted, given, strict=True):
-        values, heading = rows[:, i], headings[i]
+    for heading, values in zip(headings, rows.T, strict=True):
+        name = _UNIT.sub("", heading).strip()
+        if heading is headings[first] or _OTHER.fullmatch(name):
+            continue
         good = np.isfinite(values) & (values > 0)
         if not good.any():
-            msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
-            raise ReadError(msg)
-        sensor, factor = _meaning(path, heading, unit)
+            raise ReadError(f"{path}: column {heading!r} holds no positive number; expected Allan deviations")
+        sensor, factor = _meaning(path, heading, name)
         avar = values[good] ** (1 if _VARIANCE.search(heading) else 2) * (factor or 1.0) ** 2
-        curve = _curve(tau[good], m[good], avar, n=n, estimator=estimator)
+        edf = np.full(avar.size, np.nan)
+        curve = AllanCurve(tau=tau[good], m=m[good], avar=avar, edf=edf, n=0, computed="given")
         known = sensor.unit if sensor and factor else ""
-        named = NamedCurve(name=_bare(heading), sensor=sensor, unit=known, curve=curve, findings=findings)
-        curves.append(named)
-    return tuple(curves)
-
-
-def _units(path: Path, units: Sequence[str], count: int) -> list[str | None]:
-    """Return the unit of each of so many columns, None where the caller gives none."""
-    given: list[str | None] = [*units] * (count if len(units) == 1 else 1)
-    if given and len(given) != count:
-        msg = f"{path}: {len(given)} units for {count} columns of deviations; give one, or one each"
+        curves.append(NamedCurve(name=name, sensor=sensor, unit=known, curve=curve, findings=findings))
+    if not curves:
+        msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
         raise ReadError(msg)
-    return given or [None] * count
-
-
-def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:
-    """Return the curve, with eta3 degrees of freedom where the number of samples is known."""
-    known = n if n is not None and n >= 2 * int(m[-1]) else 0
-    spacing = 2 * m if estimator == "overlapping" else m
-    edf = np.maximum((known - 2 * m + 1) / spacing, 1.0) if known else np.full(tau.size, np.nan)
-    return AllanCurve(
-        tau=tau,
-        m=m,
-        avar=avar,
-        edf=edf,
-        n=known,
-        estimator=estimator,
-        computed="given",
-        edf_method="eta3" if known else "",
-    )
+    return tuple(curves)
 
 
 def _parse(path: Path) -> tuple[list[str], FloatArray]:
@@ -171,8 +113,7 @@ def _fields(path: Path) -> list[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        msg = f"{path}: can't be read: {error.strerror or error}"
-        raise ReadError(msg) from error
+        raise ReadError(f"{path}: can't be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         msg = f"{path}: is not a text table (byte {error.start} is not UTF-8); expected tau and deviations"
         raise ReadError(msg) from error
@@ -183,8 +124,7 @@ def _fields(path: Path) -> list[tuple[int, list[str]]]:
             cells = line.split(separator)
             fields.append((i, [cell.strip().strip('"') for cell in cells] if separator else cells))
     if not fields:
-        msg = f"{path}: is empty; expected a table of tau and deviations"
-        raise ReadError(msg)
+        raise ReadError(f"{path}: is empty; expected a table of tau and deviations")
     return fields
 
 
@@ -200,8 +140,7 @@ def _numbers(where: str, headings: Sequence[str], cells: Sequence[str]) -> list[
     for heading, cell in zip(headings, cells, strict=True):
         number = np.nan if cell.lower() in {"", "na", "n/a", "null"} else _number(cell)
         if number is None:
-            msg = f"{where}: column {heading!r} is {cell!r}, expected a number"
-            raise ReadError(msg)
+            raise ReadError(f"{where}: column {heading!r} is {cell!r}, expected a number")
         numbers.append(number)
     return numbers
 
@@ -219,8 +158,7 @@ def _require_times(path: Path, tau: FloatArray) -> None:
         raise ReadError(msg)
     equal = np.flatnonzero(np.diff(tau) == 0)
     if equal.size:
-        msg = f"{path}: averaging time {tau[equal[0]]:g} s stands twice; expected each once"
-        raise ReadError(msg)
+        raise ReadError(f"{path}: averaging time {tau[equal[0]]:g} s stands twice; expected each once")
 
 
 def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Finding, ...]]:
@@ -239,27 +177,22 @@ def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Fi
             f"Averaging times are not multiples of {tau0:.6g} s, so the sampling period is not known; "
             "the noise is taken to be continuous."
         )
-    note = Finding(level="info", code="sampling-period", text=text, advice=advice)
+    note = Finding("info", "sampling-period", text, advice)
     return factors.astype(np.int64), (note,)
 
 
-def _bare(heading: str) -> str:
-    return _UNIT.sub("", heading).strip()
-
-
-def _meaning(path: Path, heading: str, unit: str | None) -> tuple[Sensor | None, float | None]:
+def _meaning(path: Path, heading: str, name: str) -> tuple[Sensor | None, float | None]:
     """Return the sensor and the factor that makes the unit SI; None where they are not known."""
-    named = next((s for s, pattern in _SENSORS if pattern.search(_bare(heading))), None)
-    if unit is None and (match := _UNIT.search(heading)):
-        unit = match[1].strip()
-    if not unit:
-        return named, None
+    unit = _UNIT.search(heading)
+    if unit is None:
+        return next((sensor for sensor, pattern in _SENSORS if pattern.search(name)), None), None
     known = {name: (sensor, factor) for sensor, of in SAMPLE_UNITS.items() for name, factor in of.items()}
-    for name, meaning in known.items():
-        if unit.replace(" ", "") in {name, pretty(name)}:
+    for spelled, meaning in known.items():
+        if unit[1].replace(" ", "") in {spelled, pretty(spelled)}:
             return meaning
-    msg = f"{path}: column {heading!r} is in {unit!r}; expected one of {', '.join(known)}"
-    raise ReadError(msg)
+    raise ReadError(
+        f"{path}: column {heading!r} is in {unit[1].strip()!r}; expected one of {', '.join(known)}"
+    )
 
 
 def is_adev_table(path: Path) -> bool:
@@ -271,10 +204,7 @@ def is_adev_table(path: Path) -> bool:
 def read_adev_table(path: Path) -> tuple[NamedCurve, ...]:
     """Return the curve of each axis, with its averaging factors and degrees of freedom.
 
-    Raises
-    ------
-    ReadError
-        If a line is not as `imucal adev` writes it.
+    A line that is not as `imucal adev` writes it is a ReadError.
     """
     rows: dict[str, list[list[float]]] = {}
     with path.open(encoding="utf-8-sig", newline="") as stream:
@@ -296,6 +226,5 @@ def read_adev_table(path: Path) -> tuple[NamedCurve, ...]:
         sensor = next((sensor for sensor in Sensor if axis.startswith(sensor.short)), None)
         curves.append(NamedCurve(name=axis, sensor=sensor, unit=sensor.unit if sensor else "", curve=curve))
     if not curves:
-        msg = f"{path}: has no rows below its heading"
-        raise ReadError(msg)
+        raise ReadError(f"{path}: has no rows below its heading")
     return tuple(curves)

@@ -49,23 +49,14 @@ _OVERLAPPING = ESTIMATORS["overlapping"]
 class Cascade:
     """Allan variances of several axes of one clock, fed block by block.
 
-    Parameters
-    ----------
-    axes
-        Number of axes.
-    per_octave
-        Factors per octave, from 1 to 32, evenly spaced in log and rounded to distinct integers.
-
-    Notes
-    -----
-    Memory is some 2 MB an axis, however long the log is. A curve can be taken at any time;
-    feeding may go on after it.
+    Of `per_octave` factors per octave, from 1 to 32, evenly spaced in log and rounded to distinct integers.
+    Memory is some 2 MB an axis, however long the log is. A curve can be taken at any time; feeding may go on
+    after it.
     """
 
     def __init__(self, *, axes: int, per_octave: int = 1) -> None:
         if axes < 1 or not 1 <= per_octave <= _BASE:
-            msg = f"need axes >= 1 and per_octave from 1 to {_BASE}, got {axes} and {per_octave}"
-            raise ValueError(msg)
+            raise ValueError(f"need axes >= 1 and per_octave from 1 to {_BASE}, got {axes} and {per_octave}")
         steps = np.arange(per_octave * _BASE.bit_length()) / per_octave
         low = np.unique(np.round(2.0**steps).astype(np.int64))
         self._axes = axes
@@ -83,19 +74,13 @@ class Cascade:
         return self._n
 
     def feed(self, samples: FloatArray) -> None:
-        """Take in the next samples, shape (axes, k), of any k.
+        """Take in the next samples, shape (axes, k), of any k; another shape is a ValueError.
 
-        Raises
-        ------
-        ValueError
-            If the shape is not (axes, k).
-        DataError
-            If a sample is not finite; `gap` is how a break is told.
+        One that is not finite is a DataError; `gap` is how a break is told.
         """
         block = np.asarray(samples)
         if block.ndim != 2 or block.shape[0] != self._axes:
-            msg = f"samples must have shape ({self._axes}, k), got {block.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"samples must have shape ({self._axes}, k), got {block.shape}")
         if self._n == 0 and block.shape[1]:
             self._reference = np.asarray(block[:, :_REFERENCE], dtype=np.float64).mean(axis=1, keepdims=True)
         for start in range(0, block.shape[1], _BLOCK):
@@ -111,12 +96,8 @@ class Cascade:
     def curve(self, axis: int, *, rate_hz: float) -> AllanCurve:
         """Return the curve of one axis so far, up to m = n/4.
 
-        The degrees of freedom are those of the generic model nearest to the curve.
-
-        Raises
-        ------
-        DataError
-            If fewer than 2 samples were fed.
+        Fewer than 2 samples are a DataError. The degrees of freedom are those of the generic model nearest to
+        the curve.
         """
         self._settle()
         shifts = np.repeat(np.arange(len(self._levels)), [level.m.size for level in self._levels])
@@ -225,7 +206,9 @@ class _Level:
             if count > 0:
                 self.terms[i] += count
                 for values, square in zip(self._points, self._sums[i], strict=True):
-                    self._difference(values[start:end], m)
+                    lower, upper = self._lower[: count + m], self._upper[:count]
+                    np.subtract(values[start + m : end], values[start : end - m], out=lower)
+                    np.subtract(lower[m:], lower[:-m], out=upper)
                     square.add(count)
         passed = self._points[:, self._kept + self._odd : end : 2].copy()
         self._odd = (self._odd + self.waiting) % 2
@@ -237,11 +220,6 @@ class _Level:
     def sums(self, axis: int) -> list[float]:
         """Return the sum of squares of each factor."""
         return [row[axis].total() for row in self._sums]
-
-    def _difference(self, values: FloatArray, m: int) -> None:
-        lower, upper = self._lower[: values.size - m], self._upper[: values.size - 2 * m]
-        np.subtract(values[m:], values[:-m], out=lower)
-        np.subtract(lower[m:], lower[:-m], out=upper)
 
     def forget(self) -> None:
         """Drop the kept points: the next ones follow a break."""
@@ -375,34 +353,14 @@ def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimat
 def averaging_factors(
     taus: str | Sequence[float], *, tau0: float, largest: int, drawn: int, name: str = "series"
 ) -> IntArray:
-    """Return distinct averaging factors, rising.
+    """Return distinct averaging factors, rising, shape (k,), k >= 1.
 
-    Parameters
-    ----------
-    taus
-        ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (so many a decade, evenly spaced in log,
-        rounded to distinct integers), ``all``, or averaging times in s, each rounded to a whole
-        number of samples.
-    tau0
-        Sampling period, in s.
-    largest
-        Largest factor that the estimator accepts, at least 1; ``all`` and a list may go up to it.
-    drawn
-        Largest factor of ``octave`` and ``decade``, beyond which a value has some 2 degrees of
-        freedom or fewer; at least 1.
-    name
-        What a message calls the series.
-
-    Returns
-    -------
-    Shape (k,), k >= 1.
-
-    Raises
-    ------
-    ValueError
-        If `taus` is not one of these.
-    DataError
-        If a listed averaging time is shorter than a sample or longer than the series supports.
+    `taus` are ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (so many a decade, evenly spaced in log,
+    rounded to distinct integers), ``all``, or averaging times in s, each rounded to a whole number of samples
+    of period `tau0` in s; others are a ValueError. The estimator accepts factors up to `largest`, which
+    ``all`` and a list may go up to: a listed time beyond that, or shorter than a sample, is a DataError,
+    which calls the series by its `name`. ``octave`` and ``decade`` end at `drawn`, beyond which a value has
+    some 2 degrees of freedom or fewer. Both are at least 1.
     """
     if not isinstance(taus, str):
         return _from_seconds(taus, tau0=tau0, largest=largest, name=name)
@@ -429,8 +387,7 @@ def _per_decade(taus: str) -> int:
 def _from_seconds(taus: Sequence[float], *, tau0: float, largest: int, name: str) -> IntArray:
     seconds = np.asarray(taus, dtype=np.float64)
     if seconds.ndim != 1 or not seconds.size or not np.all(np.isfinite(seconds) & (seconds > 0)):
-        msg = f"averaging times must be a list of positive seconds, got {taus!r}"
-        raise ValueError(msg)
+        raise ValueError(f"averaging times must be a list of positive seconds, got {taus!r}")
     factors = np.round(seconds / tau0)
     wrong = seconds[(factors < 1) | (factors > largest)]
     if wrong.size:

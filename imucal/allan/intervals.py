@@ -23,11 +23,9 @@ Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on f
 differences", PTTI 35, eqs. 6-10; the power laws' V(n) in place of their continuous limit.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
 from math import comb
-from typing import TypeAlias
 
 import numpy as np
 
@@ -42,6 +40,7 @@ from imucal.allan.dct import (
 )
 from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 from imucal.solvers import non_negative
@@ -72,50 +71,33 @@ _CROSSOVER = 256
 #: The kurtosis of a difference of two independent values is half of each one's.
 _HALVED = 2.0
 #: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
-_UNIFORM = -1.2
+LIGHTEST = -1.2
 #: Fewer averages than this name no power law; the one named at the averaging time before stays.
 _FEWEST = 30
 #: Largest exponent p of f^p that each law stands for, rising; what is flatter is quantization.
 _EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
 #: Elements of a work array.
 _BLOCK = 32768
+#: Names of the methods.
+EDF_METHODS = ("hybrid", "model", "greenhall")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GenericModel:
-    """A sum of the four power laws and a drift, in units of one sample.
-
-    Attributes
-    ----------
-    variances
-        Variance parameter of each `PowerLaw`, in its order, in U².
-    drift
-        Drift per sample, in U.
-    """
+    """A sum of the four power laws, by the variance parameter of each in U², and a drift per sample, in U."""
 
     variances: tuple[float, ...]
     drift: float = 0.0
-
-    def avar(self, m: FloatArray) -> FloatArray:
-        """Return the model's Allan variance at averaging factors `m`, shape (k,), in U²."""
-        total: FloatArray = self.drift**2 * np.asarray(m, dtype=np.float64) ** 2 / 2
-        for law, variance in zip(PowerLaw, self.variances, strict=True):
-            total = total + variance * law.avar(m)
-        return total
 
 
 def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *, stride: int = 1) -> float:
     """Return the equivalent degrees of freedom of one value, at least 1.
 
     The samples are taken to be the `model`, whose scale does not matter; `terms` is the number M of
-    differences that are averaged, `stride` the samples between neighbouring ones of an overlapping
-    estimator, a divisor of the averaging factor `m`.
-
-    Notes
-    -----
-    For estimators of one integration the relative error of the graded sum is below 1e-3
-    (tested against the sum over all lags). The modified estimator above m = 32 uses the shape of
-    its covariance at m = 32. Cost some 0.2 ms.
+    differences that are averaged, `stride` the samples between neighbouring ones of an overlapping estimator,
+    a divisor of the averaging factor `m`. For estimators of one integration the relative error of the graded
+    sum is below 1e-3 (tested against the sum over all lags). The modified estimator above m = 32 uses the
+    shape of its covariance at m = 32. Cost some 0.2 ms.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
@@ -151,7 +133,10 @@ def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, F
     trapezoid rule carries the lags they stand for.
     """
     steps = last // stride
-    lags = np.arange(steps + 1) if steps <= _ALL_LAGS else _graded(m // stride, steps, order)
+    lags = np.arange(steps + 1)
+    if steps > _ALL_LAGS:
+        kinks = m // stride * np.arange(order + 1)
+        lags = graded_lags(kinks, 0, steps, dense=_DENSE, per_octave=_PER_OCTAVE)
     weights = 2 * trapezoid_weights(lags)
     weights[0] -= 1
     return (lags * stride).astype(np.float64), weights
@@ -166,16 +151,20 @@ def trapezoid_weights(lags: IntArray) -> FloatArray:
     return weight
 
 
-def _graded(m: int, last: int, order: int) -> IntArray:
-    """Return distinct lags from 0 to `last`, dense about the multiples of m up to order m."""
-    octaves = np.log2(last / _DENSE)
-    out = np.round(_DENSE * 2.0 ** (np.arange(int(octaves * _PER_OCTAVE) + 1) / _PER_OCTAVE))
-    near = np.concatenate([np.arange(_DENSE), out]).astype(np.int64)
-    parts = [np.array([last]), np.linspace(0, min(last, (order + 1) * m), 129).astype(np.int64)]
-    for kink in range(order + 1):
-        parts += [kink * m + near, kink * m - near]
-    lags = np.unique(np.concatenate(parts))
-    return lags[(lags >= 0) & (lags <= last)]
+def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave: int) -> IntArray:
+    """Return distinct lags from `low` to `high`: all that are `dense` about rising kinks, fewer beyond.
+
+    That is ever sparser, `per_octave`, up to half way to the next kink, whose own lags go on from there; and
+    129 between the first kink and the last.
+    """
+    octaves = max(np.log2((high - low) / dense), 0.0)
+    out = np.round(dense * 2.0 ** (np.arange(int(octaves * per_octave) + 1) / per_octave))
+    about = kinks[:, np.newaxis] + np.concatenate([-out, np.arange(1.0 - dense, dense), out])
+    half = np.concatenate([[low], (kinks[1:] + kinks[:-1]) // 2, [high]])[:, np.newaxis]
+    own = about[(about >= half[:-1]) & (about <= half[1:])]
+    between = np.linspace(kinks[0], kinks[-1], 129)
+    lags = np.unique(np.concatenate([own, between, [low, high]]).astype(np.int64))
+    return lags[(lags >= low) & (lags <= high)]
 
 
 def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
@@ -184,22 +173,17 @@ def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> F
     for _ in range(estimator.order + 1 - estimator.integrations):
         difference = np.convolve(difference, [1.0, -1.0])
     inside = (k <= estimator.order * m) | (law is PowerLaw.FLICKER)
-    total = np.zeros(int(inside.sum()))
+    total, steps = np.zeros(int(inside.sum())), np.arange(1 - m, m, dtype=np.float64)
     for shift, coefficient in enumerate(np.convolve(difference, difference[::-1]), start=1 - difference.size):
         shifted = k[inside] + shift * m
-        total += coefficient * (
-            law.sum_variance(shifted) if estimator.integrations == 1 else _smoothed(law, shifted, m)
-        )
+        if estimator.integrations == 1:
+            total += coefficient * law.sum_variance(shifted)
+        else:
+            # V(n) summed with the triangle of a sum of m neighbours.
+            total += coefficient * (law.sum_variance(shifted[:, None] + steps) @ (m - np.abs(steps)))
     covariance = np.zeros(k.shape)
     covariance[inside] = -0.5 * total / estimator.scale(m)
     return covariance
-
-
-def _smoothed(law: PowerLaw, n: FloatArray, m: int) -> FloatArray:
-    """Return V(n) summed with the triangle of a sum of m neighbours."""
-    steps = np.arange(1 - m, m, dtype=np.float64)
-    summed: FloatArray = law.sum_variance(n[:, None] + steps) @ (m - np.abs(steps))
-    return summed
 
 
 def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
@@ -297,50 +281,27 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
 
 
 def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:
-    """Return the equivalent degrees of freedom of each value of a curve.
+    """Return the equivalent degrees of freedom of each value of a curve, shape (k,), each at least 1.
 
-    Parameters
-    ----------
-    samples
-        Evenly spaced, shape (n,), finite.
-    m
-        Averaging factors, shape (k,), each within the estimator's reach.
-    estimator
-        What was computed.
-    method
-        ``hybrid``, ``model`` or ``greenhall``.
-
-    Returns
-    -------
-    Shape (k,), each at least 1.
-
-    Raises
-    ------
-    ValueError
-        If the method is unknown.
+    Of evenly spaced finite `samples`, shape (n,), at averaging factors `m`, shape (k,), within the
+    estimator's reach. The method is ``hybrid``, ``model`` or ``greenhall``; another is a ValueError.
 
     Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
     """
+    _require_method(method)
     terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
-    return np.maximum(_method_named(method)(samples, m, terms, estimator), 1.0)
-
-
-def _hybrid(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
-    bins, ordinates = _transformed(samples)
-    power = bin_power(ordinates, bins)
-    short = (m <= bins.n // _CROSSOVER) & estimator.overlapping
-    edf = np.empty(m.size)
+    if method == "greenhall":
+        return _greenhall(samples, m, terms, estimator)
+    # As many samples as are quick to transform.
+    used = max(fast_length(samples.size), 2)
+    bins, ordinates = dct_bins(used), dct_ordinates(samples[:used])
+    power, edf = bin_power(ordinates, bins), np.empty(m.size)
+    short = (m <= bins.n // _CROSSOVER) & (estimator.overlapping and method == "hybrid")
     edf[short] = spectral_edf(power, bins, m[short], terms[short], estimator)
     if not short.all():
         model = fit_spectrum(ordinates, power, bins)
         edf[~short] = _of_models([model] * m.size, m[~short], terms[~short], estimator)
-    return less_for_heavy_tails(edf, samples, m, estimator)
-
-
-def _model(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
-    bins, ordinates = _transformed(samples)
-    model = fit_spectrum(ordinates, bin_power(ordinates, bins), bins)
-    return _of_models([model] * m.size, m, terms, estimator)
+    return np.maximum(less_for_heavy_tails(edf, samples, m, estimator) if method == "hybrid" else edf, 1.0)
 
 
 def _greenhall(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
@@ -351,18 +312,9 @@ def _greenhall(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: E
     return _of_models(models, m, terms, estimator)
 
 
-#: Of samples, degrees of freedom at `m` (k,) with `terms` (k,) differences each, of an estimator.
-_Method: TypeAlias = Callable[[FloatArray, IntArray, FloatArray, Estimator], FloatArray]
-
-#: Name -> method.
-EDF_METHODS: dict[str, _Method] = {"hybrid": _hybrid, "model": _model, "greenhall": _greenhall}
-
-
-def _method_named(name: str) -> _Method:
+def _require_method(name: str) -> None:
     if name not in EDF_METHODS:
-        msg = f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}"
-        raise ValueError(msg)
-    return EDF_METHODS[name]
+        raise ValueError(f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}")
 
 
 def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
@@ -392,12 +344,6 @@ def _exponent(values: FloatArray, differences: int = 0) -> float:
     if order < 0.25 or differences == 2:
         return -2 * (order + differences)
     return _exponent(np.diff(values), differences + 1)
-
-
-def _transformed(samples: FloatArray) -> tuple[DctBins, FloatArray]:
-    """Return bins and DCT-II ordinates of as many samples as are quick to transform."""
-    used = max(fast_length(samples.size), 2)
-    return dct_bins(used), dct_ordinates(samples[:used])
 
 
 def _of_models(
@@ -488,7 +434,7 @@ def less_for_heavy_tails(
 
     Var gains kappa/n where windows are not too few; `neighbours` as in `excess_kurtosis`.
     """
-    kappa = max(_HALVED * excess_kurtosis(samples, neighbours), _UNIFORM)
+    kappa = max(_HALVED * excess_kurtosis(samples, neighbours), LIGHTEST)
     independent = samples.size - estimator.order * m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
     return np.where(independent >= estimator.order * m, corrected, edf)
@@ -499,17 +445,13 @@ def gappy_degrees_of_freedom(
 ) -> FloatArray:
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
-    There is no spectrum of a series with gaps to go by: ``hybrid`` and ``model`` take the generic
-    model nearest to the curve, with as many differences as there are windows, less for what was taken
-    out of their mean square.
-
-    Raises
-    ------
-    ValueError
-        If the method is unknown.
+    There is no spectrum of a series with gaps to go by: ``hybrid`` and ``model`` take the generic model
+    nearest to the curve, with as many differences as there are windows, less for what was taken out of their
+    mean square. Another method is a ValueError.
     """
-    if _method_named(method) is _greenhall:
-        return np.maximum(_greenhall(series.samples, values.m, values.terms, estimator), 1.0)
+    _require_method(method)
+    if method == "greenhall":
+        return _greenhall(series.samples, values.m, values.terms, estimator)
     model = fit_curve(values.m, values.avar, np.maximum(values.terms / values.m, 1.0))
     edf = _of_models([model] * values.m.size, values.m, values.terms, estimator) / values.inflation**2
     neighbours = np.diff(series.clock.grid()) == 1

@@ -35,13 +35,15 @@ but where white noise rules at long averaging times it scatters up to four times
 """
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, compress, pairwise
+from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray, IntArray, aligned
 from imucal.clock import Clock
+from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
 
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
@@ -51,6 +53,11 @@ _SMALL = 8192
 #: Row of a sum of squares. OpenBLAS hands a dot product of more than 10,000 elements to its
 #: threads, which stall when others want the processors: up to 50 times slower.
 _ROW = 8192
+#: Windows of m that are looked into may begin this far apart, times m over the square of what they are worth,
+#: but at most so many places; and a quarter of a window where that leaves so many of them.
+_FAR, _FARTHEST, _FEWEST_INSIDE = 3e-4, 64, 1 << 18
+#: Runs of so many samples are worth the way that a series without losses goes.
+_LONG = 8 * _ROW
 #: The pattern of losses is followed for so many mean gaps, and at most so many samples.
 _MEAN_GAPS, _LONGEST = 4, 256
 #: Places of the grid that one FFT takes when the pattern is correlated.
@@ -59,22 +66,13 @@ _CHUNK = 1 << 17
 _ENOUGH = 16
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Estimator:
-    """One estimator of a deviation.
+    """One estimator of a deviation, by its `name` in `ESTIMATORS`.
 
-    Attributes
-    ----------
-    name
-        Its key in `ESTIMATORS`.
-    integrations
-        How often the samples are summed: 1 (x) or 2 (z).
-    order
-        Order of the difference.
-    overlapping
-        Whether every start point is used, or every m-th.
-    weight
-        Sum of the squared coefficients of the difference that the variance is divided by.
+    The samples are summed once (x) or twice (z), and a difference of some order is taken, from every start
+    point if `overlapping`, or from every m-th. The variance is divided by `weight`, the sum of its squared
+    coefficients.
     """
 
     name: str
@@ -115,44 +113,19 @@ ESTIMATORS: dict[str, Estimator] = {
 
 
 def estimator_named(name: str) -> Estimator:
-    """Return the estimator called `name`.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Return the estimator called `name`; a ValueError says which there are."""
     if name not in ESTIMATORS:
-        msg = f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}"
-        raise ValueError(msg)
+        raise ValueError(f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}")
     return ESTIMATORS[name]
 
 
 def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    """Return the variances of an evenly spaced series.
+    """Return the variances of an evenly spaced series, shape (k,), in U².
 
-    Parameters
-    ----------
-    samples
-        Shape (n,), finite, in any unit U.
-    m
-        Averaging factors, shape (k,), each from 1 to ``estimator.largest(n)``.
-    estimator
-        Which differences to square.
-
-    Returns
-    -------
-    Shape (k,), in U².
-
-    Raises
-    ------
-    ValueError
-        If an averaging factor is out of range.
-
-    Notes
-    -----
-    O(n) per factor; memory one full-length array where a factor is above 8192, else a few blocks.
-    The relative error stays below 1e-12 up to 1e8 samples on a mean of a million deviations.
+    The samples, shape (n,), are finite, in any unit U. Averaging factors `m`, shape (k,), are from 1 to
+    ``estimator.largest(n)``: others are a ValueError. O(n) per factor; memory one full-length array where a
+    factor is above 8192, else a few blocks. The relative error stays below 1e-12 up to 1e8 samples on a mean
+    of a million deviations.
     """
     divisors = [estimator.scale(mi) * estimator.terms(samples.size, mi) for mi in m.tolist()]
     return square_sums(samples, m, estimator) / np.array(divisors, dtype=np.float64).reshape(m.shape)
@@ -246,23 +219,18 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     integral = aligned(min(_BLOCK + reach, end))
     for start in range(0, end - order * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
-        local = _local_integral(samples[start : stop - depth], depth, integral[: stop - start])
+        # The block's own integral, started at 0 with the block's mean removed.
+        block, local = samples[start : stop - depth], integral[: stop - start]
+        local[:depth] = 0.0
+        part = np.subtract(block, block.mean() if block.size else 0.0, out=local[depth:])
+        for _ in range(depth):
+            np.cumsum(part, out=part)
         for factor, square in zip(factors, squares, strict=True):
             count = min(_BLOCK, local.size - order * factor)
             if count > 0:
                 _difference(local[: count + order * factor], factor, lower, work)
                 square.add(count)
     return np.array([square.total() for square in squares])
-
-
-def _local_integral(samples: FloatArray, depth: int, local: FloatArray) -> FloatArray:
-    """Write a block's own integral, started at 0 with the block's mean removed, to shape (n + depth,)."""
-    local[:depth] = 0.0
-    part = local[depth:]
-    np.subtract(samples, samples.mean() if samples.size else 0.0, out=part)
-    for _ in range(depth):
-        np.cumsum(part, out=part)
-    return local
 
 
 def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatArray) -> None:
@@ -297,20 +265,12 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
     return squares.total()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class GappyVariances:
-    """Variances at the factors that the data could give.
+    """Variances at the averaging factors `m` that the data could give, shape (k,) each, all positive, in U².
 
-    Attributes
-    ----------
-    m
-        Averaging factors, shape (k,).
-    avar
-        Variances, all positive, shape (k,), in U².
-    terms
-        Number of differences behind each, shape (k,).
-    inflation
-        Mean square before what the losses add was taken out, over `avar`, shape (k,).
+    `terms` is the number of differences behind each, `inflation` the mean square before what the losses add
+    was taken out, over `avar`.
     """
 
     m: IntArray
@@ -321,33 +281,47 @@ class GappyVariances:
 
 def longest_run(clock: Clock) -> int:
     """Return the number of samples of the longest unbroken run."""
-    return max((stop - start for start, stop, *_ in _runs(clock)), default=0)
+    return max((run.stop - run.start for run in runs_of(clock)), default=0)
 
 
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     """Return overlapping variances from windows that are at least half as filled as the whole series.
 
-    A value that is not positive after the losses' part is taken out is left out. Cost some 3 ns per
-    place of the grid and factor far from gaps, 10 about them; memory three full-length arrays.
+    A value that is not positive after the losses' part is taken out is left out. Cost that of a series
+    without losses inside long runs, elsewhere some 3 ns per place of the grid and factor, 10 where losses are
+    many; memory three full-length arrays.
     """
-    pattern = _pattern(series)
-    integrals, squares = _integrals(series, m)
-    edges = [place for run in _runs(series.clock) for place in run[2:]]
+    correlation, structure = _pattern(series)
+    integrals, squares = _integrals(series)
+    runs = runs_of(series.clock)
+    long = [run for run in runs if run[1] - run[0] >= _LONG]
+    edges = [place for run in runs for place in run[2:]]
     share = series.n / series.clock.grid_size / 2
-    raw, added, counts = np.zeros((3, m.size))
+    counts, raw, added = np.zeros((3, m.size))
+    for start, stop, *_ in long:
+        fits = 2 * m <= stop - start
+        counts[fits] += stop - start - 2 * m[fits] + 1
+        sums = square_sums(series.samples[start:stop], m[fits], ESTIMATORS["overlapping"])
+        raw[fits] += sums / m[fits] ** 2
     for i, factor in enumerate(m.tolist()):
-        pairs = _pairs(integrals, edges, factor, max(share * factor, 1.0))
-        if pairs.count:
-            inside = (squares[i] - pairs.between) / pairs.freedom if pairs.freedom else 0.0
-            counts[i], raw[i] = pairs.count, pairs.squares / pairs.count / 2
-            added[i] = pairs.lost / pairs.count / 2 * pattern.variance(inside, factor)
-    return _positive(m, raw - added, counts, raw)
+        done = [(first, end - 2 * factor + 1) for *_, first, end in long if 2 * factor <= end - first]
+        count, differences, lost = _pairs(integrals, edges, factor, max(share * factor, 1.0), done)
+        counts[i] += count
+        raw[i] += differences
+        if lost:
+            inside = _inside(integrals, squares, factor, lost * factor / counts[i] / 2)
+            # S²: the covariance inside windows of m, weighted by the correlation of losses.
+            lag = np.arange(min(correlation.size, factor))
+            weight = np.where(lag > 0, 2.0, 1.0) * (1 - lag / factor) * correlation[: lag.size]
+            added[i] = lost * float(weight @ (inside - structure[: lag.size] / 2))
+    half = 1 / np.maximum(2 * counts, 1)
+    return _positive(m, (raw - added) * half, counts, raw * half)
 
 
 def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> GappyVariances:
     """Return variances of any estimator from the differences that lie inside unbroken runs."""
     sums, counts = np.zeros(m.size), np.zeros(m.size)
-    for start, stop, *_ in _runs(series.clock):
+    for start, stop, *_ in runs_of(series.clock):
         fits = m <= estimator.largest(stop - start)
         if fits.any():
             sums[fits] += square_sums(series.samples[start:stop], m[fits], estimator)
@@ -365,85 +339,103 @@ def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray)
     return GappyVariances(m=m, avar=avar, terms=terms, inflation=np.maximum(inflation, 1.0))
 
 
-def _runs(clock: Clock) -> list[tuple[int, int, int, int]]:
-    """Return every unbroken run: its samples from `start` to `stop`, its places from `first` to `end`.
+class Run(NamedTuple):
+    """A run of samples from `start` to before `stop`, at places of the grid from `first` to before `end`."""
 
-    Segments that touch on the grid are one run; places count from the first sample's.
-    """
-    runs: list[tuple[int, int, int, int]] = []
+    start: int
+    stop: int
+    first: int
+    end: int
+
+
+def runs_of(clock: Clock, *, bridging: int = 0) -> list[Run]:
+    """Return the runs without a gap of more than `bridging` samples; places count from the first sample's."""
+    runs: list[Run] = []
     for segment in clock.segments:
         first = segment.offset - clock.segments[0].offset
-        if runs and first == runs[-1][3]:
-            runs[-1] = (runs[-1][0], segment.stop, runs[-1][2], first + segment.size)
+        if runs and first - runs[-1].end <= bridging:
+            runs[-1] = runs[-1]._replace(stop=segment.stop, end=first + segment.size)
         else:
-            runs.append((segment.start, segment.stop, first, first + segment.size))
+            runs.append(Run(segment.start, segment.stop, first, first + segment.size))
     return runs
 
 
-def _integrals(series: AxisSeries, m: IntArray) -> tuple[FloatArray, FloatArray]:
+def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
     """Return what windows on the even grid are made of.
 
-    Running sums of the samples less their mean and of their number, shape (2, grid + 1); and for each
-    factor the sum over all pairs of windows of the squares in both, shape (k,).
+    Running sums of the samples less their mean and of their number, shape (2, grid + 1), and of their
+    squares, shape (grid + 1,).
     """
     clock, mean = series.clock, float(series.samples.mean())
     sums = np.zeros((2, clock.grid_size + 1))
-    for start, stop, first, end in _runs(clock):
+    for start, stop, first, end in runs_of(clock):
         np.subtract(series.samples[start:stop], mean, out=sums[0, first + 1 : end + 1])
         sums[1, first + 1 : end + 1] = 1.0
     squares = np.square(sums[0])
-    np.cumsum(squares, out=squares)
-    np.cumsum(squares, out=squares)
-    in_windows: FloatArray = squares[-1] - squares[2 * m - 1] - squares[-1 - 2 * m]
-    return np.cumsum(sums, axis=1, out=sums), in_windows
+    return np.cumsum(sums, axis=1, out=sums), np.cumsum(squares, out=squares)
 
 
-@dataclass(slots=True)
-class _Pairs:
-    """Sums over pairs of neighbouring windows, C the number of samples in one and T their sum."""
+def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) -> float:
+    """Return the variance of samples about their means in windows of `m` places, 0 where there is none.
 
-    #: Of the pairs that are filled: their number, the squared differences of means, and 1/C - 1/m of both.
-    count: int = 0
-    squares: float = 0.0
-    lost: float = 0.0
-    #: Of all pairs: T²/C and C - 1 of both windows.
-    between: float = 0.0
-    freedom: float = 0.0
+    It is `worth` so much of the result, whose interval is 2 (3 m / 2n)^(1/2) of it at least. Windows begin so
+    far apart that what that costs is a hundredth of it, and of long series up to a quarter of a window: those
+    between see what these see already.
+    """
+    apart = max(min(m // 4, squares.size // _FEWEST_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
+    within, freedom = 0.0, 0.0
+    # Windows far from the ends are the first of a pair, and the second of another.
+    last = squares.size - 2 * m
+    ends = [0, min(m, last), max(m, last), last + m]
+    for first, stop, times in zip(ends, ends[1:], (1, 2 * (m < last), 1), strict=False):
+        for start in range(first, stop, _ROW * apart):
+            begin = slice(start, min(start + _ROW * apart, stop), apart)
+            end = slice(begin.start + m, begin.stop + m, apart)
+            total, size = integrals[:, end] - integrals[:, begin]
+            within += times * float(np.sum(squares[end] - squares[begin] - total**2 / np.maximum(size, 1.0)))
+            freedom += times * float(np.maximum(size - 1, 0.0).sum())
+    return within / freedom if freedom else 0.0
 
 
-def _pairs(integrals: FloatArray, edges: list[int], m: int, fewest: float) -> _Pairs:
-    """Go through all pairs of neighbouring windows of `m` places; filled are those with `fewest` in each.
+def _pairs(
+    integrals: FloatArray, edges: list[int], m: int, fewest: float, done: list[tuple[int, int]]
+) -> tuple[int, float, float]:
+    """Return sums over pairs of neighbouring windows of `m` places, each with C samples, `fewest` or more.
 
-    `edges` are the places where runs of samples begin and end: far from them all windows hold equally many.
+    That is their number, the squared differences of means, and 1/C - 1/m of both. `edges` are the places
+    where runs of samples begin and end: far from them all windows hold equally many. `done` are stretches of
+    first places that are counted already.
     """
     total, filled = integrals
-    pairs, last = _Pairs(), total.size - 2 * m
-    cuts = {*range(0, last, _ROW), last}
+    count, squares, lost, last = 0, 0.0, 0.0, total.size - 2 * m
+    cuts = {*range(0, last, _ROW), last, *chain.from_iterable(done)}
     if len(edges) * _ROW <= last:
         cuts.update(edge - shift for edge in edges for shift in (0, m, 2 * m) if shift < edge < last + shift)
-    for start, stop in pairwise(sorted(cuts)):
+    places = np.array(sorted(cuts))
+    skipped = np.zeros(places.size, dtype=np.bool_)
+    for first, end in done:
+        skipped[np.searchsorted(places, first) : np.searchsorted(places, end)] = True
+    for start, stop in compress(pairwise(places.tolist()), ~skipped):
         points = [slice(start + shift, stop + shift) for shift in (0, m, 2 * m)]
-        low, high = total[points[1]] - total[points[0]], total[points[2]] - total[points[1]]
-        if _straight(filled, edges, points):
-            first, second = (filled.item(at + m) - filled.item(at) for at in (start, start + m))
-            share, other = 1 / max(first, 1.0), 1 / max(second, 1.0)
-            pairs.between += share * float(np.vecdot(low, low)) + other * float(np.vecdot(high, high))
-            pairs.freedom += low.size * (max(first - 1, 0.0) + max(second - 1, 0.0))
-            if min(first, second) >= fewest:
-                pairs.count += low.size
-                pairs.lost += low.size * (share + other - 2 / m)
-                np.subtract(high if share == other else high * (other / share), low, out=high)
-                pairs.squares += share**2 * float(np.vecdot(high, high))
+        if straight := _straight(filled, edges, points):
+            sizes = np.array([filled.item(at + m) - filled.item(at) for at in (start, start + m)])
         else:
             sizes = np.array([filled[points[1]] - filled[points[0]], filled[points[2]] - filled[points[1]]])
-            shares = 1 / np.maximum(sizes, 1.0)
-            both = (sizes >= fewest).all(axis=0)
-            pairs.between += float(np.vecdot(low, low * shares[0]) + np.vecdot(high, high * shares[1]))
-            pairs.freedom += float(np.maximum(sizes - 1, 0.0).sum())
-            pairs.count += int(np.count_nonzero(both))
-            pairs.lost += float((shares.sum(axis=0) - 2 / m).sum(where=both))
-            pairs.squares += sum_of_squares((high * shares[1] - low * shares[0]) * both)
-    return pairs
+        both = (sizes >= fewest).all(axis=0)
+        if straight and not both:
+            continue
+        low, high = total[points[1]] - total[points[0]], total[points[2]] - total[points[1]]
+        first, second = 1 / np.maximum(sizes, 1.0)
+        if straight:
+            np.subtract(high if first == second else high * (second / first), low, out=high)
+            count += low.size
+            lost += low.size * float(first + second - 2 / m)
+            squares += float(first**2 * np.vecdot(high, high))
+        else:
+            count += int(np.count_nonzero(both))
+            lost += float((first + second - 2 / m).sum(where=both))
+            squares += sum_of_squares((high * second - low * first) * both)
+    return count, squares, lost
 
 
 def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool:
@@ -454,25 +446,8 @@ def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Pattern:
-    """How losses cluster: their autocorrelation, and D(k) of the samples, each from lag 0; (j,)."""
-
-    correlation: FloatArray
-    structure: FloatArray
-
-    def variance(self, inside: float, m: int) -> float:
-        """Return S²: the covariance inside windows of m, weighted by the correlation of losses."""
-        reach = min(self.correlation.size, m)
-        lag = np.arange(reach)
-        weight = np.where(lag > 0, 2.0, 1.0) * (1 - lag / m) * self.correlation[:reach]
-        return float(weight @ (inside - self.structure[:reach] / 2))
-
-
-def _pattern(series: AxisSeries) -> _Pattern:
-    """Correlate what is there, chunk by chunk, by the FFT."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
+def _pattern(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
+    """Return the autocorrelation of losses and D(k) of the samples, from lag 0, (j,): by FFTs of chunks."""
     clock = series.clock
     mean_gap = clock.missing / max(len(clock.gaps), 1)
     lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
@@ -483,27 +458,28 @@ def _pattern(series: AxisSeries) -> _Pattern:
     for number, start in enumerate(range(0, clock.grid_size, _CHUNK)):
         size = min(_CHUNK, clock.grid_size - start)
         low, high = clock.index_from(start), clock.index_from(start + size)
-        part = clock.slice(low, high)
-        index = part.grid()
-        if index.size:
-            index += part.segments[0].offset - clock.segments[0].offset - start
-        length = next_fast_len(size + lags, real=True)
+        room = np.maximum(size - np.arange(lags), 0)
+        possible += room
+        if number % every and high - low == size >= lags:
+            pairs += room
+            continue
+        index = clock.grid(low, high) - start
+        length = scipy.fft.next_fast_len(size + lags, real=True)
         here, value = np.zeros((2, length))
         here[index] = 1.0
         value[index] = series.samples[low:high] - mean
-        own = room = np.maximum(size - np.arange(lags), 0)
-        if index.size < size or size < lags or number % every == 0:
-            there = rfft(here)
-            own = irfft(np.abs(there) ** 2, length)[:lags]
+        there = scipy.fft.rfft(here)
+        own = scipy.fft.irfft(np.abs(there) ** 2, length)[:lags]
         if number % every == 0:
             # The sum of w[t] w[t+k] (y[t+k] - y[t])² is even in k: the real part holds both squares.
-            products = 2 * (there * rfft(value**2).conj()).real - 2 * np.abs(rfft(value)) ** 2
-            squares += irfft(products, length)[:lags]
+            products = (
+                2 * (there * scipy.fft.rfft(value**2).conj()).real - 2 * np.abs(scipy.fft.rfft(value)) ** 2
+            )
+            squares += scipy.fft.irfft(products, length)[:lags]
             seen += own
         pairs += own
-        possible += room
     share = series.n / clock.grid_size
     covariance = pairs / np.maximum(possible, 1.0) - share**2
     structure = squares / np.maximum(seen, 0.5)
     structure[0] = 0.0
-    return _Pattern(correlation=covariance / max(covariance[0], 1e-300), structure=structure)
+    return covariance / max(covariance[0], 1e-300), structure

@@ -1,9 +1,8 @@
 """The gate: a report against limits, by the interval and not by the point."""
 
 from imucal.checking.config_files import check_config
-from imucal.checking.gate import check
 from imucal.checking.limits import Baseline, FindingRules, Limits, parse_limits, read_limits
-from imucal.checking.verdict import CheckResult
+from imucal.checking.verdict import CheckResult, check
 
 __all__ = [
     "Baseline",

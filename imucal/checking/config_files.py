@@ -16,7 +16,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from imucal.checking.limits import text_of
-from imucal.checking.verdict import Measured, Row, Verdict
+from imucal.checking.verdict import WORST_FIRST, Row, Verdict
 from imucal.errors import LimitsError
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import LEVEL, STEP_S, covered_frequencies
@@ -25,6 +25,7 @@ from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
 from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.target import Key, Target, real
+from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
@@ -55,8 +56,9 @@ _NUMBER = re.compile(r"[^\s,\[\]\"']+")
 
 
 class Setting(NamedTuple):
-    """A key of a config file: its line, from 1, its name, its numbers as written, and the line's text."""
+    """A key of a config file: file and line, from 1, its name, its numbers as written, the line's text."""
 
+    file: str
     line: int
     name: str
     written: tuple[str, ...]
@@ -67,6 +69,10 @@ class Setting(NamedTuple):
         """Its numbers; none where it holds anything else."""
         found = tuple(map(_number, self.written))
         return found if all(map(math.isfinite, found)) else ()
+
+    def place(self, where: str) -> str:
+        """Return what it is about and where it stands, for the start of a sentence."""
+        return f"{where}: {self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
         """Return whether this is the key of a name, in whatever section."""
@@ -81,7 +87,7 @@ class Setting(NamedTuple):
         return f"{self.text[:at]}{line}".strip()
 
 
-def read_settings(text: str) -> list[Setting]:
+def read_settings(text: str, file: str = "") -> list[Setting]:
     """Return the keys of a config file: YAML, OpenCV's YAML, parameters, or assignments.
 
     Sections are read as keys without a number, matrices as keys with all of theirs.
@@ -102,7 +108,7 @@ def read_settings(text: str) -> list[Setting]:
         written = _NUMBER.findall(value)[: 1 if match["vehicle"] else None]
         # OpenCV's matrices keep their numbers under a key of their own.
         name = section if name == "data" and section else name
-        found.append(Setting(number, name, tuple(written), " ".join([line, *more])))
+        found.append(Setting(file, number, name, tuple(written), " ".join([line, *more])))
     return found
 
 
@@ -114,32 +120,22 @@ def _number(text: str) -> float:
 
 
 def check_config(path: Path, report: Report) -> tuple[Row, ...]:
-    """Judge the noise parameters of a config file by the report of its sensor.
+    """Return a row for each key of a config file that holds a number of the noise, or the sampling rate.
 
-    A file that imucal wrote is held to the options that its comment names.
-
-    Returns
-    -------
-    tuple of Row
-        One for each key that holds a number of the noise, or the sampling rate.
-
-    Raises
-    ------
-    LimitsError
-        If the file can't be read, or is of no format whose keys are known.
-    DataError
-        If the report lacks an axis that the format needs.
+    They are judged by the report of the file's sensor; one that imucal wrote is held to the options that
+    its comment names. A LimitsError says that the file can't be read, or is of no format whose keys are
+    known, a DataError that the report lacks an axis that the format needs.
     """
     text = text_of(path, "the config file of a filter")
-    settings, choices = read_settings(text), _choices(text)
+    settings, choices = read_settings(text, path.name), _choices(text)
     there = {setting.name for setting in settings}
     # Of formats with the same keys, that whose other lines are in the file, too.
     own, target = max(
         ((read_settings(each.render(report, choices)), each) for each in _formats(path, settings)),
         key=lambda each: len(there & {setting.name for setting in each[0]}),
     )
-    file = _File(path=path, settings=settings, numbers=target.numbers(report, choices), own=own)
-    return (*file.noise(target.keys), *file.rates())
+    numbers = target.numbers(report, choices)
+    return (*_noise_rows(settings, target.keys, own, numbers), *_rate_rows(settings, own, numbers.stream_hz))
 
 
 def _choices(text: str) -> Choices:
@@ -172,95 +168,70 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     most = max(counts.values())
     if not most:
         known = ", ".join(name for name in counts if TARGETS[name].keys)
-        msg = f"{path}: found no key of a noise parameter, expected the file of one of {known}"
-        raise LimitsError(msg)
+        raise LimitsError(f"{path}: found no key of a noise parameter, expected the file of one of {known}")
     return [TARGETS[name] for name, count in counts.items() if count == most]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _File:
-    """A config file and what its format's own file for the report would be.
+def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: float) -> Iterator[Row]:
+    """Judge the keys that hold the rate of the stream: those that the format's own file has it in."""
+    names = {each.name: None for each in own if each.numbers == (rate_hz,)}
+    for setting in (each for name in names for each in settings if each.name == name):
+        if len(setting.numbers) != 1:
+            continue
+        same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
+        instead = "" if same else setting.with_number(real(rate_hz))
+        text = f"{setting.place('log')} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
+        if instead:
+            text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
+        verdict: Verdict = "undecided" if instead else "pass"
+        yield Row("log", setting.name, verdict, text, instead=instead)
 
-    Attributes
-    ----------
-    path, settings
-        The file and its keys.
-    numbers
-        What the report gives the format.
-    own
-        The keys of the format's own file.
-    """
 
-    path: Path
-    settings: Sequence[Setting]
-    numbers: Numbers
-    own: Sequence[Setting]
+def _noise_rows(
+    settings: Sequence[Setting], keys: Sequence[Key], own: Sequence[Setting], numbers: Numbers
+) -> Iterator[Row]:
+    """Judge the keys that hold a number of the noise; `own` are those of the format's own file."""
+    spelled = {each.name: each.written[0] for each in own if each.written}
+    there = [
+        (key, i, each)
+        for key in keys
+        for i, name in enumerate(_names(key))
+        for each in settings
+        if each.is_called(name)
+    ]
+    for key, i, setting in there:
+        short = key.sensor.short
+        if key.sensor not in numbers.sensors:
+            text = f"{short}: {setting.name}: the report has no {key.sensor}; check against one that has"
+            yield Row(short, setting.name, "undecided", text)
+            continue
+        mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol]
+        axes = (numbers.triad(key.sensor)[i],) if "{" in key.name else numbers.chosen(key.sensor)
+        wanted = _Wanted.of(key, mates, axes, numbers)
+        yield _noise_row(setting, wanted, spelled.get(_names(key)[i]) or real(wanted.right))
 
-    def place(self, sensor: str, setting: Setting) -> str:
-        """Return where a key stands, for the start of a sentence."""
-        return f"{sensor}: {self.path.name}:{setting.line}: {setting.name}"
 
-    def rates(self) -> Iterator[Row]:
-        """Judge the keys that hold the rate of the stream: those that the format's own file has it in."""
-        rate_hz = self.numbers.stream_hz
-        for name in {own.name: None for own in self.own if own.numbers == (rate_hz,)}:
-            for setting in self.settings:
-                if setting.name != name or len(setting.numbers) != 1:
-                    continue
-                same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
-                instead = "" if same else setting.with_number(real(rate_hz))
-                text = (
-                    f"{self.place('log', setting)} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
-                )
-                if instead:
-                    text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
-                verdict: Verdict = "undecided" if instead else "pass"
-                yield Row(where="log", subject=name, verdict=verdict, text=text, instead=instead)
-
-    def noise(self, keys: Sequence[Key]) -> Iterator[Row]:
-        """Judge the keys that hold a number of the noise."""
-        there = [
-            (key, i, each)
-            for key in keys
-            for i, name in enumerate(_names(key))
-            for each in self.settings
-            if each.is_called(name)
-        ]
-        for key, i, setting in there:
-            short = key.sensor.short
-            if key.sensor not in self.numbers.sensors:
-                text = f"{short}: {setting.name}: the report has no {key.sensor}; check against one that has"
-                yield Row(where=short, subject=setting.name, verdict="undecided", text=text)
-                continue
-            mates = [
-                (k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol
-            ]
-            one_each, of = "{" in key.name, self.numbers
-            axes = (of.triad(key.sensor)[i],) if one_each else of.chosen(key.sensor)
-            yield self._row(setting, _names(key)[i], _Wanted.of(key, mates, axes, of))
-
-    def _row(self, setting: Setting, name: str, wanted: "_Wanted") -> Row:
-        """Return the verdict on a key; on a matrix that of the worst on its diagonal."""
-        judged = [(*wanted.judge(number), number) for number in _diagonal(setting)]
-        verdict, said, number = min(judged, key=lambda each: _WORST_FIRST.index(each[0]))
-        key, right = wanted.key, wanted.right
-        spelled = next((own.written[0] for own in reversed(self.own) if own.name == name), real(right))
-        # What passes below the number that is right alone has no limit of its own.
-        alone = verdict != "pass" or number >= right
-        instead = setting.with_number(spelled) if said and alone else ""
-        shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
-        text = f"{self.place(key.sensor.short, setting)} is {shown}; {said or 'enough for this sensor'}"
-        return Row(
-            where=key.sensor.short,
-            subject=setting.name,
-            side="min" if alone else None,
-            limit=right if alone else None,
-            unit=key.unit,
-            measured=Measured.exactly(number),
-            verdict=verdict,
-            text=f"{text}; write '{instead}'" if instead else text,
-            instead=instead,
-        )
+def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
+    """Return the verdict on a key; on a matrix that of the worst on its diagonal."""
+    judged = [(*wanted.judge(number), number) for number in _diagonal(setting)]
+    verdict, said, number = min(judged, key=lambda each: WORST_FIRST.index(each[0]))
+    key, right = wanted.key, wanted.right
+    # What passes below the number that is right alone has no limit of its own.
+    alone = verdict != "pass" or number >= right
+    instead = setting.with_number(spelled) if said and alone else ""
+    shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
+    text = f"{setting.place(key.sensor.short)} is {shown}; {said or 'enough for this sensor'}"
+    return Row(
+        key.sensor.short,
+        setting.name,
+        verdict,
+        f"{text}; write '{instead}'" if instead else text,
+        side="min" if alone else None,
+        limit=right if alone else None,
+        unit=key.unit,
+        measured=Quantity.exactly(number),
+        instead=instead,
+    )
 
 
 def _diagonal(setting: Setting) -> tuple[float, ...]:
@@ -271,23 +242,13 @@ def _diagonal(setting: Setting) -> tuple[float, ...]:
     return (numbers[:: size + 1] if square else numbers) or (math.nan,)
 
 
-_WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class _Wanted:
     """What a key should hold: one of the two numbers, white noise and walk, that some axes have.
 
-    Attributes
-    ----------
-    key, axes, numbers
-        The key, the axes that it is for, and what the report gives the format.
-    right
-        The number that the exporter writes.
-    other
-        Coefficient of the sensor's other number: the file's, or the right one where that is larger.
-    fitted
-        Symbol -> the largest coefficient that the fits of the axes show.
+    `right` is the number that the exporter writes; `other` the coefficient of the sensor's other number:
+    the file's, or the right one where that is larger. `fitted` has the largest coefficient of each term by
+    its symbol that the fits of the axes show.
     """
 
     key: Key
@@ -302,17 +263,16 @@ class _Wanted:
         cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
     ) -> "_Wanted":
         """Return what a key should hold beside the keys of the sensor's other number."""
-        rate_hz, factor, pair = numbers.stream_hz, numbers.choices.factor, numbers.pair(axes)
-        right = {"N": pair.white * factor("N"), "K": pair.walk * factor("K")}
+        rate_hz, pair = numbers.stream_hz, numbers.pair(axes)
+        right = {"N": pair.white, "K": pair.walk}
         other = right["K" if key.symbol == "N" else "N"]
         for mate, setting in mates:
             if (least := min(_diagonal(setting))) > 0:
                 other = max(other, mate.formula.inverse(least, rate_hz))
-        fitted: dict[str, float] = {}
-        for estimate in (estimate for axis in axes for estimate in axis.fit.estimates):
-            fitted[estimate.symbol] = max(estimate.value or 0.0, fitted.get(estimate.symbol, 0.0))
+        sizes = sorted((e.value or 0.0, e.symbol) for axis in axes for e in axis.fit.estimates)
+        fitted = {symbol: size for size, symbol in sizes}
         number = key.formula.of(right[key.symbol], rate_hz)
-        return cls(key=key, axes=axes, numbers=numbers, right=number, other=other, fitted=fitted)
+        return cls(key, axes, numbers, number, other, fitted)
 
     def judge(self, number: float) -> tuple[Verdict, str]:
         """Return the verdict on a number, and what is to be said of it, if anything."""

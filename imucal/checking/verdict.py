@@ -1,4 +1,4 @@
-"""Verdicts: a limit passes or fails by the interval, not by the point.
+"""check: a report against limits -> verdicts, by the interval and not by the point.
 
 pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the
 limit lies inside the interval, so that the record can't tell. Machines read the verdicts as JSON, as
@@ -6,80 +6,46 @@ JUnit XML, or as GitHub's workflow commands.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass
+from itertools import chain
 from typing import Literal, TypeAlias
 from xml.etree import ElementTree as ET
 
+from imucal.checking.limits import LOG_QUANTITIES, Baseline, Limit, Limits, Side
+from imucal.errors import LimitsError
+from imucal.frozen import frozen
 from imucal.grading import NoiseVerdict
-from imucal.report.json_file import plain
+from imucal.printable import one_line
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.json_file import load, picked
+from imucal.report.numbers import Quantity
+from imucal.report.result import AxisReport, Report
 
 Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
+WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
-    """A quantity and its interval, in one unit; `value` is None for a bounded term.
-
-    A quantity without an interval (a rate, a count) has ``low == value == high``.
-    """
-
-    value: float | None
-    low: float
-    high: float
-
-    @classmethod
-    def exactly(cls, value: float) -> "Measured":
-        """Return a quantity without an interval."""
-        return cls(value=value, low=value, high=value)
-
-    def scaled(self, factor: float) -> "Measured":
-        """Return it in another unit."""
-        value = None if self.value is None else self.value * factor
-        return Measured(value=value, low=self.low * factor, high=self.high * factor)
-
-    def text(self) -> str:
-        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or a number alone."""
-        if self.value is not None and self.low == self.high:
-            return f"{self.value:.6g}"
-        if self.value is not None:
-            return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
-        if math.isinf(self.high) and self.low == 0:
-            return "unknown"
-        if math.isinf(self.high):
-            return f">= {self.low:.4g}"
-        return f"[{self.low:.4g}, {self.high:.4g}]" if self.low > 0 else f"<= {self.high:.4g}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Row:
-    """One verdict.
+    """One verdict, on an axis, a sensor or the ``log``, in one sentence.
 
-    Attributes
-    ----------
-    where
-        Axis, sensor or ``log``.
-    subject
-        What was judged: a symbol, a quantity, ``axes``, ``findings``, ``N / baseline``.
-    side, limit, unit
-        ``min`` or ``max`` and the limit in its unit; None where the rule isn't a number.
-    measured
-        In the same unit; None where there is nothing to measure.
-    verdict
-        ``pass``, ``fail`` or ``undecided``.
-    text
-        One sentence.
-    instead
-        The line to write in place of one of a config file that is wrong or doubtful; empty elsewhere.
+    `subject` is what was judged: a symbol, a quantity, ``axes``, ``findings``, ``N / baseline``; `side`,
+    ``min`` or ``max``, and the limit in its unit are None where the rule isn't a number, `measured`, in the
+    same unit, where there is nothing to measure. `instead` is the line to write in place of one of a config
+    file that is wrong or doubtful; empty elsewhere.
     """
 
     where: str
     subject: str
     verdict: Verdict
     text: str
-    side: Literal["min", "max"] | None = None
+    _: KW_ONLY
+    side: Side | None = None
     limit: float | None = None
     unit: str = ""
-    measured: Measured | None = None
+    measured: Quantity | None = None
     instead: str = ""
 
     @property
@@ -90,24 +56,13 @@ class Row:
         return f"{self.subject} {'<=' if self.side == 'max' else '>='} {self.limit:.6g} {self.unit}".rstrip()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class CheckResult:
-    """What came of a check.
+    """What came of a check of a log's report: a row for each limit and axis.
 
-    Attributes
-    ----------
-    source
-        The log the report is about.
-    level
-        Confidence level of the intervals.
-    rows
-        One a limit and axis.
-    undecided_fails
-        Whether an undecided limit fails the check.
-    version
-        imucal's version.
-    noise
-        What the report says of the recording: good, look or not-noise.
+    `level` is the confidence level of the intervals; an undecided limit fails the check where
+    `undecided_fails`; `version` is imucal's; `noise` is what the report says of the recording: good, look
+    or not-noise.
     """
 
     source: str
@@ -120,8 +75,7 @@ class CheckResult:
     @property
     def verdict(self) -> Verdict:
         """``fail`` where a row failed; else ``undecided`` where one is; else ``pass``."""
-        found = {row.verdict for row in self.rows}
-        return "fail" if "fail" in found else "undecided" if "undecided" in found else "pass"
+        return min((row.verdict for row in self.rows), key=WORST_FIRST.index, default="pass")
 
     @property
     def passed(self) -> bool:
@@ -138,65 +92,213 @@ class CheckResult:
 
 
 def judge(
-    where: str,
-    subject: str,
-    measured: Measured | None,
-    *,
-    side: Literal["min", "max"],
-    limit: float,
-    unit: str = "",
+    where: str, subject: str, measured: Quantity | None, *, side: Side, limit: float, unit: str = ""
 ) -> Row:
     """Return the verdict on one limit, in `unit` as `measured` is; that is None of what the model lacks."""
     verdict: Verdict = "undecided"
     if measured is None:
         text = f"the model has no {subject}, and no bound on it; fit a model with it, or remove the limit"
     else:
-        inside, outside = measured.high <= limit, measured.low > limit
-        if side == "min":
-            inside, outside = measured.low >= limit, measured.high < limit
-        verdict = "pass" if inside else "fail" if outside else "undecided"
-        beyond, most = ("above", "largest") if side == "max" else ("below", "smallest")
-        shown = f"{'not identified, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
+        most, beyond, up = ("largest", "above", 1) if side == "max" else ("smallest", "below", -1)
         allowed = f"the {most} allowed, {limit:.6g}"
-        said = {
-            "pass": f"not {beyond} {allowed}",
-            "fail": f"{beyond} {allowed}",
-            "undecided": f"the interval holds {allowed}; record for longer to decide",
-        }
-        text = f"{subject} is {shown}; {said[verdict]}"
-    return Row(
-        where=where,
-        subject=subject,
-        side=side,
-        limit=limit,
-        unit=unit,
-        measured=measured,
-        verdict=verdict,
-        text=f"{where}: {text}",
+        said = f"the interval holds {allowed}; record for longer to decide"
+        near, far = (measured.low, measured.high)[::up]
+        if up * far <= up * limit:
+            verdict, said = "pass", f"not {beyond} {allowed}"
+        elif up * near > up * limit:
+            verdict, said = "fail", f"{beyond} {allowed}"
+        shown = f"{'not identified, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
+        text = f"{subject} is {shown}; {said}"
+    text = f"{where}: {text}"
+    return Row(where, subject, verdict, text, side=side, limit=limit, unit=unit, measured=measured)
+
+
+def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
+    """Judge a report: a row for each limit and axis, and for each forbidden finding.
+
+    For limits with a baseline `baseline` is the older report to compare with; None loads the one they name.
+    A LimitsError says that neither they nor the caller name one, a ReadError that the one they name can't
+    be read.
+    """
+    rows = [
+        *_axes_there(report, limits),
+        *chain.from_iterable(_limit(report, limit) for limit in limits.limits),
+        *_findings(report, limits),
+    ]
+    if limits.baseline is not None:
+        rows += _baseline(report, baseline or _older(limits.baseline), limits.baseline)
+    return CheckResult(
+        source=report.source.path,
+        level=report.axes[0].fit.level if report.axes else 0.95,
+        rows=tuple(rows),
+        undecided_fails=limits.undecided == "fail",
+        version=report.version,
+        noise=report.verdict,
     )
 
 
+def _older(rules: Baseline) -> Report:
+    if rules.report is None:
+        msg = "the limits have a baseline, but no older report was given; name one in the limits file"
+        raise LimitsError(msg)
+    return load(rules.report)
+
+
+def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
+    """Fail for an axis that is asked for and missing, so that nothing passes by not being there."""
+    there = {axis.name for axis in report.axes}
+    found = ", ".join(axis.name for axis in report.axes) or "none"
+    for name in dict.fromkeys(_wanted(report, limits)):
+        if name not in there:
+            yield Row(name, "axes", "fail", f"{name}: the report has no such axis; found {found}")
+    for name in dict.fromkeys(limit.where for limit in limits.limits):
+        if "_" not in name and not _axes_of(report, name):
+            where = Sensor(name).short if name in tuple(Sensor) else name
+            yield Row(where, "axes", "fail", f"{name}: the report has no axis of it; found {found}")
+    for sensor, axes in limits.required.items():
+        asked = {f"{sensor.short}_{axis}" for axis in axes}
+        if asked <= there:
+            text = f"{sensor}: {', '.join(sorted(asked))} are there"
+            yield Row(sensor.short, "axes", "pass", text)
+
+
+def _wanted(report: Report, limits: Limits) -> Iterator[str]:
+    """Yield the axes that are required, that have limits, or that an error speaks of."""
+    for sensor, axes in limits.required.items():
+        yield from (f"{sensor.short}_{axis}" for axis in axes)
+    sections = {limit.where: None for limit in limits.limits}
+    yield from (where for where in sections if "_" in where)
+    prefixes = tuple(f"{sensor.short}_" for sensor in Sensor if sensor in sections)
+    for finding in report.all_findings:
+        # A finding may also be about a sensor as a whole.
+        if finding.level == "error" and (finding.axis or "").startswith(prefixes):
+            yield finding.axis or ""
+
+
+def _axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
+    """Return the axes that ``log``, a sensor or an axis name stands for."""
+    return tuple(axis for axis in report.axes if where in ("log", axis.sensor, axis.name))
+
+
+def _limit(report: Report, limit: Limit) -> Iterator[Row]:
+    by_sensor: dict[Sensor, list[AxisReport]] = {}
+    for axis in _axes_of(report, limit.where):
+        by_sensor.setdefault(axis.sensor, []).append(axis)
+    for sensor, axes in by_sensor.items():
+        # A quantity of the clock is most often one for all axes, and said once.
+        clock = limit.quantity in LOG_QUANTITIES and len(axes) > 1
+        if clock and len({measure(axis, limit.quantity) for axis in axes}) == 1:
+            yield from _axis_limit(axes[0], sensor.short, limit)
+            continue
+        for axis in axes:
+            yield from _axis_limit(axis, axis.name, limit)
+
+
+def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
+    for key, value in measure(axis, limit.quantity) or ((limit.quantity, None),):
+        scaled = None if value is None else value.scaled(1 / limit.factor, limit.unit)
+        yield judge(where, key, scaled, side=limit.side, limit=limit.value, unit=limit.unit)
+
+
+def _findings(report: Report, limits: Limits) -> Iterator[Row]:
+    rules, found = limits.findings, dict.fromkeys(report.all_findings)
+    forbidden = [finding for finding in found if rules.forbids(finding.level, finding.code)]
+    for finding in forbidden:
+        where = finding.axis or "log"
+        text = f"{where}: forbidden {finding.level} [{finding.code}]: {finding.text}"
+        yield Row(where, finding.code, "fail", text)
+    if not forbidden and (rules.level != "none" or rules.forbid):
+        yield Row("log", "findings", "pass", "log: no forbidden finding")
+
+
+def _baseline(report: Report, before: Report, rules: Baseline) -> Iterator[Row]:
+    there = {axis.name: axis for axis in report.axes}
+    for old in before.axes:
+        if old.name not in there:
+            yield Row(old.name, "axes", "fail", f"{old.name}: in the baseline, but not in the report")
+            continue
+        for symbol in rules.terms:
+            yield from _changes(there[old.name], old, symbol, rules)
+
+
+def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) -> Iterator[Row]:
+    old, same = dict(measure(before, symbol)), _same_fit(now, before)
+    for key, measured in measure(now, symbol):
+        subject = f"{key} / baseline"
+        if key not in old:
+            text = f"{now.name}: {key} is not in the baseline's model"
+            yield Row(now.name, subject, "undecided", text)
+            continue
+        ratio = Quantity.exactly(1.0) if same else relative(measured, old[key])
+        if rules.max_increase is not None:
+            yield judge(now.name, subject, ratio, side="max", limit=1 + rules.max_increase)
+        if rules.max_decrease is not None:
+            yield judge(now.name, subject, ratio, side="min", limit=1 - rules.max_decrease)
+
+
+def _same_fit(now: AxisReport, before: AxisReport) -> bool:
+    """Say whether two results are one: no noise is between them, so that a ratio is 1 without an interval."""
+    samples = [(axis.samples, axis.rate_hz, axis.mean, axis.std) for axis in (now, before)]
+    # Text, because limits that are not known are NaN, which no NaN equals.
+    return samples[0] == samples[1] and repr(now.fit.estimates) == repr(before.fit.estimates)
+
+
+def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Quantity], ...]:
+    """Return a quantity of an axis in SI, under its name; several for several Gauss-Markov terms."""
+    missing = sum(gap.missing for gap in axis.gaps)
+    exact = {
+        "rate": axis.rate_hz,
+        "duration": axis.duration_s,
+        "gaps": float(len(axis.gaps)),
+        "missing": missing / (axis.samples + missing) if missing else 0.0,
+        "mean": axis.mean,
+        "std": axis.std,
+    }
+    if quantity in exact:
+        return ((quantity, Quantity.exactly(exact[quantity])),)
+    if quantity == "minimum":
+        return ((quantity, numbers.minimum(axis.fit)),)
+    own = (estimate for estimate in axis.fit.estimates if estimate.symbol == quantity)
+    return tuple((estimate.key, numbers.si(estimate, axis.sensor)) for estimate in own)
+
+
+def relative(now: Quantity, before: Quantity) -> Quantity:
+    """Return the ratio of two independent quantities with its interval.
+
+    The distances to the limits of both add in quadrature on the logarithmic scale (Zou & Donner
+    2008, the MOVER method). A bound is between 0 and its upper limit.
+    """
+    if now.value is None or before.value is None:
+        low = now.low / before.high if before.high else math.inf
+        high = now.high / before.low if before.low else math.inf
+        return Quantity(value=None, low=low, high=high)
+    ratio = now.value / before.value if before.value else math.inf
+    down = math.hypot(_distance(now.low, now.value), _distance(before.value, before.high))
+    up = math.hypot(_distance(now.value, now.high), _distance(before.low, before.value))
+    high = ratio * (math.exp(up) if up < 700 else math.inf)
+    return Quantity(value=ratio, low=ratio * math.exp(-down), high=high)
+
+
+def _distance(low: float, high: float) -> float:
+    return math.log(high / low) if low > 0 else math.inf
+
+
 SCHEMA = "imucal/checking/1"
-_MEASURED = ("value", "low", "high")
+_MEASURED = "value low high"
 
 
 def to_document(result: CheckResult) -> dict[str, object]:
     """Return the verdicts as JSON values; an infinite limit of an interval is null."""
     return {
         "schema": SCHEMA,
-        "version": result.version,
-        "source": result.source,
-        "level": result.level,
-        "verdict": result.verdict,
-        "passed": result.passed,
-        "noise": {"verdict": result.noise.grade, "sentence": result.noise.sentence},
+        **picked(result, "version source level verdict passed"),
+        "noise": picked(result.noise, "verdict=grade sentence"),
         "counts": {name: result.count(name) for name in ("pass", "fail", "undecided")},
         "rows": [
             {
-                **{name: getattr(row, name) for name in ("where", "subject", "side", "limit", "unit")},
-                **{name: row.measured and plain(getattr(row.measured, name)) for name in _MEASURED},
-                "verdict": row.verdict,
-                "text": row.text,
+                **picked(row, "where subject side limit unit"),
+                **(picked(row.measured, _MEASURED) if row.measured else dict.fromkeys(_MEASURED.split())),
+                **picked(row, "verdict text"),
                 "instead": row.instead or None,
             }
             for row in result.rows
@@ -214,9 +316,9 @@ def junit_xml(result: CheckResult) -> str:
     numbers = {"tests": len(result.rows), "failures": failures, "errors": 0, "skipped": skipped}
     counts = {name: str(number) for name, number in numbers.items()}
     root = ET.Element("testsuites", {"name": "imucal check", **counts})
-    suite = ET.SubElement(root, "testsuite", {"name": _xml_text(result.source), **counts})
+    suite = ET.SubElement(root, "testsuite", {"name": one_line(result.source), **counts})
     for row in result.rows:
-        rule, text = _xml_text(row.rule), _xml_text(row.text)
+        rule, text = one_line(row.rule), one_line(row.text)
         case = ET.SubElement(suite, "testcase", classname=f"imucal.{row.where}", name=rule, time="0")
         if result.fails(row):
             ET.SubElement(case, "failure", message=text, type=row.verdict).text = text
@@ -250,8 +352,3 @@ def _data(text: str) -> str:
 
 def _property(text: str) -> str:
     return _data(text).replace(":", "%3A").replace(",", "%2C")
-
-
-def _xml_text(text: str) -> str:
-    """XML has no place for control characters."""
-    return "".join(sign if sign.isprintable() else " " for sign in text)

@@ -29,14 +29,9 @@ __all__ = ["COMMANDS", "main", "options_for"]
 class LazyGroup(click.Group):
     """A group that imports a command when it is called.
 
-    Parameters
-    ----------
-    table
-        Command -> module of `imucal.cli` that has it, as `command` or ``module:name``, and its line of help.
-    of_a_log
-        What was meant where a log stands in place of a command, and the command that does it.
-    attributes
-        As click's groups take them.
+    `table` has for each command the module of `imucal.cli` that has it, as `command` or ``module:name``,
+    and its line of help; `of_a_log` is what was meant where a log stands in place of a command, and the
+    command for it.
     """
 
     def __init__(
@@ -80,8 +75,7 @@ class LazyGroup(click.Group):
             hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
         else:
             hint = f"expected one of {', '.join(self.table)}"
-        msg = f"No such command {name!r}; {hint}"
-        raise click.UsageError(msg, ctx)
+        raise click.UsageError(f"No such command {name!r}; {hint}", ctx)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Offer commands without importing them, so that the Tab key answers at once."""
@@ -99,7 +93,7 @@ class LazyGroup(click.Group):
 
 def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None:
     """Give a command what the settings file says of its options; commands of a group have tables in its."""
-    from imucal.cli._defaults import defaults_of, settings_file
+    from imucal.cli._declared import defaults_of, settings_file
 
     tables: object = ctx.default_map if ctx.parent else None
     where = f"[{ctx.info_name}."

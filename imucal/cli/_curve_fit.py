@@ -1,12 +1,15 @@
 """Fitting a table of Allan deviations that another tool made: no samples, so no report folder."""
 
+import re
+import textwrap
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import click
 
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
-from imucal.cli._printing import echo, fitted, name_of_log, picked, print_findings, print_json, say, width
+from imucal.cli._printing import echo, name_of_log, picked, print_findings, print_json, say, width
 from imucal.cli.parameters import LogRequest
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
@@ -14,8 +17,9 @@ from imucal.prediction.filter_numbers import usual_pairs
 from imucal.report.json_file import pair_document
 from imucal.units import duration
 
-#: Endings of files that may be such a table.
+#: Endings of files that may be such a table, and a cell of its heading: a unit may follow in brackets.
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")
+_TIME = re.compile(r'(?:^|[,;\t])\s*"*(?:taus?|averaging time)"*\s*(?:[\[(,;\t]|$)', re.IGNORECASE)
 
 
 def is_curve_table(request: LogRequest) -> bool:
@@ -32,18 +36,14 @@ def _names_an_averaging_time(path: Path) -> bool:
         return False
     with path.open("rb") as stream:
         head = stream.read(4096).decode("utf-8-sig", "replace")
-    lines = [line.strip() for line in head.splitlines() if line.strip() and line.strip()[0] not in "%#"]
-    heading = lines[0].lower().replace('"', "") if lines else ""
-    cells = heading.replace(";", ",").replace("\t", ",").split(",")
-    return any(
-        cell.split("[")[0].split("(")[0].strip() in {"tau", "taus", "averaging time"} for cell in cells
-    )
+    lines = (line.strip() for line in head.splitlines())
+    return _TIME.search(next((line for line in lines if line and line[0] not in "%#"), "")) is not None
 
 
 def fit_curves(request: LogRequest, settings: FitSettings, *, as_json: bool) -> None:
     """Fit every column of a table and print the terms; `mle` needs samples, so gmwm takes its place."""
     if settings.method == "mle":
-        say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=request.quiet)
+        say("A table holds no samples: fitting the curve by gmwm instead of mle.")
         settings = replace(settings, method="gmwm")
     with request.local() as logs:
         path, rate_hz = logs.paths[0], request.reading["rate_hz"]
@@ -54,12 +54,12 @@ def fit_curves(request: LogRequest, settings: FitSettings, *, as_json: bool) -> 
         for named, result in results
         for finding in (*named.findings, *result.findings)
     ]
-    print_findings(found, quiet=request.quiet)
+    print_findings(found)
     if as_json:
         print_json([_document(named, result) for named, result in results], indent=1)
     else:
         echo("\n\n".join(_table(named, result) for named, result in results))
-    say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
+    say("A table of deviations has no report folder; --json has all numbers.")
 
 
 def _unit(named: NamedCurve, symbol: str) -> str:
@@ -82,7 +82,9 @@ def _table(named: NamedCurve, result: NoiseFit) -> str:
         white, walk = (_unit(named, symbol) for symbol in ("N", "K"))
         numbers = f"white noise {pair.white:.4g} {white}".rstrip() + f", walk {pair.walk:.4g} {walk}".rstrip()
         lines.append(f"  for a filter that coasts for {duration(pair.horizon_s)}: {numbers}")
-    return "\n".join(part for line in lines for part in fitted(line, width(), indent=6))
+    later = " " * 6
+    broken = (textwrap.wrap(line, width(), subsequent_indent=later, break_on_hyphens=False) for line in lines)
+    return "\n".join(chain.from_iterable(broken))
 
 
 def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:
@@ -98,8 +100,8 @@ def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:
 
 
 def _term(named: NamedCurve, estimate: Estimate) -> dict[str, object]:
-    term = picked(estimate, "status", "value", "low", "high")
+    term = picked(estimate, "status value low high")
     term["unit"] = _unit(named, estimate.symbol) or None
     if time := estimate.correlation_time:
-        term["T_s"] = picked(time, "value", "low", "high")
+        term["T_s"] = picked(time, "value low high")
     return term

@@ -1,14 +1,23 @@
-"""How a command says what it takes: a function whose keyword arguments have their options for defaults."""
+"""How a command says what it takes: a function whose keyword arguments have their options for defaults.
+
+Other defaults stand in a file: ``imucal.toml``, or the table ``[tool.imucal]`` of ``pyproject.toml``. It has
+a table a command, keys as the options are called: ``method = "gmwm"`` in ``[fit]`` or ``[tool.imucal.fit]``.
+What is typed goes before what the file says.
+"""
 
 import functools
 import inspect
-from collections.abc import Callable, Iterator
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, NoReturn
 
 import click
 
-__all__ = ["argument", "declared", "flag", "misuse", "option", "shown", "together"]
+from imucal.errors import SettingError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +29,7 @@ class _Declared:
     attributes: dict[str, Any]
 
     def parameters(self, name: str) -> Iterator[click.Parameter]:
-        yield self.kind([*self.names.split(), name], **self.attributes)
+        yield self.kind([*self.names.split(), name.lstrip("_")], **self.attributes)
 
     def value(self, name: str, values: dict[str, Any]) -> object:
         return values[name]
@@ -41,45 +50,50 @@ class _Together:
                 yield parameter
 
     def value(self, _: str, values: dict[str, Any]) -> object:
-        return self.make(**{name: one.value(name, values) for name, one in self.declared.items()})
+        passed = {name: one for name, one in self.declared.items() if not name.startswith("_")}
+        return self.make(**{name: one.value(name, values) for name, one in passed.items()})
 
 
-def declared(epilog: str) -> Callable[[Callable[..., None]], click.Command]:
-    """Make a click command of a function: the defaults of its arguments declare the parameters, in order."""
+def declared(function: Callable[..., None]) -> click.Command:
+    """Make a click command of a function: the defaults of its arguments declare the parameters, in order.
 
-    def made(function: Callable[..., None]) -> click.Command:
-        arguments = inspect.signature(function).parameters
-        whole = _Together(function, {name: argument.default for name, argument in arguments.items()})
+    Its docstring is the help; from the first line on that ends in two colons it stands below the options,
+    line by line. An argument whose name begins with an underscore is not passed: `is_set` tells of it.
+    """
+    arguments = inspect.signature(function).parameters
+    whole = _Together(function, {name: argument.default for name, argument in arguments.items()})
+    text = inspect.cleandoc(function.__doc__ or "")
+    first = re.search("^.*::$", text, re.MULTILINE)
+    start = first.start() if first else len(text)
+    below = "\n\n".join(f"\b\n{part}" for part in text[start:].replace("::\n", ":\n").split("\n\n"))
 
-        @functools.wraps(function)
-        def call(**values: Any) -> object:  # noqa: ANN401
-            return whole.value("", values)
+    @functools.wraps(function)
+    def call(**values: Any) -> object:  # noqa: ANN401
+        return whole.value("", values)
 
-        return click.command(params=list(whole.parameters("")), epilog=epilog)(call)
-
-    return made
-
-
-def option(names: str, text: str, kind: object = None, metavar: str | None = None, **more: Any) -> Any:  # noqa: ANN401
-    """Declare an option: its help, its type, what stands for its value in the help, and more of click's."""
-    return _Declared(click.Option, names, {"help": text, "type": kind, "metavar": metavar, **more})
-
-
-def shown(
-    names: str,
-    default: object,
-    text: str,
-    kind: object = None,
-    metavar: str | None = None,
-    **more: Any,  # noqa: ANN401
-) -> Any:  # noqa: ANN401
-    """Declare an option whose default stands in its help."""
-    return option(names, text, kind, metavar, default=default, show_default=True, **more)
+    return click.command(params=list(whole.parameters("")), help=text[:start], epilog=below)(call)
 
 
-def flag(names: str, text: str) -> Any:  # noqa: ANN401
+def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
+    """Declare an option by its line of help, such as ``-o --out DIR=fleet  Folder of it.``.
+
+    After the names stand what its value is called and, behind a sign of equality, the default that the help
+    shows; two spaces part them from the sentence. `kind` is its type, `more` is click's.
+    """
+    head, _, text = said.partition("  ")
+    head, equals, default = head.partition("=")
+    words = head.split()
+    names = [word for word in words if word.startswith("-")]
+    metavar = words[-1] if len(names) < len(words) else None
+    shown = {"default": default, "show_default": True} if equals else {}
+    return _Declared(
+        click.Option, " ".join(names), {"help": text, "type": kind, "metavar": metavar, **shown, **more}
+    )
+
+
+def flag(said: str) -> Any:  # noqa: ANN401
     """Declare an option that is given or not."""
-    return option(names, text, is_flag=True)
+    return option(said, is_flag=True)
 
 
 def together(make: Callable[..., Any], declared: dict[str, Any]) -> Any:  # noqa: ANN401
@@ -92,6 +106,56 @@ def argument(metavar: str | None, kind: object = None, **more: Any) -> Any:  # n
     return _Declared(click.Argument, "", {"metavar": metavar, "type": kind, **more})
 
 
-def misuse(text: object) -> NoReturn:
-    """Raise what ends a command with exit code 2: what was typed can't be meant."""
-    raise click.UsageError(str(text))
+def is_set(name: str) -> bool:
+    """Return whether the command that runs was given a flag, such as quiet; False where none runs."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.params.get(name))
+
+
+def misuse(text: object, *options: str) -> NoReturn:
+    """Raise what ends a command with exit code 2: what was typed, for an option or not, can't be meant."""
+    raise click.BadParameter(str(text), param_hint=options) if options else click.UsageError(str(text))
+
+
+def settings_file() -> tuple[Path, dict[str, object]] | None:
+    """Return the file of this folder that has defaults, and its tables; None where there is none.
+
+    A SettingError says that it can't be read.
+    """
+    for name, keys in (("imucal.toml", ()), ("pyproject.toml", ("tool", "imucal"))):
+        path = Path(name)
+        if not path.is_file():
+            continue
+        try:
+            found: object = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise SettingError(f"{path}: can't be read as TOML ({error}); correct it") from error
+        for key in keys:
+            found = found.get(key) if isinstance(found, dict) else None
+        if isinstance(found, dict):
+            return path, found
+    return None
+
+
+def defaults_of(command: click.Command, table: object, where: str) -> dict[str, object]:
+    """Return what a table says of a command, by the names of its parameters.
+
+    A SettingError says that it is no table, or names no option of the command, and suggests the nearest.
+    """
+    if not isinstance(table, Mapping):
+        raise SettingError(f"{where} is {table!r}, expected a table of options")
+    options = {
+        name.lstrip("-"): parameter
+        for parameter in command.params
+        if isinstance(parameter, click.Option)
+        for name in parameter.opts
+        if name.startswith("--")
+    }
+    found: dict[str, object] = {}
+    for key, value in table.items():
+        if key not in options:
+            near = get_close_matches(key, options, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(sorted(options))}"
+            raise SettingError(f"{where}: there is no option {key!r}; {hint}")
+        found[str(options[key].name)] = value if isinstance(value, bool | list) else str(value)
+    return found

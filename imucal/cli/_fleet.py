@@ -2,14 +2,14 @@
 
 import re
 import sys
-from collections.abc import Sequence, Sized
+from collections.abc import Sized
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from imucal.cli._declared import option
-from imucal.cli._printing import echo, fitted, print_findings, say, width
+from imucal.cli._printing import echo, print_findings, say, wrapped
 from imucal.cli.parameters import Text
 from imucal.clock import seconds_of
 from imucal.errors import ChoiceError
@@ -40,10 +40,10 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
     seconds = sum(task.seconds for task in tasks) / workers
     about = duration(60 * round(seconds / 60) if seconds > 60 else float(f"{seconds:.2g}"))
     size = data_size(sum(task.size for task in tasks))
-    say(f"{number_of(tasks, 'log')}, {size}, about {about} on {number_of(workers, 'worker')}")
+    echo(f"{number_of(tasks, 'log')}, {size}, about {about} on {number_of(workers, 'worker')}", err=True)
 
 
-def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
+def say_plan(plan: "FleetPlan", store: "FleetStore") -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     copies = [log for log in plan.own() if log.copy_of]
     done, again = plan.own("done"), plan.own("again")
@@ -53,70 +53,68 @@ def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
         f"{len(again)} tried again": again,
         f"{number_of(copies, 'copy', 'copies')} of others, counted once": copies,
     }
-    say("; ".join(text for text, said in parts.items() if said), quiet=quiet)
+    say("; ".join(text for text, said in parts.items() if said))
     for log in copies:
-        say(f"  {log.path}: same content as {log.copy_of}", quiet=quiet)
+        say(f"  {log.path}: same content as {log.copy_of}")
     # Labels that the store has stay where a run gives none.
     if not any(log.labels.get("unit") for log in plan.logs) and not store.logs()["unit"].count():
         example = "say which units they are: --labels '{model}/{unit}/*.mcap'"
-        say(f"No log has a label unit: logs stand one by one; {example}", quiet=quiet)
+        say(f"No log has a label unit: logs stand one by one; {example}")
 
 
-def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float, quiet: bool) -> None:
-    """Print what became of the logs asked for, and end with the exit code of it."""
+def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> None:
+    """Print what became of the logs asked for, and end with the exit code of it.
+
+    Where nothing is left to do, the report is written; one that is newer than the store is left as it is.
+    """
     from imucal.fleet.store import FleetStore
+    from imucal.fleet_report import load_fleet
 
     store = FleetStore(out.absolute())
     counted = {log.copy_of or log.path for log in plan.own()}
     every = store.logs()
     logs = every.filter(every["path"].is_in(sorted(counted)))
     print_standing(logs, out)
-    failed = print_failures(logs, quiet=quiet)
+    failed = print_failures(logs)
     asked = store.manifest()
     # Copies are done with their originals.
     waiting = set(asked.filter(asked["copy_of"].is_null())["path"]) - set(every["path"])
     if every.filter(status="ok").height and not waiting:
-        write_files(store, ask=ask, quiet=quiet)
+        page, last = (store.folder / name for name in ("fleet.html", "fleet.json"))
+        if page.is_file() and last.is_file() and last.stat().st_mtime_ns > store.changed_ns():
+            echo(str(page))
+        else:
+            write_files(load_fleet(store.folder, ask=ask), page_alone=True)
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
-        say(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read")
+        echo(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read", err=True)
         raise click.exceptions.Exit(3)
     if failed > max_failed * max(logs.height, 1):
         percent = f"{100 * failed / logs.height:.3g} %"
         share = f"{failed} of {number_of(logs.height, 'log')} failed ({percent})"
-        say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
+        echo(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%", err=True)
         raise click.exceptions.Exit(4)
 
 
-def write_files(store: "FleetStore", *, quiet: bool, ask: "Ask | None" = None) -> None:
-    """Write the report of a fleet of which nothing is left to do.
-
-    One that is newer than the store is left as it is.
-    """
-    from imucal.fleet_report import load_fleet, write_fleet
-
-    page, last = (store.folder / name for name in ("fleet.html", "fleet.json"))
-    if page.is_file() and last.is_file() and last.stat().st_mtime_ns > store.changed_ns():
-        echo(str(page))
-        return
-    fleet = load_fleet(store.folder, ask=ask)
-    missing: list[Finding] = []
-    files = write_fleet(fleet, tell=missing.append)
-    echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
-    say_verdict(fleet, missing, quiet=quiet)
-
-
-def say_verdict(fleet: "Fleet", missing: Sequence["Finding"], *, quiet: bool) -> None:
-    """Print the findings of a fleet and of its files, and which units are odd.
+def write_files(
+    fleet: "Fleet", *, page_alone: bool = False, html: bool = True, pictures: bool = True
+) -> None:
+    """Write the report of a fleet; print its files, or the page alone, its findings, and which units are odd.
 
     That is broken between words on a terminal; elsewhere it is one line for who searches it.
     """
-    from imucal.fleet_report.verdict import verdict
+    from imucal.fleet_report import write_fleet
+    from imucal.fleet_report.pages import verdict
 
-    print_findings([*fleet.findings, *missing], quiet=quiet)
+    missing: list[Finding] = []
+    files = write_fleet(fleet, html=html, pictures=pictures, tell=missing.append)
+    page = next((file for file in files if file.suffix == ".html"), files[0])
+    for file in [page] if page_alone else files:
+        echo(str(file))
+    print_findings([*fleet.findings, *missing])
     text = verdict(fleet)[1]
-    for line in fitted(text, width(), indent=2) if sys.stderr.isatty() else [text]:
-        say(line, quiet=quiet)
+    for line in wrapped(text) if sys.stderr.isatty() else [text]:
+        say(line)
 
 
 def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
@@ -132,7 +130,7 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
         echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")
 
 
-def print_failures(logs: "pl.DataFrame", *, quiet: bool) -> int:
+def print_failures(logs: "pl.DataFrame") -> int:
     """Print the logs that gave no numbers which may be used, by kind, of many the first; return how many."""
     from imucal.fleet_run.plan import has_failed
 
@@ -142,11 +140,11 @@ def print_failures(logs: "pl.DataFrame", *, quiet: bool) -> int:
             kind, why = ("not noise", "not noise") if status == "ok" else (status, reason)
             groups.setdefault(kind, []).append(why if path in why else f"{path}: {why}")
     for kind, texts in groups.items():
-        say(f"{kind}: {len(texts)}", quiet=quiet)
+        say(f"{kind}: {len(texts)}")
         for text in texts[:_NAMED]:
-            say(f"  {text}", quiet=quiet)
+            say(f"  {text}")
         if len(texts) > _NAMED:
-            say(f"  and {len(texts) - _NAMED} more", quiet=quiet)
+            say(f"  and {len(texts) - _NAMED} more")
     return sum(map(len, groups.values()))
 
 
@@ -166,8 +164,7 @@ def _patience(text: str) -> float | None:
     if text == "auto":
         return None
     if not (seconds := seconds_of(text)):
-        msg = "'0' is no time to work; write such as 10min, or auto"
-        raise ValueError(msg)
+        raise ValueError("'0' is no time to work; write such as 10min, or auto")
     return seconds
 
 
@@ -175,15 +172,14 @@ def _shard(text: str) -> tuple[int, int]:
     """Return i and n of ``i/n``, i from 1."""
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
     if not match or not 1 <= int(match[1]) <= int(match[2]):
-        msg = f"{text!r} is no part; write i/n with i from 1 to n, such as 1/8"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is no part; write i/n with i from 1 to n, such as 1/8")
     return int(match[1]), int(match[2])
 
 
 #: Types of the options of ``imucal fleet run``.
 PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
 #: Option of commands that take a fleet.
-FLEET_MODEL = option("--fleet-model", "Fleet: which sensor model, where it has several.", metavar="NAME")
+FLEET_MODEL = option("--fleet-model NAME  Fleet: which sensor model, where it has several.")
 
 
 def is_fleet(path: str | Path) -> bool:
@@ -198,5 +194,4 @@ def read_fleet(path: str | Path, model: str | None) -> "Fleet":
     try:
         return load_model(path, model)
     except ChoiceError as error:
-        msg = f"{error}; choose one with --fleet-model"
-        raise ChoiceError(msg) from error
+        raise ChoiceError(f"{error}; choose one with --fleet-model") from error

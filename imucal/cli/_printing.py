@@ -1,20 +1,25 @@
-"""Printing: texts that fit the terminal and never steer it, findings, names, and what ends a command."""
+"""Printing: texts that fit the terminal and never steer it, findings, progress, and what ends a command."""
 
 import json
 import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
+from imucal.cli._declared import is_set
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.grading import NoiseVerdict
 from imucal.printable import printable, printable_json
+
+if TYPE_CHECKING:
+    from imucal.fleet_run.running import RunCount
 
 
 def echo(text: str, *, err: bool = False) -> None:
@@ -37,16 +42,16 @@ def can_print(text: str, encoding: str | None = None) -> bool:
     return True
 
 
-def picked(value: object, *names: str) -> dict[str, object]:
-    """Return some attributes of a value as JSON has them: infinity and not-a-number as null."""
-    from imucal.report.json_file import plain
+def picked(value: object, names: str) -> dict[str, object]:
+    """Return some attributes of a value as JSON has them, as `imucal.report.json_file.picked` does."""
+    from imucal.report import json_file
 
-    return {name: plain(getattr(value, name)) for name in names}
+    return json_file.picked(value, names)
 
 
-def say(text: str | Path, *, quiet: bool = False) -> None:
+def say(text: object) -> None:
     """Print a line for people, on standard error, so that standard output holds results only."""
-    if not quiet:
+    if not is_set("quiet"):
         echo(str(text), err=True)
 
 
@@ -59,13 +64,6 @@ _LEAST = 30
 def width() -> int:
     """Return the columns of the terminal, 80 at most; 80 where the output is no terminal."""
     return max(_LEAST, min(FULL, shutil.get_terminal_size((FULL, 24)).columns))
-
-
-def fitted(line: str, columns: int, *, indent: int) -> list[str]:
-    """Return a line, broken between words where it is too long, later lines indented."""
-    if len(line) <= columns:
-        return [line]
-    return textwrap.wrap(line, columns, subsequent_indent=" " * indent, break_on_hyphens=False)
 
 
 def wrapped(text: str, *, indent: int = 0) -> list[str]:
@@ -90,8 +88,10 @@ _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cy
 
 def words(finding: Finding, text: str | None = None) -> Words:
     """Return level, code and sentence of a finding, its own text or another, with what to do."""
-    parts = (finding.text if text is None else text, finding.advice, suggestion(finding))
-    return finding.level, finding.code, " ".join(part for part in parts if part)
+    option = f"Try {kept_part(finding)}." if finding.keep_s else ""
+    option = "Say it with --columns." if "columns text" in finding.advice else option
+    parts = (finding.text if text is None else text, finding.advice, option)
+    return finding.level, finding.code, " ".join(filter(None, parts))
 
 
 def said_of(axes: Sequence[str], said: Words) -> str:
@@ -100,18 +100,18 @@ def said_of(axes: Sequence[str], said: Words) -> str:
     return f"[{code}]{''.join(f' {axis}' for axis in dict.fromkeys(axes))}: {text}"
 
 
-def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = False) -> None:
+def print_findings(findings: Sequence[Finding]) -> None:
     """Print findings, the grave ones first; axes that share a sentence stand together.
 
-    Of warnings and remarks that differ in their figures alone, one stands for all unless `verbose`.
+    Of warnings and remarks that differ in their figures alone, one stands for all without --verbose.
     """
-    if quiet or not findings:
+    if is_set("quiet") or not findings:
         return
     from rich.console import Console
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False)
-    for said, axes, others in _grave_first(findings, verbose=verbose):
+    for said, axes, others in _grave_first(findings):
         text = Text(said[0], style=_STYLES[said[0]])
         tail = ""
         if others:
@@ -121,9 +121,7 @@ def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = 
         console.print(text)
 
 
-def _grave_first(
-    findings: Sequence[Finding], *, verbose: bool
-) -> Iterator[tuple[Words, list[str], list[list[str]]]]:
+def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[Words, list[str], list[list[str]]]]:
     """Yield what findings say, of which axes, and the axes of those that each of them stands for."""
     about: dict[Words, list[str]] = {}
     for finding in findings:
@@ -135,16 +133,9 @@ def _grave_first(
     for said, axes in ordered:
         first = lead.setdefault(said[:2], said)
         # The first of a level and code stands for the others that are about an axis; errors stay.
-        folds = first is not said and said[0] != "error" and axes and not verbose
+        folds = first is not said and said[0] != "error" and axes and not is_set("verbose")
         others.setdefault(first if folds else said, []).extend([axes] if folds else [])
     yield from ((said, axes, others[said]) for said, axes in ordered if said in others)
-
-
-def suggestion(finding: Finding) -> str:
-    """Return the options that do what the advice of a finding says."""
-    if "columns text" in finding.advice:
-        return "Say it with --columns."
-    return f"Try {kept_part(finding)}." if finding.keep_s else ""
 
 
 def kept_part(finding: Finding) -> str:
@@ -173,26 +164,68 @@ def refuse(
     where: str,
     consequence: str,
     *,
-    force: bool,
-    forbidden: Sequence[Finding] = (),
+    findings: Sequence[Finding] = (),
     remedy: str = "record again at rest, or --force",
     told: bool = False,
 ) -> None:
-    """Raise what ends a command with exit code 4; `told` is whether its results were printed.
+    """End a command with exit code 4, by a DataError; `told` is whether its results were printed.
 
-    Raises
-    ------
-    DataError
-        Where the data are not noise at rest, unless forced, with `consequence` (what was written or not) and
-        `remedy`; or where a `forbidden` finding, of a --strict command, is more than a remark.
+    So end data that are not noise at rest, unless forced, with `consequence` (what was written or not) and
+    `remedy`; and, with --strict, those of which one of the `findings` is more than a remark.
     """
-    if not verdict.usable and not force:
+    if not verdict.usable and not is_set("force"):
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
         msg = f"{where}: {sentence}; {consequence}; {remedy}"
-    elif codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
+    elif is_set("strict") and (codes := {f.code: None for f in findings if f.level != "info"}):
         msg = f"{where}: {', '.join(codes)} found, and --strict allows no warning"
     else:
         return
     error = DataError(msg)
     error.told = told
     raise error
+
+
+#: What a bar yields: called with what is done, of what, and a word; None where nobody watches.
+_Update: TypeAlias = Callable[..., None] | None
+#: Columns of a terminal that has room for a bar, bytes and the time left beside the words.
+_WIDE = 80
+#: Columns of bytes.
+BYTES = ("DownloadColumn", "TransferSpeedColumn")
+#: The bar that shows which axis is being fitted.
+FITTING = ("fitting {task.fields[word]:8}", "MofNCompleteColumn")
+
+
+@contextmanager
+def progress(text: str, *columns: str, when: bool = True) -> Iterator[_Update]:
+    """Yield what updates a bar with some of rich's columns, or None where nobody watches."""
+    if not when or is_set("quiet") or not sys.stderr.isatty():
+        yield None
+        return
+    from rich import progress as bars
+    from rich.console import Console
+    from rich.table import Column
+
+    console = Console(stderr=True)
+    said = bars.TextColumn(text, table_column=Column(no_wrap=True))
+    if console.width < _WIDE:
+        shown: list[bars.ProgressColumn] = [said, bars.TaskProgressColumn()]
+    else:
+        own = [getattr(bars, name)() for name in columns]
+        shown = [said, bars.BarColumn(bar_width=20), *own, bars.TimeRemainingColumn()]
+    with bars.Progress(*shown, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None, word="")
+        yield lambda done, total, word="": bar.update(task, completed=done, total=total or None, word=word)
+
+
+@contextmanager
+def fleet_progress(*, when: bool = True) -> Iterator[Callable[["RunCount"], None] | None]:
+    """Show logs done, failed and in hand, bytes and time left on a terminal; nothing elsewhere."""
+    with progress("{task.fields[word]}", "DownloadColumn", when=when) as update:
+        yield update and (
+            lambda count: update(
+                # A byte at least, so that logs of unknown size are seen too.
+                count.done_size + count.done,
+                count.size + count.logs,
+                f"{count.done} of {count.logs} logs, {count.failed} failed, {count.running} in hand",
+            )
+        )

@@ -23,16 +23,12 @@ REPORT = "report.json or its folder"
 _MODEL = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
 
 
-def _models(**texts: str | None) -> dict[Sensor, str]:
-    return {Sensor(name): text for name, text in texts.items() if text}
-
-
 #: The options of models in place of a report, which make a model for each sensor that has one.
 MODELS = together(
-    _models,
+    lambda **texts: {Sensor(name): text for name, text in texts.items() if text},
     {
-        Sensor.GYROSCOPE.value: option("--gyro", _MODEL, model_of(Sensor.GYROSCOPE), "MODEL"),
-        Sensor.ACCELEROMETER.value: option("--accel", _MODEL, model_of(Sensor.ACCELEROMETER), "MODEL"),
+        Sensor.GYROSCOPE.value: option(f"--gyro MODEL  {_MODEL}", model_of(Sensor.GYROSCOPE)),
+        Sensor.ACCELEROMETER.value: option(f"--accel MODEL  {_MODEL}", model_of(Sensor.ACCELEROMETER)),
     },
 )
 
@@ -75,10 +71,7 @@ def is_model(text: str) -> bool:
 def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "REPORT") -> dict[Sensor, str]:
     """Return the models of the options, and that of the argument of a name, which is the gyroscope's.
 
-    Raises
-    ------
-    click.UsageError
-        If there is no model, the argument is none, or the gyroscope has two.
+    A usage error says that there is no model, that the argument is none, or that the gyroscope has two.
     """
     from imucal.noise.model import NoiseModel
 
@@ -144,14 +137,12 @@ def read_report(report: str | Path) -> Report:
 
     if is_url(report):
         if not is_report(report):
-            msg = f"{shown(str(report))}: not a report.json; run 'imucal fit' on it first"
-            raise ReadError(msg)
+            raise ReadError(f"{shown(str(report))}: not a report.json; run 'imucal fit' on it first")
         with local_logs([report]) as reports:
             return load(reports.paths[0])
     path = Path(report)
     if path.is_file() and path.suffix != ".json":
-        msg = f"{path}: not a report.json or its folder; run 'imucal fit {as_typed(path)}' first"
-        raise ReadError(msg)
+        raise ReadError(f"{path}: not a report.json or its folder; run 'imucal fit {as_typed(path)}' first")
     return load(path)
 
 
@@ -168,6 +159,6 @@ def _characterise(request: LogRequest) -> Report:
     from imucal.pipeline import Settings
 
     report = request.characterise(Settings(reading=request.settings()))
-    print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
-    say("Characterised with the defaults of 'imucal fit'", quiet=request.quiet)
+    print_findings(report.all_findings)
+    say("Characterised with the defaults of 'imucal fit'")
     return report

@@ -20,29 +20,15 @@ _Block = list[str]
 
 
 def summary_table(
-    report: Report,
-    *,
-    datasheet: bool,
-    forced: bool = False,
-    encoding: str | None = None,
-    columns: int = FULL,
+    report: Report, *, datasheet: bool, forced: bool = False, encoding: str | None = None, columns: int = FULL
 ) -> str:
     """Return the table as text of at most 80 columns, or 40, without a newline at its end.
 
-    Parameters
-    ----------
-    report
-        What to show; an axis that could not be analysed is missing.
-    datasheet
-        Data-sheet units, else SI.
-    forced
-        Whether to show axes too whose numbers are not those of noise at rest; of a log that was moved no
-        axis is left.
-    encoding
-        Of the place it is printed to; by default standard output's. Where it can't hold signs
-        such as √ the units are written in ASCII.
-    columns
-        Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
+    It is in data-sheet units or in SI. An axis that could not be analysed is missing, and unless `forced`
+    so is one whose numbers are not those of noise at rest; of a log that was moved no axis is left. Where
+    the place it is printed to, by default standard output, has an `encoding` that can't hold signs such as
+    √ the units are written in ASCII. With less than 80 `columns` the sensors stand one after the other, 39
+    columns wide.
     """
     plain, verdict = not can_print("√²³µ", encoding), report.verdict
     usable = [axis for axis in report.axes if forced or axis.name in verdict.axes]

@@ -1,6 +1,5 @@
 """``imucal adev``: the curves alone."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -8,7 +7,7 @@ import click
 from imucal._version import __version__
 from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
-from imucal.cli._declared import declared, flag, shown
+from imucal.cli._declared import declared, flag, option, together
 from imucal.cli._printing import echo, picked, print_findings, print_json, refuse, say
 from imucal.cli.parameters import FORCE, LEVEL, LOG, TAUS, LogRequest
 from imucal.errors import DataError
@@ -17,44 +16,44 @@ from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal adev log.mcap > curves.csv
-  imucal adev log.bag --taus decade:20 --estimator modified
-  imucal adev log.csv --taus 0.1,1,10,10min --json
-
-\b
-Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-analysed or are not noise at rest (with --strict: or a warning was found)."""
-)
+@declared
 def command(
     *,
     request: LogRequest = LOG,
-    taus: str | tuple[float, ...] = shown(
-        *("--taus", "octave", "octave, decade, decade:20, all, or times such as 0.1,1,10min."),
-        *(TAUS, "SET"),
+    how: dict[str, Any] = together(
+        dict,
+        {
+            "taus": option(
+                "--taus SET=octave  octave, decade, decade:20, all, or times such as 0.1,1,10min.", TAUS
+            ),
+            "estimator": option("--estimator=overlapping  Which deviation.", click.Choice(list(ESTIMATORS))),
+            "edf": option("--edf=hybrid  Degrees of freedom of the intervals.", click.Choice(EDF_METHODS)),
+        },
     ),
-    estimator: str = shown("--estimator", "overlapping", "Which deviation.", click.Choice(list(ESTIMATORS))),
-    edf: str = shown(
-        "--edf", "hybrid", "Degrees of freedom of the intervals.", click.Choice(list(EDF_METHODS))
-    ),
-    level: float = shown("--level", 0.95, "Confidence level of the intervals.", LEVEL),
-    as_json: bool = flag("--json", "Print JSON, with the spectrum of each axis, not CSV."),
-    force: bool = FORCE,
+    level: float = option("--level=0.95  Confidence level of the intervals.", LEVEL),
+    as_json: bool = flag("--json  Print JSON, with the spectrum of each axis, not CSV."),
+    _force: bool = FORCE,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 
     Deviations are of the rate signal, in rad/s and m/s^2; low and high are the limits of their
     interval, edf its degrees of freedom. Sets of averaging times but "all" stop where a value has
     some 2 degrees of freedom left.
+
+    Examples::
+      imucal adev log.mcap > curves.csv
+      imucal adev log.bag --taus decade:20 --estimator modified
+      imucal adev log.csv --taus 0.1,1,10,10min --json
+
+    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+    analysed or are not noise at rest (with --strict: or a warning was found).
     """
     recording = request.read()
     axes: list[dict[str, Any]] = []
     failures: dict[str, DataError] = {}
     for series in recording.series:
         try:
-            axes.append(_axis(series, taus, estimator=estimator, edf=edf, level=level, spectrum=as_json))
+            axes.append(_axis(series, how, level=level, spectrum=as_json))
         except DataError as error:
             failures[series.name] = error
     if not axes:
@@ -74,11 +73,11 @@ def command(
         print_json(document, indent=1)
     else:
         echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
-    print_findings(findings, quiet=request.quiet, verbose=request.verbose)
-    say(verdict.sentence, quiet=request.quiet or not verdict.usable)
-    forbidden = findings if request.strict else ()
+    print_findings(findings)
+    if verdict.usable:
+        say(verdict.sentence)
     path = recording.source.path
-    refuse(verdict, path, "the curves were printed", force=force, forbidden=forbidden, told=True)
+    refuse(verdict, path, "the curves were printed", findings=findings, told=True)
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:
@@ -86,33 +85,25 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
     from imucal.pipeline import screen
 
     found = (*recording.findings, *screen(recording))
-    failed = [
-        Finding(level="error", code="no-result", axis=axis, text=f"{error}.")
-        for axis, error in failures.items()
-    ]
+    failed = [Finding("error", "no-result", f"{error}.", axis=axis) for axis, error in failures.items()]
     return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 
 
-def _axis(
-    series: AxisSeries, taus: str | Sequence[float], *, estimator: str, edf: str, level: float, spectrum: bool
-) -> dict[str, Any]:
-    """Return what is printed of one axis, as JSON values."""
+def _axis(series: AxisSeries, how: dict[str, Any], *, level: float, spectrum: bool) -> dict[str, Any]:
+    """Return what is printed of one axis, as JSON values; `how` its curve is made, for `allan_curve`."""
     from imucal import allan
 
     if series.n and not series.usable.any():
-        msg = f"{series.name}: no finite samples among {series.n}"
-        raise DataError(msg)
-    curve = allan.allan_curve(series, taus=taus, estimator=estimator, edf=edf)
+        raise DataError(f"{series.name}: no finite samples among {series.n}")
+    curve = allan.allan_curve(series, **how)
     low, high = curve.confidence_interval(level)
     axis: dict[str, Any] = {
-        **picked(series, "name", "sensor", "axis", "unit"),
+        **picked(series, "name sensor axis unit"),
         "samples": curve.n,
         "rate_hz": series.rate_hz,
-        **picked(curve, "estimator", "computed", "edf_method"),
+        **picked(curve, "estimator computed edf_method"),
         "curve": {
-            "tau_s": curve.tau.tolist(),
-            "m": curve.m.tolist(),
-            "adev": curve.adev.tolist(),
+            **picked(curve, "tau_s=tau m adev"),
             "low": low.tolist(),
             "high": high.tolist(),
             "edf": curve.edf.tolist(),
@@ -120,13 +111,8 @@ def _axis(
     }
     if spectrum:
         psd = allan.spectrum(series)
-        axis["spectrum"] = {
-            "unit": f"({series.unit})^2/Hz",
-            "sided": "two",
-            "frequency_hz": psd.frequency.tolist(),
-            "psd": psd.psd.tolist(),
-            "count": psd.count.tolist(),
-        }
+        two_sided = {"unit": f"({series.unit})^2/Hz", "sided": "two"}
+        axis["spectrum"] = two_sided | picked(psd, "frequency_hz=frequency psd count")
     return axis
 
 

@@ -20,55 +20,27 @@ from imucal.report.result import Report
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
 
-@declared(
-    epilog="""\b
-Limits (TOML):
-  undecided = "pass"       # what an interval that holds the limit means
-  [gyroscope]              # or accelerometer, or one axis: [gyro_z]
-  N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; SI unless said
-  minimum = { max = 10, unit = "deg/h" }      # also mean, std
-  [log]
-  duration = { min = 2, unit = "h" }          # also rate, gaps, missing
-  [findings]
-  level = "warning"        # forbid these and graver; also forbid, allow
-  [baseline]
-  report = "golden/report.json"
-  max_increase = 0.2
-
-\b
-Examples:
-  imucal check still-imucal --limits limits.toml
-  imucal check still.mcap --limits limits.toml --junit imucal.xml --github
-  imucal check still-imucal --baseline golden-imucal --json | jq .verdict
-  imucal check new-unit.mcap --fleet fleet
-  imucal check still-imucal --config imu.yaml
-
-\b
-Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
-file, 3 the report or log can't be read, 4 the data can't be analysed."""
-)
+@declared
 def command(
     *,
-    limits_file: Path | None = option("--limits", "What is allowed, in TOML.", FILE, "FILE"),
+    limits_file: Path | None = option("--limits FILE  What is allowed, in TOML.", FILE),
     baseline: str | None = option(
-        *("--baseline", f"Older report ({REPORT}); alone it allows 20 % more N, B and K."),
-        *(click.Path(), "REPORT"),
+        f"--baseline REPORT  Older report ({REPORT}); alone it allows 20 % more N, B and K.", click.Path()
     ),
-    fleet: Path | None = option("--fleet", "Folder of a fleet: is this unit one of them?", PATH, "FLEET"),
+    fleet: Path | None = option("--fleet FLEET  Folder of a fleet: is this unit one of them?", PATH),
     config: Path | None = option(
-        "--config", "Config of a filter: are its noise parameters right for this sensor?", FILE, "FILE"
+        "--config FILE  Config of a filter: are its noise parameters right for this sensor?", FILE
     ),
     fleet_model: str | None = FLEET_MODEL,
     undecided: str | None = option(
-        "--undecided",
-        "What an interval that holds the limit means. [default: the limits file's, else pass]",
+        "--undecided  What an interval that holds the limit means. [default: the limits file's, else pass]",
         click.Choice(["pass", "fail"]),
     ),
-    as_json: bool = flag("--json", "Print the verdicts as JSON."),
+    as_json: bool = flag("--json  Print the verdicts as JSON."),
     junit: Path | None = option(
-        "--junit", "Write JUnit XML too.", click.Path(dir_okay=False, path_type=Path), "FILE"
+        "--junit FILE  Write JUnit XML too.", click.Path(dir_okay=False, path_type=Path)
     ),
-    github: bool = flag("--github", "Print GitHub annotations too (on standard error with --json)."),
+    github: bool = flag("--github  Print GitHub annotations too (on standard error with --json)."),
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Pass or fail a report, or a log, against limits.
@@ -85,6 +57,29 @@ def command(
     With --config the noise parameters of a filter's file are held to the numbers that 'imucal export'
     writes: too small fails, and so does too large where it is a slip, such as a factor of the rate,
     degrees, g, a square, or another term's number. Each is said with the line to write instead.
+
+    Limits (TOML)::
+      undecided = "pass"       # what an interval that holds the limit means
+      [gyroscope]              # or accelerometer, or one axis: [gyro_z]
+      N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; SI unless said
+      minimum = { max = 10, unit = "deg/h" }      # also mean, std
+      [log]
+      duration = { min = 2, unit = "h" }          # also rate, gaps, missing
+      [findings]
+      level = "warning"        # forbid these and graver; also forbid, allow
+      [baseline]
+      report = "golden/report.json"
+      max_increase = 0.2
+
+    Examples::
+      imucal check still-imucal --limits limits.toml
+      imucal check still.mcap --limits limits.toml --junit imucal.xml --github
+      imucal check still-imucal --baseline golden-imucal --json | jq .verdict
+      imucal check new-unit.mcap --fleet fleet
+      imucal check still-imucal --config imu.yaml
+
+    Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
+    file, 3 the report or log can't be read, 4 the data can't be analysed.
     """
     from imucal.checking import check, check_config
     from imucal.checking.verdict import github_annotations, junit_xml, to_document
@@ -109,7 +104,7 @@ def command(
 
         with replacing(junit, ours="imucal check") as scratch:
             scratch.write_text(junit_xml(result), encoding="utf-8")
-        say(junit, quiet=request.quiet)
+        say(junit)
     if as_json:
         print_json(to_document(result))
     else:
@@ -143,8 +138,7 @@ def _limits(
         misuse("--fleet-model is about a fleet; give --fleet FLEET too")
     if fleet is not None and not is_fleet(fleet):
         expected = "expected the folder of a fleet that imucal fleet run writes"
-        msg = f"{fleet}: found no manifest.parquet, {expected}"
-        raise ReadError(msg)
+        raise ReadError(f"{fleet}: found no manifest.parquet, {expected}")
     if fleet is None and limits_file is None and baseline is None and config is None:
         misuse(
             "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"

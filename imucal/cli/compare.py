@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import argument, declared, flag, misuse, shown
+from imucal.cli._declared import argument, declared, flag, is_set, misuse, option
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import FULL, as_typed, picked, print_json, say, width
 from imucal.cli._report_input import MODELS, given_report, is_model, read_report, with_model
@@ -22,37 +22,24 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/comparison/1"
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal compare monday-imucal tuesday-imucal
-  imucal compare golden-imucal new-imucal --tolerance 0.1
-  imucal compare fleet-2023 fleet-2024
-  imucal compare still-imucal "N=0.3deg/sqrt(h) + B=5deg/h" --tolerance 1
-  imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
-
-\b
-Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
-2 usage, 3 a report can't be read, 4 the reports have no axis in common."""
-)
+@declared
 def command(
     *,
     a: str = argument("A", click.Path()),
     b: str | None = argument("B", click.Path(), required=False),
     models: dict[Sensor, str] = MODELS,
-    alpha: float = shown(
-        *("--alpha", 0.05, "Probability of calling any term different when none is."),
+    alpha: float = option(
+        "--alpha=0.05  Probability of calling any term different when none is.",
         Number(0, 1, min_open=True, max_open=True),
     ),
-    tolerance: float = shown(
-        *("--tolerance", 0.0, "Relative difference that doesn't count, such as 0.05."),
-        *(Number(min=0), "FRACTION"),
+    tolerance: float = option(
+        "--tolerance FRACTION=0.0  Relative difference that doesn't count, such as 0.05.", Number(min=0)
     ),
-    no_fail: bool = flag("--no-fail", "End with exit code 0 even if a term differs."),
+    no_fail: bool = flag("--no-fail  End with exit code 0 even if a term differs."),
     fleet_model: str | None = FLEET_MODEL,
-    datasheet: bool = DATASHEET,
-    as_json: bool = flag("--json", "Print the comparison as JSON (SI)."),
-    quiet: bool = QUIET,
+    _datasheet: bool = DATASHEET,
+    as_json: bool = flag("--json  Print the comparison as JSON (SI)."),
+    _quiet: bool = QUIET,
 ) -> None:
     """Say which noise terms of two reports differ significantly.
 
@@ -63,17 +50,27 @@ def command(
 
     Of two fleets (folders of 'imucal fleet run') the median units are compared. Either may be a model,
     such as a data sheet's: as an argument the gyroscope's, --gyro and --accel in place of B.
+
+    Examples::
+      imucal compare monday-imucal tuesday-imucal
+      imucal compare golden-imucal new-imucal --tolerance 0.1
+      imucal compare fleet-2023 fleet-2024
+      imucal compare still-imucal "N=0.3deg/sqrt(h) + B=5deg/h" --tolerance 1
+      imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
+
+    Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
+    2 usage, 3 a report can't be read, 4 the reports have no axis in common.
     """
     result = compare(*_both(a, b, models, fleet_model), alpha=alpha, tolerance=tolerance)
     if as_json:
         print_json(to_document(result))
     else:
         # Its colours are our own; names of files stand in the lines below it.
-        click.echo(_table(result, datasheet=datasheet))
+        click.echo(_table(result))
     for name, path in (("A", result.a), ("B", result.b)):
-        say(f"{name}: {path}", quiet=quiet)
+        say(f"{name}: {path}")
     for note in result.notes:
-        say(note, quiet=quiet)
+        say(note)
     if result.significant and not no_fail:
         click.get_current_context().exit(1)
 
@@ -95,8 +92,8 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
         )
     from imucal.fleet_report.as_report import fleet_as_report
 
-    one, other_one = (fleet_as_report(read_fleet(path, fleet), value="median") for path in (a, b))
-    return one, other_one
+    first, second = (fleet_as_report(read_fleet(path, fleet), value="median") for path in (a, b))
+    return first, second
 
 
 def _with_models(a: str, b: str | None, models: dict[Sensor, str]) -> tuple[Report, Report]:
@@ -116,17 +113,15 @@ def to_document(result: Comparison) -> dict[str, object]:
     """Return a comparison as JSON values, SI."""
     return {
         "schema": SCHEMA,
-        **picked(result, "a", "b", "alpha", "tolerance", "tested"),
+        **picked(result, "a b alpha tolerance tested"),
         "significant": len(result.significant),
         "notes": result.notes,
         "differences": [
             {
-                "axis": difference.axis,
-                "term": difference.key,
-                "unit": difference.unit,
+                **picked(difference, "axis term=key unit"),
                 "a": _estimate(difference.a),
                 "b": _estimate(difference.b),
-                **picked(difference, "ratio", "z", "p", "p_adjusted", "outcome"),
+                **picked(difference, "ratio z p p_adjusted outcome"),
             }
             for difference in result.differences
         ],
@@ -134,14 +129,17 @@ def to_document(result: Comparison) -> dict[str, object]:
 
 
 def _estimate(estimate: Estimate | None) -> dict[str, object] | None:
-    return None if estimate is None else picked(estimate, "status", "value", "low", "high")
+    return None if estimate is None else picked(estimate, "status value low high")
 
 
-def _table(result: Comparison, *, datasheet: bool) -> str:
+_ROW = "{:<8}{:<6}{:<17}{:>11}{:>11}{:>8}{:>9}  {}".format
+
+
+def _table(result: Comparison) -> str:
     narrow = width() < FULL
-    lines = [] if narrow else [_row("axis", "term", "unit", "A", "B", "B/A", "p", "outcome")]
+    lines = [] if narrow else [_ROW("axis", "term", "unit", "A", "B", "B/A", "p", "outcome")]
     for difference in result.differences:
-        lines += _lines(difference, datasheet=datasheet, narrow=narrow)
+        lines += _lines(difference, narrow=narrow)
     beyond = f" beyond {result.tolerance:.3g} of A" if result.tolerance else ""
     count = len(result.significant)
     text = f"{count} of {result.tested} terms differ" if count else "no significant difference"
@@ -150,10 +148,10 @@ def _table(result: Comparison, *, datasheet: bool) -> str:
     return "\n".join([*lines, *([verdict, tests] if narrow else [f"{verdict} {tests}"])])
 
 
-def _lines(difference: Difference, *, datasheet: bool, narrow: bool) -> list[str]:
+def _lines(difference: Difference, *, narrow: bool) -> list[str]:
     """Return a difference as a row of the table; as two lines where the terminal is narrow."""
     unit = DatasheetUnit(difference.unit, 1.0)
-    if datasheet and difference.unit != "s":
+    if is_set("datasheet") and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
     p = ""
@@ -166,12 +164,7 @@ def _lines(difference: Difference, *, datasheet: bool, narrow: bool) -> list[str
     if narrow:
         first = f"{difference.axis:<8}{difference.key:<6}{outcome}{f', p {p}' if p else ''}"
         return [first, f"  {a} -> {b} {unit.name}"]
-    return [_row(difference.axis, difference.key, unit.name, a, b, ratio, p, outcome)]
-
-
-def _row(*cells: str) -> str:
-    axis, term, unit, a, b, ratio, p, outcome = cells
-    return f"{axis:<8}{term:<6}{unit:<17}{a:>11}{b:>11}{ratio:>8}{p:>9}  {outcome}"
+    return [_ROW(difference.axis, difference.key, unit.name, a, b, ratio, p, outcome)]
 
 
 def _cell(estimate: Estimate | None, unit: DatasheetUnit) -> str:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._declared import declared, flag, option, shown
-from imucal.cli._printing import echo, print_findings, print_json, refuse, say
-from imucal.cli._progress import FITTING, progress
+from imucal.cli._declared import declared, flag, misuse, option
+from imucal.cli._printing import FITTING, echo, print_findings, print_json, progress, refuse, say
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, FORCE, LOG, PATH, PICTURES, STRUCTURE, LogRequest
 from imucal.errors import DataError
@@ -30,37 +29,23 @@ _SHAPES = {
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal decompose log.mcap
-  imucal decompose log.bag --axis gyro_z --model "N + B + K" -o bias
-  imucal decompose log.csv --every 10s --npz
-  imucal decompose log.mcap --json -q | jq '.axes[].components'
-
-\b
-Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-analysed (with --strict: or a warning was found), 5 the files can't be
-written, 130 interrupted."""
-)
+@declared
 def command(
     *,
     request: LogRequest = LOG,
-    out: Path | None = option("-o --out", "Folder of the files. [default: NAME-decomposed]", PATH, "DIR"),
+    out: Path | None = option("-o --out DIR  Folder of the files. [default: NAME-decomposed]", PATH),
     axes: tuple[str, ...] = option(
-        "--axis", "Only this axis; may be repeated.", click.Choice(_AXES), multiple=True
+        "--axis  Only this axis; may be repeated.", click.Choice(_AXES), multiple=True
     ),
-    model: str = shown(
-        "--model", "auto", 'Terms to fit, such as "N + B + K" or "N + 2*GM".', STRUCTURE, "TEXT"
-    ),
+    model: str = option('--model TEXT=auto  Terms to fit, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
     every: float | None = option(
-        "--every", "Time between rows of the CSV. [default: at most 10000 rows]", DURATION, "TIME"
+        "--every TIME  Time between rows of the CSV. [default: at most 10000 rows]", DURATION
     ),
-    npz: bool = flag("--npz", "Write NAME.npz too: everything at the samples' rate."),
+    npz: bool = flag("--npz  Write NAME.npz too: everything at the samples' rate."),
     formats: tuple[str, ...] = PICTURES,
-    no_clean: bool = flag("--no-clean", "Take spikes for samples, instead of leaving them out."),
-    as_json: bool = flag("--json", "Print decomposition.json on standard output."),
-    force: bool = FORCE,
+    no_clean: bool = flag("--no-clean  Take spikes for samples, instead of leaving them out."),
+    as_json: bool = flag("--json  Print decomposition.json on standard output."),
+    _force: bool = FORCE,
 ) -> None:
     """Draw what the bias of every axis of LOG did.
 
@@ -68,35 +53,41 @@ def command(
     (random walk, flicker, Gauss-Markov, ramp), is estimated from all samples before and after,
     with its standard error. AXIS.png shows the bias over the samples, AXIS.csv holds it and its
     parts with their standard errors (_se), decomposition.json says which model was used.
+
+    Examples::
+      imucal decompose log.mcap
+      imucal decompose log.bag --axis gyro_z --model "N + B + K" -o bias
+      imucal decompose log.csv --every 10s --npz
+      imucal decompose log.mcap --json -q | jq '.axes[].components'
+
+    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+    analysed (with --strict: or a warning was found), 5 the files can't be
+    written, 130 interrupted.
     """
     from imucal.pipeline import Settings, characterize
     from imucal.report.figure_bias import SCHEMA, check_folder, write_document
 
     if every == 0:
-        msg = "0 s between rows are no rows; give a time above 0, such as 10s"
-        raise click.BadParameter(msg, param_hint="'--every'")
+        misuse("0 s between rows are no rows; give a time above 0, such as 10s", "--every")
     folder = out or report_folder(request.logs[0], "decomposed")
     check_folder(folder)
     recording = _only(request.read(), axes)
     settings = Settings(model=model, clean=not no_clean, second_opinion=False, reading=request.settings())
-    with progress(*FITTING, quiet=request.quiet) as update:
+    with progress(*FITTING) as update:
         report = characterize(recording, settings, progress=update)
-    print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+    print_findings(report.all_findings)
     path = recording.source.path
     described, failed = [], False
     for axis in report.axes:
         series = recording.axis(axis.sensor, axis.axis)
         asked = {"formats": formats, "every_s": every, "arrays": npz, "source": path}
         try:
-            described.append(
-                _decompose_axis(series, axis.fit, folder, clean=not no_clean, quiet=request.quiet, **asked)
-            )
+            described.append(_decompose_axis(series, axis.fit, folder, clean=not no_clean, **asked))
         except DataError as error:
-            say(f"Error: {error}")
+            echo(f"Error: {error}", err=True)
             failed = True
     if not described:
-        msg = f"{path}: no axis can be decomposed"
-        raise DataError(msg)
+        raise DataError(f"{path}: no axis can be decomposed")
     document: dict[str, object] = {
         "schema": SCHEMA,
         "version": __version__,
@@ -109,9 +100,8 @@ def command(
         print_json(document, indent=1)
     else:
         echo(_table(described))
-    say(written, quiet=request.quiet)
-    forbidden = report.all_findings if request.strict else ()
-    refuse(report.verdict, path, f"{folder} was written", force=force, forbidden=forbidden)
+    say(written)
+    refuse(report.verdict, path, f"{folder} was written", findings=report.all_findings)
     if failed:
         click.get_current_context().exit(DataError.exit_code)
 
@@ -122,13 +112,12 @@ def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
     missing = [name for name in axes if name not in {series.name for series in recording.series}]
     if missing:
         found = ", ".join(series.name for series in recording.series) or "none"
-        msg = f"{recording.source.path}: no axis {', '.join(missing)}; found {found}"
-        raise DataError(msg)
+        raise DataError(f"{recording.source.path}: no axis {', '.join(missing)}; found {found}")
     return replace(recording, series=chosen)
 
 
 def _decompose_axis(
-    series: AxisSeries, fit: "NoiseFit", folder: Path, *, clean: bool, quiet: bool, **asked: Any  # noqa: ANN401
+    series: AxisSeries, fit: "NoiseFit", folder: Path, *, clean: bool, **asked: Any  # noqa: ANN401
 ) -> dict[str, object]:  # fmt: skip
     """Decompose one axis and write its files; return what is to say about it."""
     from imucal.fitting.decomposition import decompose
@@ -138,21 +127,19 @@ def _decompose_axis(
     if isinstance(taken, list) and taken:
         named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
         text = f"the fit took out {' and '.join(named)}; here it is in the bias, as far as the model follows"
-        say(f"{series.name}: {text}", quiet=quiet)
-    with progress(f"decomposing {series.name}", "TaskProgressColumn", quiet=quiet) as update:
+        say(f"{series.name}: {text}")
+    with progress(f"decomposing {series.name}", "TaskProgressColumn") as update:
         parts = decompose(series, fit, clean=clean, progress=update)
     paths = write_decomposition(parts, folder, **asked)
     for path in paths:
-        say(path, quiet=quiet)
+        say(path)
     return axis_document(parts, paths)
 
 
 def _table(axes: list[dict[str, Any]]) -> str:
     """Return a line for each axis and part: how far it moved, and how well that is known, in SI."""
-    lines = [f"{'axis':<9}{'part':<7}{'least':>12}{'greatest':>12}{'± (1 sd)':>11}  unit"]
-    for axis in axes:
-        for part in axis["components"]:
-            limits = "".join(f"{part[name] + 0.0:>12.4g}" for name in ("least", "greatest"))
-            error = f"{part['standard_error']:>11.2g}"
-            lines.append(f"{axis['name']:<9}{part['key']:<7}{limits}{error}  {axis['unit']}")
-    return "\n".join(lines)
+    row = "{name:<9}{key:<7}{least:>12.4g}{greatest:>12.4g}{standard_error:>11.2g}  {unit}".format_map
+    parts = (axis | part for axis in axes for part in axis["components"])
+    # A zero has no sign.
+    rows = (row(one | {name: one[name] + 0.0 for name in ("least", "greatest")}) for one in parts)
+    return "\n".join([f"{'axis':<9}{'part':<7}{'least':>12}{'greatest':>12}{'± (1 sd)':>11}  unit", *rows])

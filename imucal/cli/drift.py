@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-import click
-
-from imucal.cli._declared import declared, flag, misuse, option, shown
-from imucal.cli._printing import FULL, echo, fitted, picked, print_json, refuse, say, width
+from imucal.cli._declared import declared, flag, misuse, option
+from imucal.cli._printing import FULL, echo, picked, print_json, refuse, say, width, wrapped
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, FORMATS, PATH, LogRequest, Text
 from imucal.clock import seconds_of
@@ -22,27 +20,17 @@ def _times(text: str) -> tuple[float, ...]:
     return tuple(sorted({seconds_of(part) for part in text.split(",")}))
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal drift still-imucal
-  imucal drift still.mcap --rest 30s --times 5s,30s,2min -o drift.png
-  imucal drift still-imucal --all-axes --json -q
-
-\b
-Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
-are not noise at rest, 5 the picture can't be written."""
-)
+@declared
 def command(
     *,
-    rest: float = shown("--rest", "60s", "How long the bias is averaged before.", DURATION, "TIME"),
-    times: tuple[float, ...] = shown(
-        *("--times", "1s,10s,60s,5min", "How long nothing aids it then.", Text("times", _times), "LIST")
+    rest: float = option("--rest TIME=60s  How long the bias is averaged before.", DURATION),
+    times: tuple[float, ...] = option(
+        "--times LIST=1s,10s,60s,5min  How long nothing aids it then.", Text("times", _times)
     ),
-    all_axes: bool = flag("--all-axes", "Each axis by itself, instead of each sensor's worst."),
-    out: Path | None = option("-o --out", "Draw a picture too: .png, .svg or .pdf.", PATH, "FILE"),
-    as_json: bool = flag("--json", "Print JSON (SI)."),
-    force: bool = FORCE,
+    all_axes: bool = flag("--all-axes  Each axis by itself, instead of each sensor's worst."),
+    out: Path | None = option("-o --out FILE  Draw a picture too: .png, .svg or .pdf.", PATH),
+    as_json: bool = flag("--json  Print JSON (SI)."),
+    _force: bool = FORCE,
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Say how far dead reckoning drifts after a rest.
@@ -51,13 +39,20 @@ def command(
     averaged, then nothing aids it: angles err by the gyroscope's noise, velocity and position by the
     accelerometer's and, through tilt, by g times the gyroscope's. Each is one standard deviation with its
     limits, and the term that makes most of it.
+
+    Examples::
+      imucal drift still-imucal
+      imucal drift still.mcap --rest 30s --times 5s,30s,2min -o drift.png
+      imucal drift still-imucal --all-axes --json -q
+
+    Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
+    are not noise at rest, 5 the picture can't be written.
     """
     form = out.suffix.lstrip(".") if out else FORMATS[0]
     if form not in FORMATS:
-        msg = f"{out} is no picture's name; end it with one of .{', .'.join(FORMATS)}"
-        raise click.BadParameter(msg, param_hint="'-o' / '--out'")
+        misuse(f"{out} is no picture's name; end it with one of .{', .'.join(FORMATS)}", "-o", "--out")
     report = load_report(request)
-    refuse(report.verdict, request.logs[0], "nothing was predicted", force=force)
+    refuse(report.verdict, request.logs[0], "nothing was predicted")
     try:
         found = drift(report, times, rest_s=rest, each_axis=all_axes)
     except ValueError as error:
@@ -73,17 +68,17 @@ def command(
 
         with replacing(out) as scratch:
             scratch.write_bytes(render(drift_figure(report, found), form, version=report.version))
-        say(out, quiet=request.quiet)
+        say(out)
 
 
 def to_document(found: Drift) -> dict[str, object]:
     """Return a drift as JSON values, SI; null for what is not known."""
-    names = ("time_s", "axis", "value", "low", "high", "term", "share", "seen")
+    names = "time_s axis value low high term share seen"
     return {
         "schema": SCHEMA,
-        **picked(found, "rest_s", "level", "vertical"),
+        **picked(found, "rest_s level vertical"),
         "quantities": [
-            {**picked(one, "name", "unit"), "points": [picked(point, *names) for point in one.points]}
+            {**picked(one, "name unit"), "points": [picked(point, names) for point in one.points]}
             for one in found.quantities
         ],
     }
@@ -91,7 +86,7 @@ def to_document(found: Drift) -> dict[str, object]:
 
 def _table(found: Drift) -> str:
     said = f"Drift without aiding after a rest of {duration(found.rest_s)}: one standard deviation"
-    lines = fitted(f"{said} [{100 * found.level:.4g} % limits]", width(), indent=2)
+    lines = wrapped(f"{said} [{100 * found.level:.4g} % limits]")
     lines += [f"{found.vertical} is vertical, by the accelerometer"] if found.vertical else []
     for quantity in found.quantities:
         lines += ["", quantity.name]
@@ -102,11 +97,9 @@ def _table(found: Drift) -> str:
             makes += [f"{point.term} {100 * point.share:.0f} %"] if point.term else []
             makes += ["extrapolated"] if point.seen is False else []
             row = f"  {duration(point.time_s):<8}{value:<32}"
-            wide = width() >= FULL
-            lines += (
-                [f"{row}{'  '.join(makes)}".rstrip()] if wide else [row.rstrip(), f"    {'  '.join(makes)}"]
-            )
+            said = "  ".join(makes)
+            lines += [f"{row}{said}".rstrip()] if width() >= FULL else [row.rstrip(), f"    {said}"]
     if any(point.seen is False for quantity in found.quantities for point in quantity.points):
         few = f"the log is not {STRETCHES} times as long as rest and time together"
-        lines += ["", *fitted(f"extrapolated: {few}; its terms are taken to go on", width(), indent=2)]
+        lines += ["", *wrapped(f"extrapolated: {few}; its terms are taken to go on")]
     return "\n".join(lines)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._declared import declared, misuse, option, shown, together
+from imucal.cli._declared import declared, misuse, option, together
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import echo, refuse, say
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
@@ -16,16 +16,7 @@ from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
 from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
-from imucal.report.exports import (
-    INFLATABLE,
-    TARGETS,
-    AxisPolicy,
-    Basis,
-    Unidentified,
-    export,
-    find_target,
-    render,
-)
+from imucal.report import exports
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
@@ -35,17 +26,16 @@ _FOLDER = Path("imucal-exports")
 
 
 #: What --to takes, with its title.
-_TITLES = {target.name: target.title for target in TARGETS.values()}
+_TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 
 def _target_name(text: str) -> str:
     """Return the name of a downstream format as it was typed, or all."""
     if text != "all":
         try:
-            find_target(text)
+            exports.find_target(text)
         except ValueError as error:
-            msg = f"{error}, all"
-            raise ValueError(msg) from error
+            raise ValueError(f"{error}, all") from error
     return text
 
 
@@ -63,97 +53,69 @@ def _factors(text: str) -> dict[str, float]:
             factors[name] = float(number)
         except ValueError:
             factors[name] = 0.0
-        if name not in INFLATABLE or not 0 < factors[name] < math.inf:
-            names = ", ".join(INFLATABLE)
-            msg = f"{part!r} is not one of {names} with a factor, such as white=2,walk=10"
-            raise ValueError(msg)
+        if name not in exports.INFLATABLE or not 0 < factors[name] < math.inf:
+            names = ", ".join(exports.INFLATABLE)
+            raise ValueError(f"{part!r} is not one of {names} with a factor, such as white=2,walk=10")
     return factors
 
 
 _LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
 
 
-@declared(
-    epilog=f"""\b
-Formats:
-{_LISTED}
-  all        each of them, into a folder
-
-\b
-Examples:
-  imucal export still-imucal --to kalibr -o imu.yaml
-  imucal export still-imucal/report.json --to all -o configs
-  imucal export still.mcap --to vins --axis-policy rms -o -
-  imucal export still-imucal --to openvins --inflate white=5,walk=10
-  imucal export still-imucal --to px4 --horizon 10min --step 0.2s
-  imucal export fleet --value tolerance --to kalibr
-
-\b
-Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
-are not noise at rest or a number that the format needs is missing, 5 the
-file can't be written."""
-)
+@declared
 def command(
     *,
     targets: tuple[str, ...] = option(
-        *("--to", "Format, from the list below, or all; may be repeated."),
-        *(Text("target", _target_name), "NAME"),
+        "--to NAME  Format, from the list below, or all; may be repeated.",
+        Text("target", _target_name),
         shell_complete=_complete_target,
         multiple=True,
         required=True,
     ),
     out: Path | None = option(
-        "-o --out",
-        "File, or folder, or - for standard output. [default: the format's own name here; for several "
-        f"the folder {_FOLDER}]",
+        "-o --out PATH  File, or folder, or - for standard output. [default: the format's own name here; for "
+        f"several the folder {_FOLDER}]",
         click.Path(path_type=Path, allow_dash=True),
-        "PATH",
     ),
     options: dict[str, Any] = together(
         dict,
         {
-            "axis_policy": shown(
-                *("--axis-policy", "worst"),
-                "For formats with one number a sensor: the largest of the axes, the root of their mean "
-                "variance, or one axis.",
-                click.Choice(get_args(AxisPolicy)),
+            "axis_policy": option(
+                "--axis-policy=worst  For formats with one number a sensor: the largest of the axes, the "
+                "root of their mean variance, or one axis.",
+                click.Choice(get_args(exports.AxisPolicy)),
             ),
             "inflate": option(
-                "--inflate",
-                "Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; said in the file.",
+                "--inflate FACTORS  Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; "
+                "said in the file.",
                 Text("inflation", _factors),
-                "FACTORS",
                 default={},
             ),
-            "unidentified": shown(
-                *("--unidentified", "bound"),
-                "A term that the data don't show: write its upper bound, or refuse.",
-                click.Choice(get_args(Unidentified)),
+            "unidentified": option(
+                "--unidentified=bound  A term that the data don't show: write its upper bound, or refuse.",
+                click.Choice(get_args(exports.Unidentified)),
             ),
-            "numbers": shown(
-                *("--numbers", "covered"),
-                "For formats with white noise and a walk: the least that cover the fitted spectrum, flicker "
-                "and bounds included, or N and K of the fit.",
-                click.Choice(get_args(Basis)),
+            "numbers": option(
+                "--numbers=covered  For formats with white noise and a walk: the least that cover the fitted "
+                "spectrum, flicker and bounds included, or N and K of the fit.",
+                click.Choice(get_args(exports.Basis)),
             ),
             "horizon_s": option(
-                "--horizon",
-                "How long the filter may coast. [default: 60s with cameras and lidars, else 300s]",
+                "--horizon TIME  How long the filter may coast. [default: 60s with cameras and lidars, else "
+                "300s]",
                 DURATION,
-                "TIME",
             ),
-            "step_s": shown("--step", "1s", "How often the filter is aided.", DURATION, "TIME"),
+            "step_s": option("--step TIME=1s  How often the filter is aided.", DURATION),
         },
     ),
     value: "FleetValue | None" = option(
-        "--value",
-        "Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
+        "--value  Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
         "[default: tolerance]",
         click.Choice(["tolerance", "median"]),
     ),
     fleet_model: str | None = FLEET_MODEL,
-    rostopic: str | None = option("--rostopic", "IMU topic to write. [default: the log's]", metavar="NAME"),
-    force: bool = FORCE,
+    rostopic: str | None = option("--rostopic NAME  IMU topic to write. [default: the log's]"),
+    _force: bool = FORCE,
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Write the config files that filters and simulators read.
@@ -161,27 +123,46 @@ def command(
     REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a fleet.
     Every file says in a comment which number is continuous or discrete, by which formula, and from which
     axis.
+
+    Examples::
+      imucal export still-imucal --to kalibr -o imu.yaml
+      imucal export still-imucal/report.json --to all -o configs
+      imucal export still.mcap --to vins --axis-policy rms -o -
+      imucal export still-imucal --to openvins --inflate white=5,walk=10
+      imucal export still-imucal --to px4 --horizon 10min --step 0.2s
+      imucal export fleet --value tolerance --to kalibr
+
+    Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
+    are not noise at rest or a number that the format needs is missing, 5 the
+    file can't be written.
     """
-    if options["horizon_s"] is not None and options["horizon_s"] <= options["step_s"]:
-        msg = f"{options['horizon_s']:g} s is not longer than the --step of {options['step_s']:g} s"
-        raise click.BadParameter(msg, param_hint="'--horizon'")
+    horizon_s, step_s = options["horizon_s"], options["step_s"]
+    if horizon_s is not None and horizon_s <= step_s:
+        misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
     report = _report(request, value, fleet_model)
-    refuse(report.verdict, request.logs[0], "nothing was exported", force=force)
+    refuse(report.verdict, request.logs[0], "nothing was exported")
     options["topic"] = rostopic
-    names = tuple(TARGETS) if "all" in targets else _names(targets, quiet=request.quiet)
-    texts = [render(report, name, **options) for name in names]  # so that a refusal leaves no file
+    names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
+    texts = [exports.render(report, name, **options) for name in names]  # so that a refusal leaves no file
     several = len(names) > 1
     if out == Path("-"):
         if several:
-            msg = "standard output takes one format; give a folder"
-            raise click.BadParameter(msg, param_hint="'-o'")
+            misuse("standard output takes one format; give a folder", "-o")
         click.echo(texts[0], nl=False)
     else:
         place = _folder(out or _FOLDER) if several else out or Path()
         for name in names:
-            echo(str(export(report, name, place, **options)[0]))
+            echo(str(exports.export(report, name, place, **options)[0]))
     for text in _remarks(report, options["numbers"]):
-        say(text, quiet=request.quiet)
+        say(text)
+
+
+command.epilog = f"""\b
+Formats:
+{_LISTED}
+  all        each of them, into a folder
+
+{command.epilog}"""
 
 
 def _report(request: LogRequest, value: "FleetValue | None", model: str | None) -> Report:
@@ -200,12 +181,12 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
     return load_report(request)
 
 
-def _names(asked: tuple[str, ...], *, quiet: bool) -> tuple[str, ...]:
+def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
     """Return the formats' own names, each once; say which one another name stands for."""
-    found = {name: find_target(name) for name in asked}
+    found = {name: exports.find_target(name) for name in asked}
     for name, target in found.items():
         if not target.is_called(name):
-            say(f"{name}: written as {target.name} ({target.title})", quiet=quiet)
+            say(f"{name}: written as {target.name} ({target.title})")
     return tuple(dict.fromkeys(target.name for target in found.values()))
 
 
@@ -215,12 +196,11 @@ def _folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = "it is a file" if path.is_file() else error.strerror or error
-        msg = f"{path}: can't be made a folder: {reason}; choose another place"
-        raise WriteError(msg) from error
+        raise WriteError(f"{path}: can't be made a folder: {reason}; choose another place") from error
     return path
 
 
-def _remarks(report: Report, numbers: Basis) -> Iterator[str]:
+def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
     """Yield what the numbers are, which may be bounds, and which half of them the files lack."""
     if numbers == "covered":
         yield (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucal.cli._declared import declared, flag, misuse, option, shown, together
+from imucal.cli._declared import declared, flag, is_set, misuse, option, together
 from imucal.cli._printing import as_typed, echo, kept_part, name_of_log, print_findings, refuse, say, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
@@ -21,68 +21,51 @@ if TYPE_CHECKING:
 _REST_S = 30.0
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal fit log.mcap
-  imucal fit s3://bucket/log.mcap
-  imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
-  imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
-  imucal fit drive.mcap --rests
-  imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
-  imucal fit curve.csv        (tau and deviations made by another tool)
-
-\b
-Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-analysed or are not noise at rest (with --strict: or a warning was found),
-5 the report can't be written, 130 interrupted."""
-)
+@declared
 def command(
     *,
     request: LogRequest = LOG,
-    out: Path | None = option("-o --out", "Folder of the report. [default: NAME-imucal]", PATH, "DIR"),
-    rests: bool = flag("--rests", "LOG is a drive with several rests: fit those together, each by itself."),
+    out: Path | None = option("-o --out DIR  Folder of the report. [default: NAME-imucal]", PATH),
+    rests: bool = flag("--rests  LOG is a drive with several rests: fit those together, each by itself."),
     choices: dict[str, Any] = together(
         dict,
         {
-            "model": shown("--model", "auto", 'Terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE, "TEXT"),
-            "method": shown("--method", "mle", "Estimator.", click.Choice(METHODS)),
-            "level": shown("--level", 0.95, "Confidence level of every interval.", LEVEL),
-            "criterion": shown("--ic", "chance", "What chooses the model.", click.Choice(CRITERIA)),
-            "weights": shown("--weights", "full", "Weights of gmwm.", click.Choice(WEIGHTS)),
-            "segments": shown(
-                *("--segments", 8, "Parts whose noise is compared; 1 for none."),
-                *(click.IntRange(1, MOST_SEGMENTS), "N"),
+            "model": option('--model TEXT=auto  Terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
+            "method": option("--method=mle  Estimator.", click.Choice(METHODS)),
+            "level": option("--level=0.95  Confidence level of every interval.", LEVEL),
+            "criterion": option("--ic=chance  What chooses the model.", click.Choice(CRITERIA)),
+            "weights": option("--weights=full  Weights of gmwm.", click.Choice(WEIGHTS)),
+            "segments": option(
+                "--segments N=8  Parts whose noise is compared; 1 for none.", click.IntRange(1, MOST_SEGMENTS)
             ),
-            "taus": shown("--taus", "octave", "octave, decade, decade:20 or all.", TAU_SET, "SET"),
-            "edf": shown(
-                *("--edf", "hybrid", "Degrees of freedom of the curve's intervals."),
+            "taus": option("--taus SET=octave  octave, decade, decade:20 or all.", TAU_SET),
+            "edf": option(
+                "--edf=hybrid  Degrees of freedom of the curve's intervals.",
                 click.Choice(["hybrid", "model", "greenhall"]),
             ),
         },
     ),
-    no_clean: bool = flag("--no-clean", "Fit spikes too, instead of leaving them out."),
-    verify: bool = flag("--verify", "Check the fit against the exact likelihood (slower)."),
+    no_clean: bool = flag("--no-clean  Fit spikes too, instead of leaving them out."),
+    verify: bool = flag("--verify  Check the fit against the exact likelihood (slower)."),
     datasheet: bool = DATASHEET,
     formats: tuple[str, ...] = PICTURES,
-    figure: str = shown(
-        *("--figure", "report"),
-        "paper: curves for one column of a paper too (NAME-paper.pdf; --format svg for SVG).",
+    figure: str = option(
+        "--figure=report  paper: curves for one column of a paper too (NAME-paper.pdf; --format svg for "
+        "SVG).",
         click.Choice(["report", "paper"]),
     ),
-    no_html: bool = flag("--no-html", "Write no HTML page."),
-    opened: bool = flag("--open", "Show the page in the browser when it is written."),
-    no_report: bool = flag("--no-report", "Write no files at all."),
+    no_html: bool = flag("--no-html  Write no HTML page."),
+    opened: bool = flag("--open  Show the page in the browser when it is written."),
+    no_report: bool = flag("--no-report  Write no files at all."),
     jobs: int | None = option(
-        "--jobs",
-        "Axes fitted at a time, each in a process of its own. [default: as many as there are processors]",
+        "--jobs N  Axes fitted at a time, each in a process of its own. [default: as many as there are "
+        "processors]",
         click.IntRange(1),
-        "N",
     ),
-    bins: bool = flag("--bins", "Put each axis's binned spectrum into report.json, to pool logs."),
-    as_json: bool = flag("--json", "Print report.json on standard output."),
-    curve: bool = flag("--curve", "LOG is a table of tau and Allan deviations, without headings."),
-    force: bool = FORCE,
+    bins: bool = flag("--bins  Put each axis's binned spectrum into report.json, to pool logs."),
+    as_json: bool = flag("--json  Print report.json on standard output."),
+    curve: bool = flag("--curve  LOG is a table of tau and Allan deviations, without headings."),
+    _force: bool = FORCE,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
@@ -93,6 +76,19 @@ def command(
     their intervals; the report folder holds
     report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
     not noise, which ends with exit code 4.
+
+    Examples::
+      imucal fit log.mcap
+      imucal fit s3://bucket/log.mcap
+      imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
+      imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
+      imucal fit drive.mcap --rests
+      imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
+      imucal fit curve.csv        (tau and deviations made by another tool)
+
+    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+    analysed or are not noise at rest (with --strict: or a warning was found),
+    5 the report can't be written, 130 interrupted.
     """
     from imucal.cli._curve_fit import fit_curves, is_curve_table
     from imucal.pipeline import Settings
@@ -117,33 +113,26 @@ def command(
     if as_json:
         click.echo(printable_json(dumps(to_document(report))), nl=False)
     else:
-        echo(summary_table(report, datasheet=datasheet, forced=force, columns=width()))
-    print_findings(_told(report, request, force=force), quiet=request.quiet, verbose=request.verbose)
+        echo(summary_table(report, datasheet=datasheet, forced=is_set("force"), columns=width()))
+    print_findings(_told(report))
     missing: list[Finding] = []
     if not no_report:
         files = write_report(
             report, folder, formats=formats, html=not no_html, paper=figure == "paper",
             tell=missing.append, workers=jobs,
         )  # fmt: skip
-        say(_written(folder, [path.name for path in files], replaced=replaced), quiet=request.quiet)
-        print_findings(missing, quiet=request.quiet)
-        if opened:
-            _show(files)
+        say(_written(folder, [path.name for path in files], replaced=replaced))
+        print_findings(missing)
+        if opened and (page := folder / "report.html") in files:
+            click.launch(str(page))
         if report.verdict.usable:
             typed = as_typed(folder)
-            say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
+            say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)")
     written = "nothing was written" if no_report else f"{folder} says so"
-    forbidden = (*report.all_findings, *missing) if request.strict else ()
     remedy = _remedy(() if rests else report.findings, report)
     where = report.source.path
-    refuse(report.verdict, where, written, force=force, forbidden=forbidden, remedy=remedy, told=True)
-
-
-def _show(files: Sequence[Path]) -> None:
-    """Show the page in the browser, where there is one."""
-    for path in files:
-        if path.name == "report.html":
-            click.launch(str(path))
+    findings = (*report.all_findings, *missing)
+    refuse(report.verdict, where, written, findings=findings, remedy=remedy, told=True)
 
 
 def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
@@ -155,10 +144,10 @@ def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
     return f"{'Replaced the report in' if replaced else 'Wrote'} {folder}: {', '.join([*first, *counted])}"
 
 
-def _told(report: "Report", request: LogRequest, *, force: bool) -> Sequence["Finding"]:
+def _told(report: "Report") -> Sequence["Finding"]:
     """Return the findings to print: of a log without a number to show, why, and not what that leads to."""
     every = report.all_findings
-    if force or request.verbose or report.verdict.axes:
+    if is_set("force") or is_set("verbose") or report.verdict.axes:
         return every
     return report.findings + tuple(
         finding for finding in every[len(report.findings) :] if finding.level == "error"

@@ -5,9 +5,20 @@ from dataclasses import asdict, replace
 from typing import Any, TypeAlias
 
 from imucal.cli import options_for
-from imucal.cli._declared import declared, flag, option
-from imucal.cli._printing import FULL, Words, echo, picked, print_json, said_of, width, words, wrapped
-from imucal.cli._progress import BYTES, progress
+from imucal.cli._declared import declared, flag, is_set, option
+from imucal.cli._printing import (
+    BYTES,
+    FULL,
+    Words,
+    echo,
+    picked,
+    print_json,
+    progress,
+    said_of,
+    width,
+    words,
+    wrapped,
+)
 from imucal.cli.parameters import READING, Asked, lent
 from imucal.errors import ImucalError
 from imucal.findings import Finding
@@ -19,12 +30,12 @@ from imucal.recording import Recording
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.screening import screen_units, worst_first
-from imucal.units import data_size, duration
+from imucal.units import TIME_UNITS_NS, data_size, duration
 
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
 #: What it says of a finding.
-_FINDING = ("level", "code", "axis", "text", "advice")
+_FINDING = "level code axis text advice"
 #: What reading a topic gave: its recording, or why there is none; None of a topic that was not read.
 Reading: TypeAlias = Recording | str | None
 #: When several logs are read as one.
@@ -37,34 +48,33 @@ _SMALL_REMOTE = 1 << 20
 _MANY = 4_000_000
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal info log.mcap
-  imucal info --gaps 20h.bag
-  imucal info 's3://bucket/run/*.mcap'
-  imucal info -v --msg MyImu.msg old.db3
-  imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
-
-\b
-Exit codes: 0 done, 2 usage, 3 a log can't be read."""
-)
+@declared
 def command(
     *,
-    as_json: bool = flag("--json", "Print JSON on standard output."),
+    as_json: bool = flag("--json  Print JSON on standard output."),
     gaps: bool | None = option(
-        "--gaps/--no-gaps",
-        "Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
+        "--gaps/--no-gaps  Read the samples too, to find gaps and what is wrong with clocks (default: logs "
+        "up to 64 MB).",
         default=None,
     ),
     asked: Asked = READING,
-    verbose: bool = flag("-v --verbose", "List the fields of messages too."),
+    _verbose: bool = flag("-v --verbose  List the fields of messages too."),
 ) -> None:
-    """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
+    """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps.
+
+    Examples::
+      imucal info log.mcap
+      imucal info --gaps 20h.bag
+      imucal info 's3://bucket/run/*.mcap'
+      imucal info -v --msg MyImu.msg old.db3
+      imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
+
+    Exit codes: 0 done, 2 usage, 3 a log can't be read.
+    """
     entries, (logs, reading) = [], asked
     folders = {named: parts for named in logs if len(parts := logs_of(named)) > 1}
     for log in (log for named in logs for log in folders.get(named, [named])):
-        with progress("downloading", *BYTES, quiet=not is_url(log)) as update:
+        with progress("downloading", *BYTES, when=is_url(log)) as update:
             contents = describe(log, options_of(progress=update, **reading))
         small = contents.size_bytes is not None and _is_small(contents, remote=is_url(log))
         # Standard input is gone once it was described.
@@ -73,7 +83,7 @@ def command(
         if as_json:
             entries.append(_log_document(contents, found))
         else:
-            echo("\n".join(_lines_of_log(contents, found, looked=wanted, verbose=verbose)))
+            echo("\n".join(_lines_of_log(contents, found, looked=wanted)))
     for folder, parts in folders.items() if not as_json else ():
         text = f"{shown(folder)}: {len(parts)} logs without a metadata.yaml that says they are one recording."
         echo("\n".join([*wrapped(f"{text} {_JOINED_WHERE}"), ""]))
@@ -105,10 +115,9 @@ def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> di
 def _log_document(contents: LogContents, found: dict[str, Reading]) -> dict[str, object]:
     """Return a log's entry: what it holds, and of the topics that were read their clocks and findings."""
     return {
-        **picked(contents, "path", "format", "compression", "unpacked_bytes", "size_bytes", "start_ns"),
-        "duration_s": contents.duration_s,
+        **picked(contents, "path format compression unpacked_bytes size_bytes start_ns duration_s"),
         "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
-        "findings": [picked(finding, *_FINDING) for finding in contents.findings],
+        "findings": [picked(finding, _FINDING) for finding in contents.findings],
     }
 
 
@@ -120,15 +129,13 @@ def _topic_json(topic: TopicContents, found: Reading) -> dict[str, object]:
         clocks = {str(series.sensor): series.clock for series in found.series}
         entry["clocks"] = {
             sensor: {
-                **picked(clock, "source", "rate_hz"),
-                "samples": clock.n,
-                **picked(clock, "jitter_s", "missing"),
+                **picked(clock, "source rate_hz samples=n jitter_s missing"),
                 "gaps": [asdict(gap) for gap in clock.gaps],
             }
             for sensor, clock in clocks.items()
         }
         entry["decisions"] = found.source.decisions
-        entry["findings"] = [picked(finding, *_FINDING) for finding in _findings(found)]
+        entry["findings"] = [picked(finding, _FINDING) for finding in _findings(found)]
     return entry
 
 
@@ -158,10 +165,12 @@ def _topic_table(topics: list[TopicContents]) -> Iterator[str]:
     spare = width() - 2 - 2 * 5 - sum(widths[2:])
     widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
     widths[0] = min(widths[0], max(spare - widths[1], 8))
-    yield _row(heads, widths)
+    # Names on the left of their columns, figures on the right.
+    line = "  ".join(["", *(f"{{:{side}{most}}}" for side, most in zip("<<>>>", widths, strict=False)), "{}"])
+    yield line.format(*heads)
     for topic, row in zip(topics, rows, strict=True):
         names = list(zip(row[:2], widths[:2], strict=True))
-        yield _row((*(_fit(text, most) for text, most in names), *row[2:]), widths)
+        yield line.format(*(_fit(text, most) for text, most in names), *row[2:]).rstrip()
         for text in (*(text for text, most in names if len(text) > most), topic.note):
             if text:
                 yield from wrapped(text, indent=6)
@@ -178,12 +187,6 @@ def _topic_lines(topic: TopicContents) -> Iterator[str]:
     for text, indent in ((topic.name, 2), (topic.type, 4), (figures, 4), (topic.note, 6)):
         if text:
             yield from wrapped(_one_line(text), indent=indent)
-
-
-def _row(cells: tuple[str, ...], widths: list[int]) -> str:
-    """Return a line: names on the left of their columns, figures on the right."""
-    padded = [f"{text:{side}{most}}" for text, side, most in zip(cells, "<<>>><", widths, strict=True)]
-    return f"  {'  '.join(padded)}".rstrip()
 
 
 def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
@@ -203,9 +206,7 @@ def _fit(text: str, most: int) -> str:
 _NO_DATE = 315_532_800_000_000_000
 
 
-def _lines_of_log(
-    contents: LogContents, found: dict[str, Reading], *, looked: bool, verbose: bool
-) -> Iterator[str]:
+def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: bool) -> Iterator[str]:
     """Yield the lines of a log: its table of topics, and of those that were read what was found."""
     yield from wrapped(contents.path)
     yield from wrapped(", ".join(_head(contents)), indent=2)
@@ -213,7 +214,7 @@ def _lines_of_log(
     if topics:
         yield ""
         yield from _topic_table([_without_repeated_note(topic, found.get(topic.name)) for topic in topics])
-    for topic in (topic for topic in topics if verbose and topic.fields):
+    for topic in (topic for topic in topics if is_set("verbose") and topic.fields):
         yield ""
         yield from wrapped(f"{topic.name} has the fields")
         yield from wrapped(", ".join(topic.fields), indent=2)
@@ -225,30 +226,26 @@ def _lines_of_log(
         yield from wrapped(f"Gaps are not looked for {_why_not(contents.path)}.")
     if not contents.imu_topics:
         yield ""
-        yield from _what_to_give(contents)
+        yield from wrapped(_what_to_give(contents))
     for finding in contents.findings:
         yield from wrapped(f"{finding.level} {said_of((), words(finding))}", indent=2)
     yield ""
 
 
-def _what_to_give(contents: LogContents) -> Iterator[str]:
-    """Yield what would read a log of which nothing can be read as it is."""
-    hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
-    if hints:
-        yield from wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
-    else:
-        yield "No gyroscope or accelerometer was found."
+def _what_to_give(contents: LogContents) -> str:
+    """Return what would read a log of which nothing can be read as it is."""
+    hint = next(filter(None, (options_for(topic.note) for topic in contents.topics)), "")
+    wanted = f"As it is, no samples can be read; give imucal fit {hint}."
+    return wanted if hint else "No gyroscope or accelerometer was found."
 
 
 def _why_not(log: str) -> str:
     """Return why samples are not read, and what would read them."""
     if log == STANDARD_INPUT:
         return "on standard input"
-    return (
-        "behind a URL; --gaps downloads the log"
-        if is_url(log)
-        else "in a large log; --gaps reads all samples"
-    )
+    if is_url(log):
+        return "behind a URL; --gaps downloads the log"
+    return "in a large log; --gaps reads all samples"
 
 
 def _head(contents: LogContents) -> Iterator[str]:
@@ -293,9 +290,8 @@ def _jitter(seconds: float) -> str:
     """Return ``jitter 72 ns``; a stamp is a whole number of ns, so that less is none."""
     if seconds < 1e-9:
         return "no jitter"
-    sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    unit = next(unit for unit, size in sizes.items() if seconds >= size)
-    return f"jitter {seconds / sizes[unit]:.3g} {unit}"
+    unit, in_ns = next(each for each in reversed(TIME_UNITS_NS.items()) if seconds * 1e9 >= each[1])
+    return f"jitter {seconds * 1e9 / in_ns:.3g} {unit}"
 
 
 def _date(ns: int) -> str:

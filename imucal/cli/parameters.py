@@ -8,48 +8,35 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from imucal.cli._declared import argument, flag, option, shown, together
-from imucal.cli._printing import say
-from imucal.cli._progress import BYTES, FITTING, progress
+from imucal.cli._declared import argument, flag, is_set, option, together
+from imucal.cli._printing import BYTES, FITTING, progress, say
 from imucal.clock import seconds_of
+from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
 if TYPE_CHECKING:
-    from click import ParamType
-
     from imucal.pipeline import Settings
     from imucal.readers.remote_logs import LocalLogs
     from imucal.report.result import Report
-else:
-
-    class ParamType(click.ParamType):
-        """A parameter type, generic for type checkers; click's own is generic from 8.4 on."""
-
-        def __class_getitem__(cls, _: object) -> type:
-            return cls
 
 
-Value = TypeVar("Value")
-
-
-class Text(ParamType[Value]):
+class Text(click.ParamType):  # type: ignore[type-arg,unused-ignore] # generic from click 8.4 on
     """What a function makes of a text; the sentence of its ValueError is the message."""
 
-    def __init__(self, name: str, parse: Callable[[str], Value]) -> None:
+    def __init__(self, name: str, parse: Callable[[str], object]) -> None:
         self.name, self._parse = name, parse
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Value:
-        if not isinstance(value, str):
-            return value  # type: ignore[return-value]  # a default that is no text
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
         try:
-            return self._parse(value)
+            # A default may be no text.
+            return self._parse(value) if isinstance(value, str) else value
         except ValueError as error:
             self.fail(str(error), param, ctx)
 
@@ -93,8 +80,7 @@ def _unit_of(sensor: Sensor, text: str) -> str:
     """Return a unit of one sensor's samples, in a spelling that can't be meant otherwise."""
     found = parse_sample_unit(text)
     if text.strip().lower() in _UNCLEAR and found is not None:
-        msg = f"{text!r} is not clear; did you mean {found[1]!r}?"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not clear; did you mean {found[1]!r}?")
     if found is None or found[0] is not sensor:
         msg = f"{text!r} is no unit of the {sensor}; expected one of {', '.join(SAMPLE_UNITS[sensor])}"
         raise ValueError(msg)
@@ -105,41 +91,28 @@ def _unit_of(sensor: Sensor, text: str) -> str:
 _TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 
 
-def _tau_set(text: str) -> str:
-    if not _TAU_SET.fullmatch(text.strip()):
-        msg = f"{text.strip()!r} is not octave, decade, decade:20 or all"
-        raise ValueError(msg)
-    return text.strip()
-
-
-def _taus(text: str) -> str | tuple[float, ...]:
-    if _TAU_SET.fullmatch(text.strip()):
-        return text.strip()
+def _taus(text: str, *, lists: bool = True) -> str | tuple[float, ...]:
+    text, known = text.strip(), "octave, decade, decade:20 or all"
+    if _TAU_SET.fullmatch(text):
+        return text
     try:
         seconds = tuple(map(seconds_of, text.split(",")))
     except ValueError:
         seconds = (0.0,)
-    if min(seconds) <= 0:
-        known = "octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
-        msg = f"{text.strip()!r} is neither {known}"
-        raise ValueError(msg)
+    if not lists or min(seconds) <= 0:
+        said = f"neither {known}, nor a list of times such as 0.1,1,10min" if lists else f"not {known}"
+        raise ValueError(f"{text!r} is {said}")
     return seconds
 
 
 def structure_of(text: str) -> str:
-    """Return the terms of a model in their usual order, or auto.
-
-    Raises
-    ------
-    ValueError
-        If the text names no model.
-    """
+    """Return the terms of a model in their usual order, or auto; a ValueError for any other text."""
     from imucal.noise import parse_structure, structure_text
 
     return text if text == "auto" else structure_text(parse_structure(text))
 
 
-def model_of(sensor: Sensor) -> Text[str]:
+def model_of(sensor: Sensor) -> Text:
     """Return the type of a model of a sensor: the text, once it is understood."""
 
     def checked(text: str) -> str:
@@ -163,21 +136,21 @@ DURATION = Text("duration", seconds_of)
 #: The terms of a model.
 STRUCTURE = Text("structure", structure_of)
 #: Averaging times: a set by its name; the same, or a list of durations.
-TAU_SET, TAUS = Text("taus", _tau_set), Text("taus", _taus)
+TAU_SET, TAUS = Text("taus", functools.partial(_taus, lists=False)), Text("taus", _taus)
 
 
 PATH, FILE = click.Path(path_type=Path), click.Path(exists=True, dir_okay=False, path_type=Path)
 #: Formats of pictures that can be written.
 FORMATS = ("png", "svg", "pdf")
 
-TOPIC = option("--topic", "Topic to read; twice for one a sensor.", metavar="NAME", multiple=True)
-QUIET = flag("-q --quiet", "Print results only: no progress, findings or paths.")
-FORCE = flag("--force", "Continue although the log is not at rest (else exit code 4).")
+TOPIC = option("--topic NAME  Topic to read; twice for one a sensor.", multiple=True)
+QUIET = flag("-q --quiet  Print results only: no progress, findings or paths.")
+FORCE = flag("--force  Continue although the log is not at rest (else exit code 4).")
 PICTURES = option(
-    "--format", "Pictures; may be repeated.", click.Choice(FORMATS), multiple=True, default=("png",),
-    show_default=True,
+    "--format  Pictures; may be repeated.",
+    click.Choice(FORMATS), multiple=True, default=("png",), show_default=True,
 )  # fmt: skip
-DATASHEET = shown("--datasheet/--si", default=True, text="Units of the table.")
+DATASHEET = option("--datasheet/--si  Units of the table.", default=True, show_default=True)
 
 #: What a fields text starts with.
 _FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
@@ -197,7 +170,7 @@ def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: object)
     return Asked(tuple(log for log in logs if log not in more), options)
 
 
-def _sample_unit(sensor: Sensor) -> Text[str]:
+def _sample_unit(sensor: Sensor) -> Text:
     return Text("unit", functools.partial(_unit_of, sensor))
 
 
@@ -207,35 +180,30 @@ READING = together(
     {
         # Whether a log can be read is for its reader to say, with the exit code of that.
         "logs": argument("LOG...", click.Path(allow_dash=True, readable=False), nargs=-1, required=True),
-        "time": option("--time", "'header' or 'log' stamps; a table's time column.", metavar="CLOCK"),
+        "time": option("--time CLOCK  'header' or 'log' stamps; a table's time column."),
         "time_unit": option(
-            "--time-unit",
-            "Unit of the time, where the log doesn't say.",
-            click.Choice(["s", "ms", "us", "ns"]),
+            "--time-unit  Unit of the time, where the log doesn't say.", click.Choice(["s", "ms", "us", "ns"])
         ),
-        "rate_hz": option("--rate", "Sampling rate, where the log's own is missing or wrong.", RATE, "HZ"),
+        "rate_hz": option("--rate HZ  Sampling rate, where the log's own is missing or wrong.", RATE),
         "gyro_unit": option(
-            *("--gyro-unit", "rad/s, deg/s, mdeg/s, …, where the log doesn't say."),
-            *(_sample_unit(Sensor.GYROSCOPE), "UNIT"),
+            "--gyro-unit UNIT  rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
+            _sample_unit(Sensor.GYROSCOPE),
         ),
         "accel_unit": option(
-            *("--accel-unit", "m/s^2, g, mg, …, where the log doesn't say."),
-            *(_sample_unit(Sensor.ACCELEROMETER), "UNIT"),
+            "--accel-unit UNIT  m/s^2, g, mg, …, where the log doesn't say.",
+            _sample_unit(Sensor.ACCELEROMETER),
         ),
-        "gyro_scale": option("--gyro-scale", "rad/s per count, for raw counts.", _SCALE, "X"),
-        "accel_scale": option("--accel-scale", "m/s^2 per count, for raw counts.", _SCALE, "X"),
-        "columns": option("--columns", "Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1.", metavar="TEXT"),
+        "gyro_scale": option("--gyro-scale X  rad/s per count, for raw counts.", _SCALE),
+        "accel_scale": option("--accel-scale X  m/s^2 per count, for raw counts.", _SCALE),
+        "columns": option("--columns TEXT  Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
         "fields": option(
-            "--fields",
-            "Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v lists them.",
-            metavar="TEXT",
+            "--fields TEXT  Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v "
+            "lists them.",
             multiple=True,
         ),
         "message_definition": option(
-            "--msg",
-            "Definition (.msg) of a type the log doesn't define, or a folder of them.",
+            "--msg FILE  Definition (.msg) of a type the log doesn't define, or a folder of them.",
             click.Path(exists=True, path_type=Path),
-            "FILE",
             multiple=True,
         ),
     },
@@ -243,18 +211,18 @@ READING = together(
 
 
 @contextmanager
-def lent(logs: Sequence[str], *, quiet: bool = False) -> Iterator["LocalLogs"]:
+def lent(logs: Sequence[str]) -> Iterator["LocalLogs"]:
     """Lend logs as files of this machine, those by URL with a progress bar where a person watches."""
     from imucal.readers.remote_logs import local_logs
     from imucal.remote import is_url
 
     with ExitStack() as stack:
-        with progress("downloading", *BYTES, quiet=quiet or not any(map(is_url, logs))) as update:
+        with progress("downloading", *BYTES, when=any(map(is_url, logs))) as update:
             local = stack.enter_context(local_logs(logs, progress=update))
         yield local
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LogRequest:
     """What the user asked to read; `reading` holds arguments of `imucal.read`.
 
@@ -266,13 +234,11 @@ class LogRequest:
     strict: bool
     skip_s: float
     take_s: float | None
-    quiet: bool
-    verbose: bool
     models: Mapping[Sensor, str] = field(default_factory=dict)
 
     def local(self) -> AbstractContextManager["LocalLogs"]:
         """Lend the logs as files of this machine, those by URL with a progress bar where a person watches."""
-        return lent(self.logs, quiet=self.quiet)
+        return lent(self.logs)
 
     def read(self) -> Recording:
         """Read the log, with a progress bar where a person watches."""
@@ -282,13 +248,13 @@ class LogRequest:
     def _read(self, logs: "LocalLogs") -> Recording:
         from imucal.readers import read
 
-        with progress("reading", *BYTES, quiet=self.quiet) as update:
+        with progress("reading", *BYTES) as update:
             recording = read(*logs.paths, **self.reading, strict=self.strict, progress=update)
         if self.skip_s or self.take_s is not None:
             end = math.inf if self.take_s is None else self.skip_s + self.take_s
             recording = recording.between(self.skip_s, end)
         recording = logs.named(recording)
-        _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
+        _say_what_was_read(recording)
         return recording
 
     def characterise(
@@ -304,7 +270,7 @@ class LogRequest:
                 from imucal.rests import at_rest
 
                 recording = at_rest(recording)
-            with progress(*FITTING, quiet=self.quiet) as update:
+            with progress(*FITTING) as update:
                 report = characterize(recording, settings, progress=update, workers=workers)
             files = (*report.source.files, *logs.named_files(checksums.files()))
             return replace(report, source=replace(report.source, files=files))
@@ -329,18 +295,18 @@ LOG = together(
     {
         "topic": TOPIC,
         "asked": READING,
-        "join": flag("--join", "Take several LOGs as parts of one recording, whatever they look like."),
-        "skip_s": option("--skip", "Leave out the start, such as 5min.", DURATION, "TIME", default=0.0),
-        "take_s": option("--take", "Use only so much, such as 2h.", DURATION, "TIME"),
-        "strict": flag("--strict", "Refuse a damaged log; end with exit code 4 on a warning."),
-        "quiet": QUIET,
-        "verbose": flag("-v --verbose", "Say how each choice was made."),
+        "join": flag("--join  Take several LOGs as parts of one recording, whatever they look like."),
+        "skip_s": option("--skip TIME  Leave out the start, such as 5min.", DURATION, default=0.0),
+        "take_s": option("--take TIME  Use only so much, such as 2h.", DURATION),
+        "strict": flag("--strict  Refuse a damaged log; end with exit code 4 on a warning."),
+        "_quiet": QUIET,
+        "_verbose": flag("-v --verbose  Say how each choice was made."),
     },
 )
 
 
-def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> None:
-    """Print one line a sensor (and with `verbose` each decision), so that nothing is picked silently."""
+def _say_what_was_read(recording: Recording) -> None:
+    """Print one line a sensor (and with --verbose each decision), so that nothing is picked silently."""
     source = recording.source
     by_clock: dict[int, list[AxisSeries]] = {}
     for series in recording.series:
@@ -352,9 +318,9 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
             sensors[series.sensor.short] = sensors.get(series.sensor.short, "") + series.axis
         names = ", ".join(f"{sensor} {axes}" for sensor, axes in sensors.items())
         samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {duration(clock.duration_s)}"
-        say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}", quiet=quiet)
-    if verbose:
+        say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}")
+    if is_set("verbose"):
         for topic, kind in zip(source.topics, source.message_types, strict=False):
-            say(f"  topic {topic} ({kind})", quiet=quiet)
+            say(f"  topic {topic} ({kind})")
         for question, answer in source.decisions:
-            say(f"  {question}: {answer}", quiet=quiet)
+            say(f"  {question}: {answer}")

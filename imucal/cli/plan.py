@@ -2,12 +2,12 @@
 
 import math
 
-from imucal.cli._declared import argument, declared, flag, option, shown
-from imucal.cli._printing import FULL, can_print, echo, fitted, picked, print_json, say, width
+from imucal.cli._declared import argument, declared, flag, is_set, option
+from imucal.cli._printing import FULL, can_print, echo, picked, print_json, say, width, wrapped
 from imucal.cli._report_input import MODELS, report_or_model
 from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Text
 from imucal.noise.terms import TERMS
-from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
+from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.units import DatasheetUnit
 
@@ -22,42 +22,31 @@ def _fraction(text: str) -> float:
     except ValueError:
         fraction = math.nan
     if not 0 < fraction < math.inf:
-        msg = f"{text!r} is not a precision; write such as 10% or 0.1"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not a precision; write such as 10% or 0.1")
     return fraction
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
-  imucal plan --accel "N=60ug/sqrt(Hz)" --rate 200
-  imucal plan log-imucal --precision 5% --level 0.95
-  imucal plan log-imucal --duration 3h --json -q
-
-\b
-Exit codes: 0 done, 2 usage, 3 the report can't be read."""
-)
+@declared
 def command(
     *,
     source: str | None = argument("MODEL_OR_REPORT", required=False),
     models: dict[Sensor, str] = MODELS,
-    rate: float | None = option(
-        "--rate", "Sampling rate; needed with a model, a report has its own.", RATE, "HZ"
-    ),
-    precision: float = shown(
-        *("--precision", "10%", "Wanted half-width of each term's interval, of its value."),
-        *(Text("fraction", _fraction), "FRACTION"),
+    rate: float | None = option("--rate HZ  Sampling rate; needed with a model, a report has its own.", RATE),
+    precision: float = option(
+        "--precision FRACTION=10%  Wanted half-width of each term's interval, of its value.",
+        Text("fraction", _fraction),
     ),
     level: float | None = option(
-        "--level", "Confidence level of that interval.  [default: one standard deviation, 0.683]", LEVEL, "P"
+        "--level P  Confidence level of that interval.  [default: one standard deviation, 0.683]", LEVEL
     ),
     duration: float | None = option(
-        "--duration", "Also say what a record so long tells, such as 3h.", DURATION, "TIME"
+        "--duration TIME  Also say what a record so long tells, such as 3h.", DURATION
     ),
-    datasheet: bool = shown("--datasheet/--si", default=True, text="Units of a report's table."),
-    as_json: bool = flag("--json", "Print the plan as JSON (SI)."),
-    quiet: bool = QUIET,
+    _datasheet: bool = option(
+        "--datasheet/--si  Units of a report's table.", default=True, show_default=True
+    ),
+    as_json: bool = flag("--json  Print the plan as JSON (SI)."),
+    _quiet: bool = QUIET,
 ) -> None:
     """Say how long to record for a wanted precision of each noise term.
 
@@ -65,6 +54,14 @@ def command(
     a unit are SI), or a report.json or its folder. Times are from the least error that any method can
     have (the Cramér-Rao bound), and long enough that about four of five records tell the term from
     zero; a term that a report only bounds is taken at its bound.
+
+    Examples::
+      imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
+      imucal plan --accel "N=60ug/sqrt(Hz)" --rate 200
+      imucal plan log-imucal --precision 5% --level 0.95
+      imucal plan log-imucal --duration 3h --json -q
+
+    Exit codes: 0 done, 2 usage, 3 the report can't be read.
     """
     result = plan(
         report_or_model(source, models, rate),
@@ -76,67 +73,66 @@ def command(
     if as_json:
         print_json(to_document(result))
     else:
-        echo(_table(result, datasheet=datasheet))
+        echo(_table(result))
     if any(need.bounded for axis in result.axes for need in axis.needs):
-        say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
+        say("< value: not seen; the time is for a term as large as its bound")
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
-        say("(n of 10): so many records as long show the term; the others only bound it", quiet=quiet)
+        say("(n of 10): so many records as long show the term; the others only bound it")
 
 
 def to_document(result: Plan) -> dict[str, object]:
     """Return a plan as JSON values, SI; null where no record is long enough."""
     return {
         "schema": SCHEMA,
-        **picked(result, "precision", "level", "needed_s"),
+        **picked(result, "precision level needed_s"),
         "axes": [
             {
                 "axis": axis.axis or None,
-                **picked(axis, "model", "rate_hz", "duration_s"),
-                "terms": [
-                    picked(need, "name", "value", "bounded", "needed_s", "reached", "shown")
-                    for need in axis.needs
-                ],
+                **picked(axis, "model rate_hz duration_s"),
+                "terms": [picked(need, "name value bounded needed_s reached shown") for need in axis.needs],
             }
             for axis in result.axes
         ],
     }
 
 
-def _table(result: Plan, *, datasheet: bool) -> str:
+def _table(result: Plan) -> str:
     percent = f"{100 * result.precision:.3g} %"
     spread = "1 sd" if result.level == ONE_DEVIATION else f"{100 * result.level:.4g} %"
     durations = {axis.duration_s for axis in result.axes}
-    lines = fitted(f"Record length for ±{percent} ({spread}) of each term", width(), indent=2)
+    lines = wrapped(f"Record length for ±{percent} ({spread}) of each term")
     narrow = width() < FULL
     for axis in result.axes:
         title = f"{axis.axis or axis.model}  at {axis.rate_hz:.6g} Hz"
         if axis.duration_s is not None:
             title += f", {describe_time(axis.duration_s)}"
-        lines += ["", *fitted(title, width(), indent=2)]
+        lines += ["", *wrapped(title)]
         if not narrow:
             tells = "" if durations == {None} else f"{'this tells':>17}"
             lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{tells}")
         for need in axis.needs:
-            lines += _lines(axis, need, datasheet=datasheet, narrow=narrow)
+            lines += _lines(axis.sensor, need, narrow=narrow)
     text = "\n".join(lines)
     return text if can_print(text) else text.replace("±", "+-")
 
 
-def _lines(axis: AxisPlan, need: Need, *, datasheet: bool, narrow: bool) -> list[str]:
+def _lines(sensor: Sensor | None, need: Need, *, narrow: bool) -> list[str]:
     """Return a need as a row of the table; as two lines where the terminal is narrow."""
-    unit = _unit(axis.sensor, need, datasheet=datasheet)
+    unit = _unit(sensor, need)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     time = describe_time(need.needed_s)
-    tells = "" if need.reached is None else _reached(need)
+    tells = _reached(need)
     if narrow:
-        needs = f"    needs {time}{f', tells {tells}' if tells else ''}"
-        return [f"  {need.name:<10}{value} {unit.name}", *fitted(needs, width(), indent=6)]
+        needs = f"needs {time}{f', tells {tells}' if tells else ''}"
+        return [f"  {need.name:<10}{value} {unit.name}", *wrapped(needs, indent=4)]
     return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{tells:>17}' if tells else ''}"]
 
 
 def _reached(need: Need) -> str:
-    """Return what a record of the asked length tells, and how often it would show the term."""
-    if need.reached is None or need.reached >= 1:
+    """Return what a record of the asked length tells, and how often it shows the term; empty without one."""
+    if need.reached is None:
+        return ""
+    if need.reached >= 1:
         return "nothing"
     often = f" ({math.floor(10 * (need.shown or 0.0))} of 10)" if _may_be_missed(need) else ""
     return f"±{100 * need.reached:.2g} %{often}"
@@ -146,11 +142,8 @@ def _may_be_missed(need: Need) -> bool:
     return need.shown is not None and need.shown < MOSTLY_SHOWN
 
 
-def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUnit:
-    if need.name.endswith(".T"):
-        return DatasheetUnit("s", 1.0)
-    if sensor is None:
-        return DatasheetUnit("SI", 1.0)
-    if datasheet:
-        return TERMS[need.symbol].datasheet_unit(sensor)
-    return DatasheetUnit(TERMS[need.symbol].unit(sensor), 1.0)
+def _unit(sensor: Sensor | None, need: Need) -> DatasheetUnit:
+    if need.name.endswith(".T") or sensor is None:
+        return DatasheetUnit("s" if need.name.endswith(".T") else "SI", 1.0)
+    term = TERMS[need.symbol]
+    return term.datasheet_unit(sensor) if is_set("datasheet") else DatasheetUnit(term.unit(sensor), 1.0)

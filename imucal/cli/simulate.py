@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import argument, declared, flag, misuse, option, shown
+from imucal.cli._declared import argument, declared, flag, misuse, option
 from imucal.cli._printing import echo, picked, print_json, say
 from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
@@ -23,69 +23,62 @@ def _gap(text: str) -> tuple[float, float]:
     """Return start and length in s of ``START:LENGTH``."""
     start, colon, length = text.partition(":")
     if not colon:
-        msg = f"{text!r} is not START:LENGTH, such as 60s:2s"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not START:LENGTH, such as 60s:2s")
     return seconds_of(start), seconds_of(length)
 
 
 def _log_to_write(_: click.Context, __: click.Parameter, path: Path) -> Path:
     """Return the path of a log whose suffix is a format's."""
-    from imucal.log_files import WRITERS
+    from imucal.simulation import WRITERS
 
     if path.suffix.lower() not in WRITERS:
         known = ", ".join(suffix or "none (a ROS 2 folder)" for suffix in WRITERS)
-        msg = f"{path.name!r} ends in {path.suffix!r}; expected one of {known}"
-        raise click.BadParameter(msg)
+        raise click.BadParameter(f"{path.name!r} ends in {path.suffix!r}; expected one of {known}")
     return path
 
 
-@declared(
-    epilog="""\b
-Examples:
-  imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
-  imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \\
-    --rate 400 --duration 2h --gap 10min:3s -o gaps.bag"""
-)
+@declared
 def command(
     *,
     model: str = argument(None, model_of(Sensor.GYROSCOPE)),
-    accel: str | None = option(
-        "--accel", "Model of the accelerometer; MODEL's numbers where not given.", metavar="MODEL"
-    ),
+    accel: str | None = option("--accel MODEL  Model of the accelerometer; MODEL's numbers where not given."),
     out: Path = option(
-        *("-o --out", "Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).", PATH, "FILE"),
+        "-o --out FILE  Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
+        PATH,
         callback=_log_to_write,
         required=True,
     ),
-    rate: float = shown("--rate", 200.0, "Sampling rate.", RATE, "HZ"),
-    duration: float = shown("--duration", "10min", "Length of the log.", DURATION, "TIME"),
+    rate: float = option("--rate HZ=200.0  Sampling rate.", RATE),
+    duration: float = option("--duration TIME=10min  Length of the log.", DURATION),
     gaps: tuple[tuple[float, float], ...] = option(
-        *("--gap", "Lose samples there; may be repeated.", Text("gap", _gap), "START:LENGTH"), multiple=True
+        "--gap START:LENGTH  Lose samples there; may be repeated.", Text("gap", _gap), multiple=True
     ),
-    gyro_lsb: float = option("--gyro-lsb", "Resolution of the gyroscope, in rad/s.", _LSB, "X", default=0.0),
-    accel_lsb: float = option(
-        "--accel-lsb", "Resolution of the accelerometer, in m/s^2.", _LSB, "X", default=0.0
-    ),
-    seed: int = shown("--seed", 0, "The same seed gives the same log.", click.IntRange(min=0), "N"),
-    as_json: bool = flag("--json", "Print the truth as JSON."),
-    quiet: bool = QUIET,
+    gyro_lsb: float = option("--gyro-lsb X  Resolution of the gyroscope, in rad/s.", _LSB, default=0.0),
+    accel_lsb: float = option("--accel-lsb X  Resolution of the accelerometer, in m/s^2.", _LSB, default=0.0),
+    seed: int = option("--seed N=0  The same seed gives the same log.", click.IntRange(min=0)),
+    as_json: bool = flag("--json  Print the truth as JSON."),
+    _quiet: bool = QUIET,
 ) -> None:
-    """Write a log of an IMU at rest whose noise is known.
+    r"""Write a log of an IMU at rest whose noise is known.
 
     MODEL is a sum of terms with continuous coefficients, the same for the three gyroscope axes:
     N=… (rad/s/√Hz), B=… (rad/s), K=… (rad/s/√s), Q=… (rad), R=… (rad/s²), GM(sigma=…, T=…) (rad/s, s);
     m/s² in place of rad/s for the accelerometer. A number may have another unit, such as
     N=0.3deg/sqrt(h), or N=60ug/sqrt(Hz) of the accelerometer.
+
+    Examples::
+      imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
+      imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \
+        --rate 400 --duration 2h --gap 10min:3s -o gaps.bag
     """
-    from imucal.log_files import write_log
-    from imucal.simulation import SensorTruth, simulate_recording
+    from imucal.simulation import SensorTruth, simulate_recording, write_log
 
     if not 1 <= duration * rate <= _MOST:
         misuse(f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}")
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:
-        raise click.BadParameter(str(error), param_hint="'--accel'") from error
+        misuse(error, "--accel")
     gyroscope = SensorTruth(model=models[0], mean=(0.0, 0.0, 0.0), lsb=gyro_lsb)
     accelerometer = SensorTruth(model=models[1], mean=(0.0, 0.0, G0), lsb=accel_lsb)
     try:
@@ -110,8 +103,8 @@ def command(
         "rate_hz": rate,
         "samples": clock.n,
         "duration_s": clock.duration_s,
-        "gaps": [picked(gap, "start_s", "duration_s") for gap in clock.gaps],
+        "gaps": [picked(gap, "start_s duration_s") for gap in clock.gaps],
         "seed": seed,
     }
     print_json(truth)
-    say(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}", quiet=quiet)
+    say(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}")

@@ -110,7 +110,12 @@ def fit_axis(
     if isinstance(series, AllanCurve):
         result = method(None, series, settings, None)
         return replace(result, findings=(*result.findings, unseen_spectrum()))
-    temperature = _at_finite(temperature, series)
+    if temperature is not None:
+        temperature = np.asarray(temperature, dtype=np.float64)
+        if temperature.shape != (series.n,):
+            msg = f"temperature must have shape ({series.n},) like the samples, got {temperature.shape}"
+            raise ValueError(msg)
+        temperature = temperature[series.usable]
     series = series.finite()
     cleaned, findings = clean_spikes(series) if settings.clean else (series, ())
     if cleaned is not series:
@@ -120,14 +125,3 @@ def fit_axis(
             curve = allan_curve(series)
         result = method(series, curve, settings, temperature)
     return replace(result, findings=findings + result.findings)
-
-
-def _at_finite(temperature: FloatArray | None, series: AxisSeries) -> FloatArray | None:
-    """Return the temperatures at the finite samples."""
-    if temperature is None:
-        return None
-    temperature = np.asarray(temperature, dtype=np.float64)
-    if temperature.shape != (series.n,):
-        msg = f"temperature must have shape ({series.n},) like the samples, got {temperature.shape}"
-        raise ValueError(msg)
-    return temperature[series.usable]

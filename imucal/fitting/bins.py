@@ -10,51 +10,33 @@ the noise.
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import DataError
+from imucal.frozen import frozen_alone
 
 #: Number of the layout of `Bins`; one that an old reader would misunderstand raises it.
 BINS_VERSION = 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Bins(ReadOnlyArrays):
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 
-    The samples stand in k unbroken blocks, the bins of one after those of the other, b in all. With r
-    regressors that is some 8 (3 + r + r²) b bytes: 24 kB for 10⁵ samples, whose b is 590, and one ramp.
+    The samples stand in k unbroken blocks, whose lengths are `n`, shape (k,). Their b bins follow each other:
+    those of a block begin at its place in `start`, shape (k,). A bin begins with the ordinate `first`, shape
+    (b,), and ends where the next of its block begins, the last one at the ordinate n - 1. It has `size`
+    degrees of freedom and a `power`, the sum of its squared ordinates in units of `scale`², shape (b,) each.
 
-    Attributes
-    ----------
-    n
-        Number of samples of each block, shape (k,).
-    start
-        Where in the other arrays each block begins, shape (k,).
-    first
-        First ordinate of each bin, shape (b,); a bin ends where the next of its block begins, the last
-        one at the ordinate n - 1.
-    size
-        Degrees of freedom of each bin, shape (b,).
-    power
-        Sum of the squared ordinates, shape (b,), in units of `scale`².
-    names
-        Regressors: ``R`` first, then what the fit of this axis took out.
-    cross
-        Sums of ordinate times regressor's ordinate, shape (r, b), in units of `scale`.
-    gram
-        Sums of products of regressors' ordinates, shape (r, r, b).
-    scale
-        U per scaled unit, a power of two: exact.
-    tau0
-        Sampling period, in s.
-    widening
-        By what factor heavy tails make the interval of N wider, at least 1.
-    version
-        Of this layout.
+    The regressors are `names`, ``R`` first, then what the fit of this axis took out; `cross`, shape (r, b),
+    are sums of ordinate times regressor's ordinate, in units of `scale`, and `gram`, shape (r, r, b), of
+    products of regressors' ordinates. `scale` is U per scaled unit, a power of two: exact. `tau0` is the
+    sampling period in s, `widening` by what factor heavy tails make the interval of N wider, at least 1, and
+    `version` that of this layout. All of it takes some 8 (3 + r + r²) b bytes: 24 kB for 10⁵ samples, whose b
+    is 590, and one ramp.
     """
 
     n: IntArray
@@ -81,8 +63,7 @@ class Bins(ReadOnlyArrays):
         }
         wrong = [name for name, shape in shapes.items() if getattr(self, name).shape != shape]
         if wrong or not self.n.size:
-            msg = f"bins: {', '.join(wrong) or 'n'} do not fit {bins} bins of {regressors} names"
-            raise ValueError(msg)
+            raise ValueError(f"bins: {', '.join(wrong) or 'n'} do not fit {bins} bins of {regressors} names")
         ReadOnlyArrays.__post_init__(self)
 
 
@@ -105,38 +86,19 @@ def pack(bins: Bins) -> bytes:
     """
     reference = _reference(bins)
     rest, left = _less(bins.power, bins.cross, bins.gram, reference)
-    rest = np.maximum(rest, 1e-12 * bins.power)
-    count = _counts(bins.n, bins.start, bins.first)
-    fine = _DEVIATION * np.sqrt(count / 2)
-    columns = [
-        _bytes_of(np.diff(bins.first, n=2, prepend=(0, 0))),
-        _logarithms(bins.size / count, fine),
-        _logarithms(rest / count, fine),
-    ]
-    steps = _CORRELATION if len(bins.names) == 1 else _EXACT
-    for i, law in enumerate(_laws(bins.names, bins.n, bins.start, bins.first, count)):
-        columns.append(_logarithms(bins.gram[i, i] / law, _EXACT, rise=True))
-        columns += [
-            _correlations(bins.gram[i, j], bins.gram[i, i] * bins.gram[j, j], _EXACT) for j in range(i)
-        ]
-        columns.append(_correlations(left[i], rest * bins.gram[i, i], steps))
     names = "\n".join(bins.names).encode()
+    exact = (names, bins.n.astype("<i8"), bins.start.astype("<i8"), reference)
+    stream = _Stream(bytearray().join(bytes(part) for part in exact))
+    _through(stream, replace(bins, power=np.maximum(rest, 1e-12 * bins.power), cross=left))
     head = _HEAD.pack(
-        *(PACKED_VERSION, bins.version, bins.n.size, len(bins.names), count.size, len(names)),
+        *(PACKED_VERSION, bins.version, bins.n.size, len(bins.names), bins.first.size, len(names)),
         *(bins.scale, bins.tau0, bins.widening),
     )
-    exact = [bins.n.astype("<i8").tobytes(), bins.start.astype("<i8").tobytes(), reference.tobytes()]
-    return head + zlib.compress(b"".join([names, *exact, *columns]), 9)
+    return head + zlib.compress(stream.data, 9)
 
 
 def unpack(data: bytes) -> Bins:
-    """Return the bins of `pack`.
-
-    Raises
-    ------
-    DataError
-        If the bytes are of another version, or damaged.
-    """
+    """Return the bins of `pack`; a DataError says that bytes are of another version, or damaged."""
     if data[:2] != bytes([PACKED_VERSION, BINS_VERSION]):
         found = ".".join(map(str, data[:2])) or "no bytes"
         msg = (
@@ -144,46 +106,48 @@ def unpack(data: bytes) -> Bins:
         )
         raise DataError(msg)
     try:
-        return _unpacked(data)
+        _, version, blocks, regressors, total, letters, scale, tau0, widening = _HEAD.unpack_from(data)
+        stream = _Stream(bytearray(zlib.decompress(data[_HEAD.size :])), place=0)
+        names = tuple(stream.take(letters).decode().split("\n"))
+        n, start = (np.frombuffer(stream.take(8 * blocks), "<i8").astype(np.int64) for _ in range(2))
+        reference = np.frombuffer(stream.take(8 * regressors), "<f8")
+        blank = Bins(
+            n=n,
+            start=start,
+            first=np.zeros(total, dtype=np.int64),
+            size=np.zeros(total),
+            power=np.zeros(total),
+            names=names,
+            cross=np.zeros((regressors, total)),
+            gram=np.zeros((regressors, regressors, total)),
+            scale=scale,
+            tau0=tau0,
+            widening=widening,
+            version=version,
+        )
+        passed = _through(stream, blank)
     except (struct.error, zlib.error, ValueError, IndexError) as error:
         msg = f"packed bins: found damaged bytes ({error}), expected those of a fit; fit the log again"
         raise DataError(msg) from error
+    power, cross = _less(passed.power, passed.cross, passed.gram, -reference)
+    return replace(passed, power=power, cross=cross)
 
 
-def _unpacked(data: bytes) -> Bins:
-    _, version, blocks, regressors, total, letters, scale, tau0, widening = _HEAD.unpack_from(data)
-    rest_of = _Reader(zlib.decompress(data[_HEAD.size :]))
-    names = tuple(rest_of.take(letters).decode().split("\n"))
-    n, start = (np.frombuffer(rest_of.take(8 * blocks), "<i8").astype(np.int64) for _ in range(2))
-    reference = np.frombuffer(rest_of.take(8 * regressors), "<f8")
-    first = np.cumsum(np.cumsum(rest_of.integers(total)))
-    count = _counts(n, start, first)
+def _through(stream: "_Stream", bins: Bins) -> Bins:
+    """Write the columns of bins without their reference, or read those of as many; return what it holds."""
+    first = np.cumsum(np.cumsum(stream.integers(np.diff(bins.first, n=2, prepend=(0, 0)))))
+    count = _counts(bins.n, bins.start, first)
     fine = _DEVIATION * np.sqrt(count / 2)
-    size = count * rest_of.logarithms(total, fine)
-    power = count * rest_of.logarithms(total, fine)
-    gram = np.zeros((regressors, regressors, total))
-    cross = np.zeros((regressors, total))
-    steps = _CORRELATION if len(names) == 1 else _EXACT
-    for i, law in enumerate(_laws(names, n, start, first, count)):
-        gram[i, i] = law * rest_of.logarithms(total, _EXACT, rise=True)
+    size, power = (count * stream.logarithms(own / count, fine) for own in (bins.size, bins.power))
+    gram, cross = bins.gram.copy(), bins.cross.copy()
+    steps = _CORRELATION if len(bins.names) == 1 else _EXACT
+    for i, law in enumerate(_laws(bins.names, bins.n, bins.start, first, count)):
+        gram[i, i] = law * stream.logarithms(gram[i, i] / law, _EXACT, rise=True)
         for j in range(i):
-            gram[i, j] = gram[j, i] = rest_of.correlations(gram[i, i] * gram[j, j], _EXACT)
-        cross[i] = rest_of.correlations(power * gram[i, i], steps)
-    power, cross = _less(power, cross, gram, -reference)
-    return Bins(
-        n=n,
-        start=start,
-        first=first,
-        size=size,
-        power=power,
-        names=names,
-        cross=cross,
-        gram=gram,
-        scale=scale,
-        tau0=tau0,
-        widening=widening,
-        version=version,
-    )
+            products = stream.correlations(gram[i, j], gram[i, i] * gram[j, j], _EXACT)
+            gram[i, j] = gram[j, i] = products
+        cross[i] = stream.correlations(cross[i], power * gram[i, i], steps)
+    return replace(bins, first=first, size=size, power=power, gram=gram, cross=cross)
 
 
 def _less(
@@ -198,8 +162,7 @@ def _counts(n: IntArray, start: IntArray, first: IntArray) -> FloatArray:
     """Return how many ordinates each bin spans, shape (b,)."""
     ends = np.append(first[1:], 0)
     ends[np.append(start[1:], first.size) - 1] = n
-    result: FloatArray = (ends - first).astype(np.float64)
-    return result
+    return np.asarray((ends - first).astype(np.float64))
 
 
 def _reference(bins: Bins) -> FloatArray:
@@ -245,56 +208,57 @@ def _ramp(n: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
         return np.where(count == 1, np.where(first % 2 == 1, single, 0.0), (ends[0] - ends[1]) / step)
 
 
-def _bytes_of(codes: IntArray) -> bytes:
-    """Return integers as planes of bytes, the low ones first, behind the number of planes."""
-    folded = (codes << 1) ^ (codes >> 63)
-    planes = (int(folded.max(initial=0)).bit_length() + 7) // 8
-    return bytes([planes]) + folded.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :planes].T.tobytes()
-
-
-def _logarithms(values: FloatArray, steps: FloatArray | float, *, rise: bool = False) -> bytes:
-    """Return logarithms in `steps`, or how they rise; and which values are above zero at all."""
-    told = values > 0
-    codes = np.rint(np.log(np.where(told, values, 1.0)) * steps).astype(np.int64)[told]
-    return np.packbits(told).tobytes() + _bytes_of(np.diff(codes, prepend=0) if rise else codes)
-
-
-def _correlations(products: FloatArray, squares: FloatArray, steps: float) -> bytes:
-    """Return products over the roots of both squares, in `steps`."""
-    root = np.sqrt(squares)
-    part = np.divide(products, root, out=np.zeros_like(root), where=root > 0)
-    return _bytes_of(np.rint(np.clip(part, -1, 1) * steps).astype(np.int64))
-
-
 @dataclass(slots=True)
-class _Reader:
-    """Takes columns from bytes, in the order in which they were written."""
+class _Stream:
+    """Columns of numbers one after the other: written to `data`, or read from it where a `place` is given.
 
-    data: bytes
-    place: int = 0
+    Each method is given the numbers to write, or as many to be read, and returns those that are there.
+    """
 
-    def take(self, size: int) -> bytes:
-        self.place += size
+    data: bytearray
+    place: int | None = None
+
+    def take(self, size: int) -> bytearray:
+        """Return the next bytes."""
+        start = self.place or 0
+        self.place = start + size
         if self.place > len(self.data):
-            msg = "too few"
-            raise ValueError(msg)
-        return self.data[self.place - size : self.place]
+            raise ValueError("too few")
+        return self.data[start : self.place]
 
-    def integers(self, size: int) -> IntArray:
-        planes = self.take(1)[0]
-        codes = np.zeros((size, 8), dtype=np.uint8)
-        codes[:, :planes] = np.frombuffer(self.take(planes * size), np.uint8).reshape(planes, size).T
-        folded = codes.reshape(-1).view("<u8")
-        result: IntArray = (folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64)
-        return result
+    def integers(self, codes: IntArray) -> IntArray:
+        """Pass integers as planes of bytes, the low ones first, behind the number of planes."""
+        if self.place is None:
+            folded = (codes << 1) ^ (codes >> 63)
+            planes = (int(folded.max(initial=0)).bit_length() + 7) // 8
+            self.data.append(planes)
+            self.data += folded.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :planes].T.tobytes()
+            return codes
+        planes, size = self.take(1)[0], codes.size
+        table = np.zeros((size, 8), dtype=np.uint8)
+        table[:, :planes] = np.frombuffer(self.take(planes * size), np.uint8).reshape(planes, size).T
+        folded = table.reshape(-1).view("<u8")
+        return np.asarray((folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64))
 
-    def logarithms(self, size: int, steps: FloatArray | float, *, rise: bool = False) -> FloatArray:
+    def logarithms(self, values: FloatArray, steps: FloatArray | float, *, rise: bool = False) -> FloatArray:
+        """Pass logarithms in `steps`, or how they rise; and which values are above zero at all."""
+        size = values.size
+        if self.place is None:
+            told = values > 0
+            self.data += np.packbits(told).tobytes()
+            codes = np.rint(np.log(np.where(told, values, 1.0)) * steps).astype(np.int64)[told]
+            self.integers(np.diff(codes, prepend=0) if rise else codes)
+            return values
         told = np.unpackbits(np.frombuffer(self.take((size + 7) // 8), np.uint8), count=size).astype(bool)
-        codes = self.integers(int(np.count_nonzero(told)))
-        values = np.zeros(size)
-        values[told] = np.exp((np.cumsum(codes) if rise else codes) / np.broadcast_to(steps, size)[told])
-        return values
-
-    def correlations(self, squares: FloatArray, steps: float) -> FloatArray:
-        result: FloatArray = self.integers(squares.size) / steps * np.sqrt(squares)
+        codes = self.integers(np.zeros(np.count_nonzero(told), dtype=np.int64))
+        result = np.zeros(size)
+        result[told] = np.exp((np.cumsum(codes) if rise else codes) / np.broadcast_to(steps, size)[told])
         return result
+
+    def correlations(self, products: FloatArray, squares: FloatArray, steps: float) -> FloatArray:
+        """Pass products over the roots of both squares, in `steps`."""
+        root = np.sqrt(squares)
+        part = np.divide(products, root, out=np.zeros_like(root), where=root > 0)
+        codes = self.integers(np.rint(np.clip(part, -1, 1) * steps).astype(np.int64))
+        result: FloatArray = codes / steps * root
+        return products if self.place is None else result

@@ -25,13 +25,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucal.allan import AllanCurve
 from imucal.allan.dct import Spectrum
 from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import MISFIT, Estimate, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
@@ -52,16 +51,12 @@ _FAR = 0.5
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     """Return a finding for each term on which two fits of one axis disagree.
 
-    Coefficients that both estimated are compared on a logarithmic scale; a term that one of them
-    bounds disagrees where the other's interval lies above the bound. Behind an output filter the
-    terms of short times, Q and N, are not compared: the likelihood has taken the filter out, the
-    curve still holds it.
-
-    Notes
-    -----
-    The variance of a difference is taken as at least a quarter of the second fit's, and as (1/300)²:
-    differences below 1 % are never reported. Where segments of the record differ, both fits are as much
-    less sure as the first one's interval is wider.
+    Coefficients that both estimated are compared on a logarithmic scale; a term that one of them bounds
+    disagrees where the other's interval lies above the bound. Behind an output filter the terms of short
+    times, Q and N, are not compared: the likelihood has taken the filter out, the curve still holds it. The
+    variance of a difference is taken as at least a quarter of the second fit's, and as (1/300)²: differences
+    below 1 % are never reported. Where segments of the record differ, both fits are as much less sure as the
+    first one's interval is wider.
     """
     findings = []
     filtered = any(finding.code == "output-filter" for finding in mle.findings)
@@ -71,9 +66,12 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
         second = next((e for e in gmwm.estimates if e.key == first.key), None)
         if second is None:
             continue
-        distance = _distance(mle, gmwm, first, second)
-        if distance > _DISAGREEMENT:
-            findings.append(_finding(mle, gmwm, first, second))
+        if _distance(mle, gmwm, first, second) > _DISAGREEMENT:
+            said = f"{_value(first)} by {mle.method} and {_value(second)} by {gmwm.method}"
+            axis = next((f.axis for f in (*mle.findings, *gmwm.findings) if f.axis), None)
+            text = f"{first.key} is {said}: the two disagree, so the model does not hold at all frequencies."
+            advice = "Look at the curve and the spectrum, and trust neither interval."
+            findings.append(Finding("warning", "second-opinion", text, advice, axis=axis))
     return tuple(findings)
 
 
@@ -82,31 +80,19 @@ def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) 
     if first.value is None or second.value is None:
         apart = first.low > second.high or second.low > first.high
         return math.inf if apart else 0.0
-    variances = [_relative_variance(fit, e) for fit, e in ((mle, first), (gmwm, second))]
+    # Squared relative standard errors; that of a coefficient may not be known.
+    variances = []
+    for fit, e, value in ((mle, first, first.value), (gmwm, second, second.value)):
+        name = TERMS[e.symbol].parameter_names(e.key)[0]
+        if name not in fit.parameters or not value:
+            return 0.0
+        place = fit.parameters.index(name)
+        variances.append(float(fit.covariance[place, place]) / value**2)
     if not all(map(math.isfinite, variances)):
         return 0.0
     least, other = variances[0] / first.widening**2, variances[1]
     variance = max(other - least, _LEAST_SHARE * other, _LEAST**2)
     return abs(math.log(first.value / second.value)) / (first.widening * math.sqrt(variance))
-
-
-def _relative_variance(fit: NoiseFit, estimate: Estimate) -> float:
-    """Return the squared relative standard error of a coefficient; NaN where it is not known."""
-    name = TERMS[estimate.symbol].parameter_names(estimate.key)[0]
-    if name not in fit.parameters or not estimate.value:
-        return math.nan
-    place = fit.parameters.index(name)
-    return float(fit.covariance[place, place]) / estimate.value**2
-
-
-def _finding(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -> Finding:
-    said = " and ".join(
-        f"{_value(estimate)} by {fit.method}" for fit, estimate in ((mle, first), (gmwm, second))
-    )
-    axis = next((f.axis for f in (*mle.findings, *gmwm.findings) if f.axis), None)
-    text = f"{first.key} is {said}: the two disagree, so the model does not hold at all frequencies."
-    advice = "Look at the curve and the spectrum, and trust neither interval."
-    return Finding(level="warning", code="second-opinion", axis=axis, text=text, advice=advice)
 
 
 def _value(estimate: Estimate) -> str:
@@ -131,7 +117,7 @@ def verify_findings(
     text = "The exact state-space likelihood has its maximum "
     text += f"{distance[worst]:.2g} standard errors away at most ({worst})."
     advice = "Trust neither alone: look for lines, a filter or a misfit." if far else ""
-    return (Finding(level=level, code="verified", axis=series.name, text=text, advice=advice),)
+    return (Finding(level, "verified", text, advice, axis=series.name),)
 
 
 def distances(
@@ -140,9 +126,7 @@ def distances(
     """Return how far each parameter is from the exact likelihood's maximum, in standard errors."""
     from imucal.fitting.state_space import fit_exact
 
-    structure = tuple(term.symbol for term in model.terms)
-    exact, _ = fit_exact(series, structure, model)
-    here, there = _values(model), _values(exact)
+    here, there = _values(model), _values(fit_exact(series, model)[0])
     deviation = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return {
         name: abs(there[name] - here[name]) / deviation[name]
@@ -170,10 +154,8 @@ _FEWEST_POINTS = 4
 def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
     """Return the GMWM fit of `first`'s model to the curve of the samples it had, as it saw them.
 
-    Raises
-    ------
-    DataError
-        If too few averaging times show the noise, or the curve can't be fitted.
+    That is the curve of the noise alone, at the averaging times that show it; a DataError says that these are
+    too few, or that the curve can't be fitted.
     """
     from imucal.fitting.moments import fit_gmwm
 
@@ -181,8 +163,19 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
     if first.taken_out:
         series = without_disturbances(series, first, temperature)
         curve = same_curve(series, curve)
+    if (share := first.noise_share) is not None:
+        keep = (share > _LEAST_NOISE) & (share < 1 / _LEAST_NOISE)
+        shown = np.count_nonzero(keep)
+        if shown < _FEWEST_POINTS:
+            msg = (
+                f"{series.name}: an output filter or lines shape the Allan variance, and {shown} averaging "
+                f"times show the noise, expected at least {_FEWEST_POINTS}; record for longer"
+            )
+            raise DataError(msg)
+        avar = (curve.avar * share)[keep]
+        curve = replace(curve, tau=curve.tau[keep], m=curve.m[keep], avar=avar, edf=curve.edf[keep])
     settings = FitSettings(model=str(first.model), method="gmwm", level=first.level)
-    return fit_gmwm(series, _of_noise(curve, first.noise_share, series.name), settings)
+    return fit_gmwm(series, curve, settings)
 
 
 def without_disturbances(
@@ -198,25 +191,6 @@ def without_disturbances(
     return replace(series, samples=samples)
 
 
-def _of_noise(curve: AllanCurve, share: FloatArray | None, axis: str) -> AllanCurve:
-    """Return the curve of the noise alone, at the averaging times that show it."""
-    if share is None:
-        return curve
-    keep = (share > _LEAST_NOISE) & (share < 1 / _LEAST_NOISE)
-    shown = np.count_nonzero(keep)
-    if shown < _FEWEST_POINTS:
-        msg = (
-            f"{axis}: an output filter or lines shape the Allan variance, and {shown} averaging times show "
-            f"the noise, expected at least {_FEWEST_POINTS}; record for longer"
-        )
-        raise DataError(msg)
-    return replace(
-        curve, tau=curve.tau[keep], m=curve.m[keep], avar=(curve.avar * share)[keep], edf=curve.edf[keep]
-    )
-
-
-#: Misfit score from which a fit says itself that it does not describe the curve.
-_MISFIT = 3.0
 #: Ordinates that drift and the ends of the record bend, each a bin of its own.
 _LOWEST = 8
 #: Score of all bins together, standard normal, from which the spectrum contradicts the model.
@@ -231,11 +205,11 @@ _TOLERANCE = 0.05
 def unseen_spectrum() -> Finding:
     """Return what is to say where there is a curve and no spectrum."""
     return Finding(
-        level="info",
-        code="spectral-ambiguity",
-        text="A curve alone was fitted: spectra that differ by a ripple Phi(f) = 2 Phi(2f) have the same "
+        "info",
+        "spectral-ambiguity",
+        "A curve alone was fitted: spectra that differ by a ripple Phi(f) = 2 Phi(2f) have the same "
         "Allan variance at every averaging time, so nothing has checked that the noise has the model's.",
-        advice="Look at the density of the samples beside the curve, or fit the samples themselves by mle.",
+        "Look at the density of the samples beside the curve, or fit the samples themselves by mle.",
     )
 
 
@@ -246,18 +220,27 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     must be beyond chance (5 standard deviations), and 3 bins differ by 3 of their own and by 30 %.
     Nothing is said of a fit of the spectrum, nor where the curve is not described either: the fit
     itself says that.
+
+    Source: Wilson & Hilferty (1931), PNAS 17, 684 (standard-normal scores).
     """
     tau = result.goodness.tau_s
-    described = result.goodness.statistic < _MISFIT
+    described = result.goodness.statistic < MISFIT
     if tau is None or not described or not any(term.psd(np.ones(1), 1.0)[0] for term in result.model.terms):
         return ()
     used = np.arange(spectrum.frequency.size) >= _LOWEST
     used &= spectrum.frequency <= 0.5 / tau[0]
     density = result.model.psd(spectrum.frequency, rate_hz=result.rate_hz)
-    used &= _ramp(result, spectrum.frequency) < _TOLERANCE * density
+    # A ramp in the model, which has no density, leaves so much at each frequency at most.
+    tau0 = 1 / result.rate_hz
+    slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
+    sine = np.sin(np.pi * spectrum.frequency * tau0)
+    used &= tau0 * slope**2 / (2 * result.curve.n * sine**4) < _TOLERANCE * density
     frequency, count = spectrum.frequency[used], spectrum.count[used]
     ratio = spectrum.psd[used] / density[used]
-    score = _score(ratio, count)
+    # Of chi-squared means over their expectation, less a tolerance.
+    variance = 2 / (9 * count)
+    within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
+    score = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)
     far = (np.abs(score) > _HIDDEN) & (np.abs(np.log(ratio)) > math.log(_NOTABLE))
     together = float(np.sum(score**2 - 1)) / math.sqrt(2 * max(score.size, 1))
     if together < _CONTRADICTED or far.sum() < _LEAST_BINS:
@@ -271,23 +254,4 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
         "differ by Phi(f) = 2 Phi(2f) share it."
     )
     advice = "Look at the spectrum and fit the samples themselves by mle; trust no number of this fit."
-    return (Finding(level="warning", code="spectral-ambiguity", axis=axis, text=text, advice=advice),)
-
-
-def _ramp(result: NoiseFit, frequency: FloatArray) -> FloatArray:
-    """Return what a ramp in the model, which has no density, leaves at each frequency at most."""
-    tau0 = 1 / result.rate_hz
-    slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
-    left: FloatArray = tau0 * slope**2 / (2 * result.curve.n * np.sin(np.pi * frequency * tau0) ** 4)
-    return left
-
-
-def _score(ratio: FloatArray, count: FloatArray) -> FloatArray:
-    """Return standard-normal scores of chi-squared means over their expectation, less a tolerance.
-
-    Source: Wilson & Hilferty (1931), PNAS 17, 684.
-    """
-    variance = 2 / (9 * count)
-    within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
-    score: FloatArray = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)
-    return score
+    return (Finding("warning", "spectral-ambiguity", text, advice, axis=axis),)

@@ -12,7 +12,6 @@ J. Time Ser. Anal. 3, 253.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -32,6 +31,7 @@ from imucal.fitting.state_space import (
     inverse_of,
     on_grid,
 )
+from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
@@ -46,18 +46,12 @@ _SPARSE = 20
 Progress: TypeAlias = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Component(ReadOnlyArrays):
-    """One part of the samples, given all of them.
+    """One part of the samples, given all of them, on a grid of n places.
 
-    Attributes
-    ----------
-    key
-        ``level``, ``B``, ``GM`` (``GM1``, ``GM2``), ``K``, ``R``; or ``bias``, the sum of them.
-    value
-        Conditional mean at each place of the grid, shape (n,), in U.
-    error
-        Its standard error, shape (n,), in U.
+    Its `key` is ``level``, ``B``, ``GM`` (``GM1``, ``GM2``), ``K`` or ``R``; or ``bias``, the sum of them.
+    `value` is the conditional mean at each place and `error` its standard error, in U, shape (n,) each.
     """
 
     key: str
@@ -65,7 +59,7 @@ class Component(ReadOnlyArrays):
     error: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Decomposition(ReadOnlyArrays):
     """A record as the sum of what its model is made of, on the clock's even grid of n places.
 
@@ -205,14 +199,13 @@ def smooth(
     blocks = Blocks.of(samples / scale, seen)
     unit = states.in_unit_of_white()
     block = BlockLaw.of(unit, blocks.length, 1 / blocks.count)
-    parts = _parts(unit, block)
     ends = _Ends.smoothed(list(filtered(unit, blocks, block)), states.size)
     level, slope = ([name for name in states.flat if name == key] for key in ("level", "R"))
     keys = (*level, *states.groups, *slope, BIAS)
     found = {key: np.empty((2, *blocks.samples.shape)) for key in keys}
     done = 0
     for members, holes in blocks.alike():
-        inside = _insides(parts, block, holes)
+        inside = _insides(unit, block, holes)
         for some in np.array_split(members, -(-members.size // _AT_ONCE)):
             for key, value, variance in _components(unit, inside, blocks, ends, some):
                 found[key][0, some] = scale * value
@@ -223,75 +216,40 @@ def smooth(
     return {key: (both[0].reshape(-1)[:n], both[1].reshape(-1)[:n]) for key, both in found.items()}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Part:
-    """What a component's covariances are, given the states at a block's start of B samples.
-
-    Attributes
-    ----------
-    variance
-        Of the component at each sample, shape (B,).
-    with_samples, with_end
-        Covariance with each sample, shape (B, B), and with each state at the block's end, (B, d).
-    trace
-        What the extended start adds to it, shape (B, d + 2).
-    """
-
-    variance: FloatArray
-    with_samples: FloatArray
-    with_end: FloatArray
-    trace: FloatArray
-
-
-def _parts(states: StateSpace, block: BlockLaw) -> dict[str, _Part]:
-    """Return the covariances of each component, and of their sum."""
-    d, B = states.size, block.trace.shape[0]
-    left = states.decay ** np.arange(B)[:, np.newaxis]
-    parts = {}
-    for key, group in (*states.groups.items(), (BIAS, states.everything)):
-        trace = np.zeros((B, d + 2))
-        trace[:, :d] = np.where(group, left, 0.0)
-        if key == BIAS:
-            trace[:, d:] = block.trace[:, d:]
-        parts[key] = _Part(
-            variance=np.einsum("dii->i", block.own[group])[:B],
-            with_samples=block.sampled[group][:, :, :B].sum(axis=0).T,
-            with_end=np.where(group, block.own[:, :B, B].T, 0.0),
-            trace=trace,
-        )
-    return parts
-
-
 #: A component inside blocks that miss the same samples: its key, of_samples, of_ends, left. Its mean is
 #: of_samples @ samples + of_ends @ (extended start, end), its variance `left` when all of these are known.
 _Inside: TypeAlias = tuple[str, FloatArray, FloatArray, FloatArray]
 
 
-def _insides(parts: dict[str, _Part], block: BlockLaw, seen: BoolArray) -> list[_Inside]:
+def _insides(states: StateSpace, block: BlockLaw, seen: BoolArray) -> list[_Inside]:
     """Return every component's inside of the blocks of which the samples `seen`, shape (B,), are there."""
     told = Told.of(block, seen)
     inverse_rest = inverse_of(told.rest)
+    d, B = states.size, seen.size
     insides = []
-    for key, part in parts.items():
-        cross = part.with_samples[:, seen]
+    for key, group in (*states.groups.items(), (BIAS, states.everything)):
+        # Given the start: what that adds to the component, its covariance with the end and the samples.
+        start = np.zeros((B, d + 2))
+        start[:, :d] = np.where(group, states.decay ** np.arange(B)[:, np.newaxis], 0.0)
+        if key == BIAS:
+            start[:, d:] = block.trace[:, d:]
+        with_end = np.where(group, block.own[:, :B, B].T, 0.0)
+        cross = block.sampled[group][:, seen, :B].sum(axis=0).T
         alone = cross @ told.inverse
-        to_end = (part.with_end - alone @ block.with_end[seen]) @ inverse_rest
+        to_end = (with_end - alone @ block.with_end[seen]) @ inverse_rest
         to_samples = alone - to_end @ told.gain
-        start = part.trace - to_samples @ block.trace[seen] - to_end @ block.passed
-        known = np.sum(to_samples * cross, axis=1) + np.sum(to_end * part.with_end, axis=1)
-        insides.append((key, to_samples, np.concatenate([start, to_end], axis=1), part.variance - known))
+        start -= to_samples @ block.trace[seen] + to_end @ block.passed
+        left = np.einsum("dii->i", block.own[group])[:B]
+        left = left - np.sum(to_samples * cross, axis=1) - np.sum(to_end * with_end, axis=1)
+        insides.append((key, to_samples, np.concatenate([start, to_end], axis=1), left))
     return insides
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class _Ends:
-    """What all samples tell of each block's ends.
+    """What all samples tell of each block's ends: the states at its start and at its end, level and slope.
 
-    Attributes
-    ----------
-    mean, covariance
-        Of the states at the start, the states at the end, level and slope: shapes (b, 2d + p) and
-        (b, 2d + p, 2d + p).
+    Their mean and covariance have shapes (b, 2d + p) and (b, 2d + p, 2d + p).
     """
 
     mean: FloatArray
@@ -354,5 +312,4 @@ def _spread(covariance: FloatArray, of_ends: FloatArray) -> FloatArray:
     # One product for all blocks: of the pairs of columns with the covariances' upper halves.
     row, column = np.triu_indices(of_ends.shape[1])
     pairs = of_ends[:, row] * of_ends[:, column] * np.where(row == column, 1.0, 2.0)
-    spread: FloatArray = covariance[:, row, column] @ pairs.T
-    return spread
+    return np.asarray(covariance[:, row, column] @ pairs.T)

@@ -19,13 +19,15 @@ Statistics 12, 367 (the ratio of the mean square successive difference to the va
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermHomogeneity, is_slow
+from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
 #: Most windows, fewest, and fewest samples of a window.
@@ -42,7 +44,7 @@ _PERIODIC = 0.5
 #: deviation, in which a weak term's is symmetric; others about the deviation's logarithm.
 _NARROW = 0.8
 #: A lower limit of less than this part of the upper one is none.
-_NOUGHT = 0.02
+NOUGHT = 0.02
 #: Units of time: up to how many seconds each is used, its size in s, and its name; hours beyond.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a segment tells a term by itself.
@@ -53,18 +55,13 @@ _ONE_SHIFT = 0.85
 _NOTABLE_SPREAD = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class VarianceChange:
     """A change of the noise's variance over time.
 
-    Attributes
-    ----------
-    score
-        Of von Neumann's ratio: standard normal where the variance is constant.
-    low, high
-        10 % and 90 % quantiles of the noise of a window, relative to their median.
-    period_s
-        Period of its swing, in s; None where it has none.
+    `score` is that of von Neumann's ratio, standard normal where the variance is constant; `low` and `high`
+    are the 10 % and 90 % quantiles of the noise of a window, relative to their median; `period_s` is the
+    period of its swing, in s, None where it has none.
     """
 
     score: float
@@ -82,7 +79,16 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
     if count < _FEWEST:
         return None
     edges = np.linspace(0, series.n - 1, count + 1).round().astype(np.int64)
-    mean = _square_steps(series.samples, edges) / np.diff(edges)
+    squares = np.empty(count)
+    # In parts that stay in the cache.
+    first = 0
+    while first < count:
+        last = max(int(np.searchsorted(edges, edges[first] + _PART, side="right")) - 1, first + 1)
+        steps = np.diff(series.samples[edges[first] : edges[last] + 1])
+        steps *= steps
+        squares[first:last] = np.add.reduceat(steps, edges[first:last] - edges[first])
+        first = last
+    mean = squares / np.diff(edges)
     if not np.all(mean > 0):
         return None
     logs = np.log(mean) / 2
@@ -104,19 +110,6 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
     )
 
 
-def _square_steps(samples: FloatArray, edges: IntArray) -> FloatArray:
-    """Return the sum of squared steps of each window, shape (w,), in parts that stay in the cache."""
-    total = np.empty(edges.size - 1)
-    first = 0
-    while first < total.size:
-        last = max(int(np.searchsorted(edges, edges[first] + _PART, side="right")) - 1, first + 1)
-        steps = np.diff(samples[edges[first] : edges[last] + 1])
-        steps *= steps
-        total[first:last] = np.add.reduceat(steps, edges[first:last] - edges[first])
-        first = last
-    return total
-
-
 def _period(logs: FloatArray, duration_s: float) -> float | None:
     """Return the period that makes most of the logs' variance, where there are some periods of it."""
     power = np.square(np.abs(np.fft.rfft(logs)))[1:]
@@ -136,10 +129,8 @@ def homogeneity(
 
     `weight` is the inverse variance of each log, `spans`, shape (s, 2), when each segment begins and ends.
     """
-    from scipy.special import chdtrc
-
     dof = logs.size - 1
-    p_value = float(chdtrc(dof, max(statistic, 0.0)))
+    p_value = float(scipy.special.chdtrc(dof, max(statistic, 0.0)))
     scale = float(weight.sum() - np.square(weight).sum() / weight.sum())
     spread = math.sqrt(max(statistic - dof, 0.0) / scale)
     highest, lowest = (tuple(spans[at].tolist()) for at in (int(np.argmax(logs)), int(np.argmin(logs))))
@@ -163,15 +154,13 @@ def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[flo
     The segment in which it changes has some of both levels, which tells the time inside it; all before
     and all after it must be alike but for chance.
     """
-    from scipy.special import chdtrc
-
     whole, best = cochran_q(logs, weight), (math.inf, 0)
     for at in range(1, logs.size - 1):
         before, after = slice(at), slice(at + 1, None)
         rest = cochran_q(logs[before], weight[before]) + cochran_q(logs[after], weight[after])
         best = min(best, (rest, at))
     rest, at = best
-    if logs.size < 5 or rest > (1 - _ONE_SHIFT) * whole or chdtrc(logs.size - 3, rest) < CHANCE:
+    if logs.size < 5 or rest > (1 - _ONE_SHIFT) * whole or scipy.special.chdtrc(logs.size - 3, rest) < CHANCE:
         return None
     first = float(np.average(logs[:at], weights=weight[:at]))
     last = float(np.average(logs[at + 1 :], weights=weight[at + 1 :]))
@@ -185,8 +174,8 @@ def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[flo
 
 
 def symbol_of(key: str) -> str:
-    """Return the symbol of an estimate's key: ``GM`` of ``GM2``."""
-    return key.rstrip("0123456789")
+    """Return the symbol of the key of an estimate or of a parameter: ``GM`` of ``GM2`` and ``GM2.T``."""
+    return key.partition(".")[0].rstrip("0123456789")
 
 
 def cochran_q(logs: FloatArray, weight: FloatArray) -> float:
@@ -223,9 +212,8 @@ def widened_covariance(
     misfits: Mapping[str, float] | None = None,
 ) -> FloatArray:
     """Return the covariance of parameters, shape (p, p), that belongs to the wider intervals."""
-    factor = np.array([_factor(symbol_of(name.partition(".")[0]), segments, misfits) for name in names])
-    wider: FloatArray = covariance * np.outer(factor, factor)
-    return wider
+    factor = np.array([_factor(symbol_of(name), segments, misfits) for name in names])
+    return np.asarray(covariance * np.outer(factor, factor))
 
 
 def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float] | None) -> float:
@@ -239,9 +227,14 @@ def nonstationary_finding(
     changing = segments.changing if segments else ()
     said = []
     if segments and changing:
+        factors = {
+            "of the slow terms" if is_slow(symbol) else f"of {symbol}": segments.widening(symbol)
+            for symbol in dict.fromkeys(term.symbol for term in changing)
+        }
+        wider = " and ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
         said.append(
             f"The noise is not the same in {segments.start_s.size} parts of the record: "
-            f"{'; '.join(map(_said, changing))}; {_widths(segments)}."
+            f"{'; '.join(map(_said, changing))}; intervals {wider} times as wide allow for that."
         )
     if change:
         over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
@@ -254,7 +247,7 @@ def nonstationary_finding(
     notable = change is not None or any(term.spread > _NOTABLE_SPREAD for term in changing)
     level: Level = "warning" if notable else "info"
     advice = "Look for what changed (temperature, vibration, supply); another record may differ as much."
-    return (Finding(level=level, code="nonstationary", axis=axis, text=" ".join(said), advice=advice),)
+    return (Finding(level, "nonstationary", " ".join(said), advice, axis=axis),)
 
 
 def _said(term: TermHomogeneity) -> str:
@@ -264,16 +257,6 @@ def _said(term: TermHomogeneity) -> str:
         return f"{term.key} shifts once, at about {time / unit:.3g} {name}, to {factor:.3g} times what it was"
     by = f"by {100 * term.spread:.2g} %" if term.spread < 1 else "by as much as itself"
     return f"{term.key} varies {by} (largest {_span(term.highest_s)}, smallest {_span(term.lowest_s)})"
-
-
-def _widths(segments: Segments) -> str:
-    """Return by what factors the intervals are wider, in words."""
-    factors = {
-        "of the slow terms" if is_slow(symbol) else f"of {symbol}": segments.widening(symbol)
-        for symbol in dict.fromkeys(term.symbol for term in segments.changing)
-    }
-    said = " and ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
-    return f"intervals {said} times as wide allow for that"
 
 
 def _span(span: tuple[float, float]) -> str:
@@ -293,8 +276,12 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
         return estimate
     if estimate.value is None:
         return replace(estimate, high=estimate.high * factor, widening=factor)
-    low, high = _limits(estimate, estimate.value, factor)
-    if is_slow(estimate.symbol) and low <= _NOUGHT * high:
+    value, low, high = estimate.value, estimate.low, estimate.high
+    if is_slow(estimate.symbol) and low < _NARROW * value:
+        low, high = value - factor * (value - low), value + factor * (high - value)
+    else:
+        low, high = (value * (end / value) ** factor for end in (low, high))
+    if is_slow(estimate.symbol) and low <= NOUGHT * high:
         bounded = Estimate.bounded(estimate.key, estimate.symbol, high)
         return replace(bounded, alternatives=estimate.alternatives, widening=factor)
     time = estimate.correlation_time
@@ -302,13 +289,6 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
         ends = [time.value * (end / time.value) ** factor for end in (time.low, time.high)]
         time = Interval(value=time.value, low=ends[0], high=ends[1])
     return replace(estimate, low=low, high=high, correlation_time=time, widening=factor)
-
-
-def _limits(estimate: Estimate, value: float, factor: float) -> tuple[float, float]:
-    low, high = estimate.low, estimate.high
-    if is_slow(estimate.symbol) and low < _NARROW * value:
-        return value - factor * (value - low), value + factor * (high - value)
-    return value * (low / value) ** factor, value * (high / value) ** factor
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -12,6 +12,7 @@ from imucal.display import Displayed
 from imucal.errors import MissingError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
+from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
@@ -19,6 +20,8 @@ from imucal.recording import Sensor
 
 #: Chance that a term of a stationary record is found to change.
 CHANCE = 0.01
+#: Score of a misfit from which the model does not describe the axis.
+MISFIT = 3.0
 
 
 def is_slow(symbol: str) -> bool:
@@ -39,32 +42,20 @@ def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
     """Return the one of that key; a KeyError says, after `whole`, which there are."""
     found = {part.key: part for part in parts}
     if key not in found:
-        msg = f"no term {key!r}; {whole} {', '.join(found)}"
-        raise MissingError(msg)
+        raise MissingError(f"no term {key!r}; {whole} {', '.join(found)}")
     return found[key]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TermHomogeneity:
-    """How much a term changes from segment to segment.
+    """How much a term, by `key` and `symbol` that of an estimate, changes from segment to segment.
 
-    Attributes
-    ----------
-    key, symbol
-        Of the term, as in its estimate.
-    statistic, dof
-        Q, which is chi-squared with `dof` degrees of freedom where the term is the same in all segments.
-    p_value
-        Probability of so large a Q by chance.
-    spread
-        Relative standard deviation of the coefficient between segments, beyond what chance gives.
-    factor
-        Birge ratio sqrt(Q/dof); 1 where chance explains Q.
-    highest_s, lowest_s
-        Start and end of the segments where it is largest and smallest, in s from the first sample.
-    shift
-        Where it changes once and stays: when, in s from the first sample, and by what factor; else None.
-        The report's JSON has it in the words of the finding alone.
+    Q, its `statistic`, is chi-squared with `dof` degrees of freedom where the term is the same in all
+    segments, and so large by chance with a probability of `p_value`. `spread` is the relative standard
+    deviation of the coefficient between segments beyond what chance gives, `factor` the Birge ratio
+    sqrt(Q/dof), 1 where chance explains Q. The segments where it is largest and smallest begin and end at
+    `highest_s` and `lowest_s`, in s from the first sample. `shift` says when, in s, and by what factor it
+    changes once and stays; else it is None. The report's JSON has it in the words of the finding alone.
     """
 
     key: str
@@ -79,7 +70,7 @@ class TermHomogeneity:
     shift: tuple[float, float] | None = field(default=None, compare=False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Trace(ReadOnlyArrays):
     """A quantity in each segment: value and limits, shape (s,) each, in SI."""
 
@@ -88,23 +79,14 @@ class Trace(ReadOnlyArrays):
     high: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Segments(ReadOnlyArrays):
     """What the segments of a record say of its noise.
 
-    Attributes
-    ----------
-    start_s, end_s
-        When each begins and ends, shape (s,), in s from the first sample.
-    white
-        N in each segment; None where the fit has no N.
-    floor
-        Allan deviation of the model in each segment at `floor_tau_s`, where it is lowest, or a quarter of a
-        segment; None where the fit has no slow noise.
-    floor_tau_s
-        In s; NaN without a floor.
-    terms
-        One for each term that was tested.
+    Each begins and ends at `start_s` and `end_s`, shape (s,), in s from the first sample. `white` is N in
+    each, None where the fit has no N. `floor` is the Allan deviation of the model in each at `floor_tau_s`,
+    in s, where it is lowest, or a quarter of a segment; None, and NaN, where the fit has no slow noise.
+    `terms` has one for each term that was tested.
     """
 
     start_s: FloatArray
@@ -132,7 +114,7 @@ class Segments(ReadOnlyArrays):
 Status: TypeAlias = Literal["estimated", "bounded"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Interval:
     """A value and its confidence limits."""
 
@@ -141,38 +123,27 @@ class Interval:
     high: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Estimate:
     """One term's coefficient.
 
-    Attributes
-    ----------
-    key
-        ``N`` … ``R``, ``GM``; ``GM1``, ``GM2`` where there are several, by rising T.
-    symbol
-        ``N`` … ``R`` or ``GM``.
-    status
-        ``estimated``; or ``bounded`` where the data do not show the term: then `value` is None,
-        `low` is 0 and `high` its upper bound at the level.
-    value, low, high
-        The coefficient (sigma for GM) in SI, and its limits.
-    correlation_time
-        T of a Gauss-Markov term, in s; None for others.
-    alternatives
-        Symbols of terms that may stand in this one's place: to this record they are one thing.
-    drawn
-        The coefficient that the fit's model has, in SI: also of a bounded term, whose interval holds zero,
-        where the model without it would be less likely. None where the model has no such term: an estimate
-        with a value is then another name of what other terms are, as the walk that a slow Gauss-Markov term
-        begins with is, and adds nothing to them. Set by the `NoiseFit` that it belongs to.
-    horizon_s
-        Longest time for which the coefficient holds, in s: a walk that may be the beginning of a Gauss-Markov
-        term holds up to the least T that such a term may have; infinite where nothing limits it.
-    widening
-        By what factor the interval is wider than the likelihood says, because the record's segments differ
-        or the model does not describe it.
-    origin
-        What the number is, where it is no estimate of one record: a bound over many units.
+    By its `key` it is ``N`` … ``R``, ``GM``, or ``GM1``, ``GM2`` where there are several, by rising T; by its
+    `symbol` ``N`` … ``R`` or ``GM``. Its `status` is ``estimated``, or ``bounded`` where the data do not show
+    the term. `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits; of a bounded
+    one None, 0 and the upper bound at the level. `correlation_time` is T of a Gauss-Markov term, in s, None
+    for others; `alternatives` are symbols of terms that may stand in this one's place: to this record they
+    are one thing.
+
+    `drawn` is the coefficient that the fit's model has, in SI: also of a bounded term, whose interval holds
+    zero, where the model without it would be less likely. None where the model has no such term: an estimate
+    with a value is then another name of what other terms are, as the walk that a slow Gauss-Markov term
+    begins with is, and adds nothing to them. The `NoiseFit` that it belongs to sets it.
+
+    `horizon_s` is the longest time for which the coefficient holds, in s: a walk that may be the beginning of
+    a Gauss-Markov term holds up to the least T that such a term may have; infinite where nothing limits it.
+    `widening` is by what factor the interval is wider than the likelihood says, because the record's segments
+    differ or the model does not describe it. `origin` says what the number is, where it is no estimate of one
+    record: a bound over many units.
     """
 
     key: str
@@ -198,13 +169,18 @@ class Estimate:
         time = self.correlation_time
         return TERMS[self.symbol].of(coefficient, *([time.value] if time else []))
 
+    def slopes(self) -> dict[str, float]:
+        """Return each parameter's derivative in its log variance or log time, by its name in a fit."""
+        times = [self.correlation_time.value] if self.correlation_time else []
+        names = TERMS[self.symbol].parameter_names(self.key)
+        return dict(zip(names, [0.5 * (self.value or 0.0), *times], strict=True))
+
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status == "bounded"):
-            msg = f"{self.key}: a bounded estimate has no value, an estimated one has: {self}"
-            raise ValueError(msg)
+            raise ValueError(f"{self.key}: a bounded estimate has no value, an estimated one has: {self}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Line:
     """A spectral line that the fit left out: frequency in Hz, amplitude (of the sine) in U."""
 
@@ -212,7 +188,7 @@ class Line:
     amplitude: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Response:
     """The output filter that the fit found: kind (``one-pole``, ``butterworth-2`` …), -3 dB corner in Hz."""
 
@@ -220,24 +196,15 @@ class Response:
     cutoff_hz: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Goodness:
     """How well the model describes what it was fitted to.
 
-    Attributes
-    ----------
-    statistic
-        A standard-normal score of the misfit: above 3 the model does not describe the axis.
-    p_value
-        Probability of so large a misfit when the model is right.
-    chi2_per_bin
-        Mean squared standardised residual; 1 when the model is right.
-    band_hz
-        Lowest and highest frequency that was used, in Hz; None for a fit of the curve.
-    tau_s
-        Shortest and longest averaging time that was used, in s; None for a fit of the spectrum.
-    lines
-        Spectral lines left out.
+    `statistic` is a standard-normal score of the misfit: above 3 the model does not describe the axis. So
+    large a misfit has the probability `p_value` when the model is right; `chi2_per_bin`, the mean squared
+    standardised residual, is 1 then. `band_hz` are the lowest and highest frequency that was used, in Hz,
+    None for a fit of the curve; `tau_s` the shortest and longest averaging time, in s, None for a fit of the
+    spectrum. `lines` are the spectral lines left out.
     """
 
     statistic: float
@@ -248,7 +215,7 @@ class Goodness:
     lines: tuple[Line, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Candidate:
     """Another model that was tried: its structure text and how much worse its criterion is."""
 
@@ -347,8 +314,7 @@ class NoiseFit(Displayed):
     def correlation(self) -> FloatArray:
         """Correlations of the estimated coefficients, shape (p, p)."""
         deviation = np.sqrt(np.diag(self.covariance))
-        correlation: FloatArray = self.covariance / np.outer(deviation, deviation)
-        return correlation
+        return np.asarray(self.covariance / np.outer(deviation, deviation))
 
     def model_adev(self) -> FloatArray:
         """Return the model's Allan deviation at the curve's averaging times, shape (k,)."""

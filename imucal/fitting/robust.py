@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from imucal.allan.intervals import excess_kurtosis
 from imucal.arrays import BoolArray, FloatArray
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.noise.terms import AngleRandomWalk
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import pretty
@@ -49,30 +50,36 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
         return series, ()
     samples = series.samples.copy()
     noise = np.random.default_rng(952).standard_normal(count)
+    share, largest = count / series.n, float(np.abs(samples[spike] - baseline[spike]).max())
     samples[spike] = baseline[spike] + deviation * noise
-    return replace(series, samples=samples), (_finding(series, spike, baseline, deviation),)
+    # Of a sensor that stands still on one value the deviation is next to nothing.
+    times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
+    name = "spike was" if count == 1 else "spikes were"
+    text = (
+        f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
+        f"{largest:.3g} {pretty(series.unit)}, {times} standard deviations."
+    )
+    level: Level = "info" if share <= _MANY else "warning"
+    advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
+    advice = advice if level == "warning" else ""
+    found = Finding(level, "spikes", text, advice, axis=series.name)
+    return replace(series, samples=samples), (found,)
 
 
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
-    Where it is plain that there is none, these are `samples` themselves and 0.
-
-    Notes
-    -----
-    The baseline runs straight between the medians of blocks of 100 samples. A spike lies further
-    from it than 5 standard deviations (1.4826 median absolute deviations), or as far as a hundred
-    records of Gaussian noise of this length hold once; and where there are more samples so far out
-    than the noise's own tail explains: that of Student's t which has as many beyond 3 deviations.
-    O(n).
+    Where it is plain that there is none, these are `samples` themselves and 0. The baseline runs straight
+    between the medians of blocks of 100 samples. A spike lies further from it than 5 standard deviations
+    (1.4826 median absolute deviations), or as far as a hundred records of Gaussian noise of this length hold
+    once; and where there are more samples so far out than the noise's own tail explains: that of Student's t
+    which has as many beyond 3 deviations. O(n).
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
-    from scipy.special import ndtri
-
     if samples.size < 20:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
-    reach = max(_LEAST_DISTANCE, -float(ndtri(_FALSE_ALARMS / (2 * samples.size))))
+    reach = max(_LEAST_DISTANCE, -float(scipy.special.ndtri(_FALSE_ALARMS / (2 * samples.size))))
     distance = _distance(samples)
     # Where half of the samples lie so far out that the farthest is in reach, none is a spike: no median.
     near = float(distance.max()) / (reach * _DEVIATION)
@@ -101,38 +108,25 @@ def _end_of_tail(distance: FloatArray, reach: float) -> float:
     Beyond, there are more samples than half as many again as a Student's t would have there, by more
     than chance. Noise whose tails are heavier than t's with 3 degrees of freedom is not believed.
     """
-    from scipy.special import pdtrc, stdtr
-
-    far = np.sort(distance[distance > reach])[::-1]
-    freedom = _degrees_of_freedom(int(np.count_nonzero(distance > _BODY)), distance.size)
+    n, count = distance.size, int(np.count_nonzero(distance > _BODY))
+    normal = 2 * n * float(scipy.special.ndtr(-_BODY))
+    freedom = _GAUSSIAN
+    if count > normal + 3 * np.sqrt(normal) + 3:
+        # Those of the Student's t of which as many samples lie beyond 3 deviations.
+        grid = np.geomspace(3.0, _GAUSSIAN, 64)
+        of_body = 2 * n * scipy.special.stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
+        freedom = float(np.interp(-count, -of_body, grid))
     # Only the body is sure to be noise: the median sets the scale.
-    expected = 2 * distance.size * stdtr(freedom, -far * _median_of_t(freedom) * _DEVIATION)
+    far = np.sort(distance[distance > reach])[::-1]
+    expected = 2 * n * scipy.special.stdtr(freedom, -far * _median_of_t(freedom) * _DEVIATION)
     number = np.arange(1, far.size + 1)
-    beyond = np.flatnonzero(pdtrc(number - 1, 1.5 * expected + 1e-300) < _FALSE_ALARMS)
+    beyond = np.flatnonzero(scipy.special.pdtrc(number - 1, 1.5 * expected + 1e-300) < _FALSE_ALARMS)
     return float(np.nextafter(far[beyond[-1]], 0.0)) if beyond.size else np.inf
-
-
-def _degrees_of_freedom(count: int, n: int) -> float:
-    """Return those of the Student's t of which `count` of `n` samples lie beyond 3 deviations.
-
-    Gaussian where there are no more than chance gives; at least 3, the fewest of a finite variance
-    that a record can tell.
-    """
-    from scipy.special import ndtr, stdtr
-
-    normal = 2 * n * float(ndtr(-_BODY))
-    if count <= normal + 3 * np.sqrt(normal) + 3:
-        return _GAUSSIAN
-    grid = np.geomspace(3.0, _GAUSSIAN, 64)
-    expected = 2 * n * stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
-    return float(np.interp(-count, -expected, grid))
 
 
 def _median_of_t(freedom: FloatArray | float) -> FloatArray:
     """Return the median distance from zero of Student's t."""
-    from scipy.special import stdtrit
-
-    return np.asarray(stdtrit(freedom, 0.75))
+    return np.asarray(scipy.special.stdtrit(freedom, 0.75))
 
 
 def step_size(samples: FloatArray) -> float | None:
@@ -173,12 +167,12 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     if ratio < 0.5 or share >= 1:
         text = f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told."
         advice = "Record with a smaller measuring range or more bits."
-        return (Finding(level="warning", code="rounding", axis=series.name, text=text, advice=advice),)
+        return (Finding("warning", "rounding", text, advice, axis=series.name),)
     text = (
         f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
         f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}."
     )
-    return (Finding(level="info", code="rounding", axis=series.name, text=text),)
+    return (Finding("info", "rounding", text, axis=series.name),)
 
 
 def _baseline(samples: FloatArray) -> FloatArray:
@@ -228,23 +222,6 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
         middle = parted[:, half]
         medians[first:last] = middle if block % 2 else 0.5 * (parted[:, :half].max(axis=1) + middle)
     return medians
-
-
-def _finding(series: AxisSeries, spike: BoolArray, baseline: FloatArray, deviation: float) -> Finding:
-    count = int(spike.sum())
-    share = count / series.n
-    largest = float(np.abs(series.samples[spike] - baseline[spike]).max())
-    # Of a sensor that stands still on one value the deviation is next to nothing.
-    times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
-    name = "spike was" if count == 1 else "spikes were"
-    text = (
-        f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
-        f"{largest:.3g} {pretty(series.unit)}, {times} standard deviations."
-    )
-    if share <= _MANY:
-        return Finding(level="info", code="spikes", axis=series.name, text=text)
-    advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
-    return Finding(level="warning", code="spikes", axis=series.name, text=text, advice=advice)
 
 
 def heavy_tails(samples: FloatArray) -> float:

@@ -2,7 +2,6 @@
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.frozen import frozen
 from imucal.noise.model import parse_structure
 from imucal.noise.terms import require_fittable
 from imucal.recording import AxisSeries
@@ -40,16 +40,13 @@ MOST_SEGMENTS = 64
 WEIGHTS = ("full", "eta3")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FitSettings:
     """What decides a fit; `imucal.fit` says what each setting means.
 
-    Of an IMU that was not `still` neither disturbances nor parts of the spectrum are looked for.
-
-    Raises
-    ------
-    ValueError
-        If a setting is not known, `model` is no sum of terms, or `method` can not fit one of them.
+    Of an IMU that was not `still` neither disturbances nor parts of the spectrum are looked for. A setting
+    that is not known, a `model` that is no sum of terms, or a `method` that can not fit one of them is a
+    ValueError.
     """
 
     model: str = "auto"
@@ -71,14 +68,11 @@ class FitSettings:
         )
         for name, value, known in choices:
             if value not in known:
-                msg = f"{name} {value!r} is not one of {', '.join(known)}"
-                raise ValueError(msg)
+                raise ValueError(f"{name} {value!r} is not one of {', '.join(known)}")
         if not 0 < self.level < 1:
-            msg = f"level must be between 0 and 1, got {self.level}"
-            raise ValueError(msg)
+            raise ValueError(f"level must be between 0 and 1, got {self.level}")
         if not 0 <= self.max_gm <= 2:
-            msg = f"max_gm must be 0, 1 or 2, got {self.max_gm}"
-            raise ValueError(msg)
+            raise ValueError(f"max_gm must be 0, 1 or 2, got {self.max_gm}")
         if not 1 <= self.segments <= MOST_SEGMENTS:
             msg = f"segments must be from 1 (not looked at) to {MOST_SEGMENTS}, got {self.segments}"
             raise ValueError(msg)

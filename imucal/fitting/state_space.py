@@ -17,13 +17,14 @@ diffuse Kalman filter's, de Jong (1991), Ann. Statist. 19, 1073.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
-from imucal.noise.bank import gauss_markov_bank
+from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import BiasInstability, GaussMarkov, RateRamp, RateRandomWalk, term_keys
@@ -41,25 +42,15 @@ _FLAT = 1e5
 BIAS = "bias"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class StateSpace:
     """The independent scalar states of a model, which samples are the sum of, with white noise beside them.
 
-    Attributes
-    ----------
-    decay, drive
-        phi and the variance of the driving noise per sample of each state, shape (d,).
-    start
-        Variance of each state at the first sample, shape (d,); infinite for a walk.
-    groups
-        Key of the component -> which states it sums, shape (d,); a quantization error, where there
-        is one, stands first, with decay 0, and belongs to none.
-    quantized
-        Whether the first state u is a quantization error: samples hold u[t+1] - u[t].
-    flat
-        Names of what has no noise and a flat prior: ``level`` and ``R``, the slope.
-    white
-        Variance of the white noise.
+    Each of d states has a `decay` phi, the variance of the noise that drives it per sample, and its variance
+    at the first sample, infinite for a walk; shape (d,) each. `groups` says which states a component sums,
+    shape (d,), by its key. A `quantized` model's first state u, with decay 0 and in no group, is a
+    quantization error: samples hold u[t+1] - u[t]. What has no noise and a `flat` prior is ``level`` and
+    ``R``, the slope; `white` is the variance of the white noise.
     """
 
     decay: FloatArray
@@ -72,14 +63,9 @@ class StateSpace:
 
     @classmethod
     def of(cls, model: NoiseModel, *, rate_hz: float, n: int) -> "StateSpace":
-        """Return the states of a model's terms for `n` samples.
+        """Return the states of a model's terms for `n` samples; a term that has none is a ValueError.
 
         A walk holds the level; without one the level stands for itself.
-
-        Raises
-        ------
-        ValueError
-            If a term has no states.
         """
         tau0 = 1 / rate_hz
         variances = {t.symbol: t.variance(tau0) for t in model.terms if isinstance(t, PowerLawTerm)}
@@ -91,6 +77,10 @@ class StateSpace:
             states += own
             owners += [key] * len(own)
         decay, drive, start = np.array(states).reshape(-1, 3).T.copy()
+        # The covariance of a block needs some white noise: a 1e-7 of the least density changes the likelihood
+        # of a sample by as little, and 1e-10 of the largest variance is what double precision can carry.
+        frequencies = np.geomspace(rate_hz / (2 * n), rate_hz / 2, 256)
+        least = float(model.psd(frequencies, rate_hz=rate_hz).min()) * rate_hz
         shown = {"level": not np.isinf(start).any(), "R": any(term.symbol == "R" for term in model.terms)}
         return cls(
             decay=decay,
@@ -101,8 +91,7 @@ class StateSpace:
             },
             quantized=bool(quantization),
             flat=tuple(name for name, is_shown in shown.items() if is_shown),
-            white=variances.get("N")
-            or _unseen_white(model, rate_hz, n, float(drive.max(initial=0.0)) or 1.0),
+            white=variances.get("N") or max(1e-7 * least, 1e-10 * (float(drive.max(initial=0.0)) or 1.0)),
         )
 
     @property
@@ -113,8 +102,7 @@ class StateSpace:
     @property
     def everything(self) -> BoolArray:
         """Which states are of a component, shape (d,)."""
-        every: BoolArray = np.any([np.zeros(self.size, dtype=bool), *self.groups.values()], axis=0)
-        return every
+        return np.asarray(np.any([np.zeros(self.size, dtype=bool), *self.groups.values()], axis=0))
 
     def in_unit_of_white(self) -> "StateSpace":
         """Return the states with white noise of variance 1."""
@@ -147,41 +135,19 @@ def _term_states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, floa
         return [(1.0, term.variance(tau0), math.inf)]
     markov: tuple[GaussMarkov, ...] = (term,) if isinstance(term, GaussMarkov) else ()
     if isinstance(term, BiasInstability):
-        markov = gauss_markov_bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
+        markov = GaussMarkov.bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
     return [(t.phi(tau0), t.q(tau0) ** 2, t.sigma**2) for t in markov]
 
 
-def _unseen_white(model: NoiseModel, rate_hz: float, n: int, largest: float) -> float:
-    """Return a variance of white noise that can't be told from none.
-
-    The covariance of a block needs some; a 1e-7 of the least density changes the likelihood of a
-    sample by as little, and 1e-10 of the largest variance is what double precision can carry.
-    """
-    frequencies = np.geomspace(rate_hz / (2 * n), rate_hz / 2, 256)
-    least = float(model.psd(frequencies, rate_hz=rate_hz).min()) * rate_hz
-    return max(1e-7 * least, 1e-10 * largest)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class BlockLaw:
     """The covariances of a block of B samples, given the states at its start, in closed form.
 
-    The states at the start, and level and slope in the block, are the extended start, shape (d + 2,).
-
-    Attributes
-    ----------
-    samples
-        Covariance of the samples, shape (B, B).
-    trace
-        What the extended start adds to the samples, shape (B, d + 2).
-    end, passed
-        Variance of the states at the end, shape (d,), and what the extended start adds to them,
-        shape (d, d + 2).
-    with_end
-        Covariance of the samples with the states at the end, shape (B, d).
-    own, sampled
-        Covariance of each state at a place with itself at another, shape (d, B + 1, B + 1), and of
-        what it adds to each sample with it, shape (d, B, B + 1).
+    The states at the start, and level and slope in the block, are the extended start, shape (d + 2,). It adds
+    `trace`, shape (B, d + 2), to the `samples`, whose covariance is of shape (B, B), and `passed`, shape
+    (d, d + 2), to the states at the end, of variance `end`, shape (d,), and covariance `with_end` with the
+    samples, shape (B, d). `own` is the covariance of each state at a place with itself at another, shape
+    (d, B + 1, B + 1), and `sampled` of what it adds to each sample with it, shape (d, B, B + 1).
     """
 
     samples: FloatArray
@@ -224,20 +190,14 @@ class BlockLaw:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Told:
     """What blocks that miss the same samples tell: of their start, and of their end given the start.
 
-    Attributes
-    ----------
-    inverse, log_det
-        Of the covariance of the samples seen given the start: its inverse, shape (seen, seen), and the
-        logarithm of its determinant.
-    weights, information
-        What `inverse` makes of the samples for the extended start, shape (d + 2, seen), and their
-        information about it, shape (d + 2, d + 2).
-    passed, gain, rest
-        End = passed @ extended start + gain @ samples + noise of covariance rest.
+    The covariance of the samples seen given the start has an `inverse`, shape (seen, seen), and the logarithm
+    of a determinant. It makes `weights` of the samples for the extended start, shape (d + 2, seen), on which
+    they have `information`, shape (d + 2, d + 2). The end is passed @ extended start + gain @ samples + noise
+    of covariance rest.
     """
 
     inverse: FloatArray
@@ -267,7 +227,7 @@ class Told:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Blocks:
     """A record cut into blocks, shape (b, length), the last filled up with missing samples."""
 
@@ -308,20 +268,13 @@ class Blocks:
             yield np.array(members), self.seen[members[0]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Step:
     """What the samples up to a block's end tell of states, level and slope.
 
-    Attributes
-    ----------
-    mean, covariance
-        At the block's start, shapes (d + p,) and (d + p, d + p).
-    cross
-        Covariance of those at its end with those at its start.
-    predicted, ahead, inverse
-        Mean and covariance at its end, and the covariance's inverse.
-    log_density
-        Of the block's samples given those before; of the first, but for its part in what is flat.
+    Mean and covariance at its start, shapes (d + p,) and (d + p, d + p), `cross`, that of those at its end
+    with them, and at its end the mean `predicted`, the covariance `ahead` and its inverse. `log_density` is
+    that of the block's samples given those before; of the first, but for its part in what is flat.
     """
 
     mean: FloatArray
@@ -407,22 +360,12 @@ def log_likelihood(
     return value, float(last.predicted[-1]) * math.sqrt(states.white) / length_s
 
 
-def fit_exact(series: AxisSeries, structure: tuple[str, ...], start: NoiseModel) -> tuple[NoiseModel, float]:
+def fit_exact(series: AxisSeries, start: NoiseModel) -> tuple[NoiseModel, float]:
     """Return the model of greatest exact likelihood near `start`, and that log-likelihood.
 
-    A witness for faster fits: each step costs one likelihood a parameter. A rate ramp is
-    estimated with the rest; a term whose variance goes to zero stops at 1e-6 of its start.
-
-    Raises
-    ------
-    ValueError
-        If `start` does not have the terms of `structure`.
+    A witness for faster fits: each step costs one likelihood a parameter. A rate ramp is estimated with the
+    rest; a term whose variance goes to zero stops at 1e-6 of its start.
     """
-    from scipy.optimize import minimize
-
-    if tuple(term.symbol for term in start.terms) != structure:
-        msg = f"start must have the terms {structure}, got {start}"
-        raise ValueError(msg)
     samples, seen = on_grid(series.finite(), "a likelihood")
     samples = np.where(seen, samples - samples[seen].mean(), 0.0)
 
@@ -439,7 +382,7 @@ def fit_exact(series: AxisSeries, structure: tuple[str, ...], start: NoiseModel)
         return -log_likelihood(at(steps), samples, seen, series.rate_hz)[0]
 
     free = sum(len(term.values) for term in start.terms if term.symbol != "R")
-    found = minimize(cost, np.zeros(free), method="BFGS", options={"gtol": 1e-3})
+    found = scipy.optimize.minimize(cost, np.zeros(free), method="BFGS", options={"gtol": 1e-3})
     best = at(found.x)
     value, ramp = log_likelihood(best, samples, seen, series.rate_hz)
     terms = (RateRamp(value=ramp) if term.symbol == "R" else term for term in best.terms)
@@ -449,14 +392,10 @@ def fit_exact(series: AxisSeries, structure: tuple[str, ...], start: NoiseModel)
 def on_grid(series: AxisSeries, purpose: str) -> tuple[FloatArray, BoolArray]:
     """Return finite samples on the clock's even grid, 0 where there are none, and where there are any.
 
-    Raises
-    ------
-    DataError
-        If there are fewer than 2, which are too few for the `purpose`.
+    Fewer than 2 are too few for the `purpose`, which is a DataError.
     """
     if series.n < 2:
-        msg = f"{series.name}: {purpose} needs at least 2 samples, got {series.n}"
-        raise DataError(msg)
+        raise DataError(f"{series.name}: {purpose} needs at least 2 samples, got {series.n}")
     samples = np.zeros(series.clock.grid_size)
     seen = np.zeros(samples.size, dtype=bool)
     place = series.clock.grid()

@@ -11,17 +11,18 @@ the interval of the mean.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, keyed
+from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, keyed
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.estimates import MISFIT
 from imucal.fitting.spectral.given_model import (
     RecordTest,
     SquaredCoefficient,
@@ -31,6 +32,7 @@ from imucal.fitting.spectral.given_model import (
 )
 from imucal.fleet.population import random_mean
 from imucal.fleet.values import LogValue
+from imucal.frozen import frozen
 from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
@@ -43,22 +45,16 @@ _SAME_RATE, _SAME_CORNER = 1e-3, 0.15
 _TOLD = 0.3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Homogeneity:
     """Whether records have one coefficient of the term `key`, whose kind is `symbol`.
 
-    Attributes
-    ----------
-    statistic, dof, p_value
-        Twice the log-likelihood ratio of one coefficient for each record against one for all; chi-squared
-        with `dof` degrees of freedom where there is one, and the chance of so much. A weak term's is
-        smaller, because no variance is negative: it is found to differ more rarely.
-    spread
-        Relative standard deviation of the coefficient between records, beyond what chance gives.
-    values
-        The coefficient in each record, in SI; 0 where its data want none.
-    differs
-        Whether the records differ: then the estimate is widened.
+    `statistic` is twice the log-likelihood ratio of one coefficient for each record against one for all,
+    chi-squared with `dof` degrees of freedom where there is one, and `p_value` the chance of so much. A weak
+    term's is smaller, because no variance is negative: it is found to differ more rarely. `values` has the
+    coefficient in each record, in SI, 0 where its data want none; `spread` is its relative standard deviation
+    between records, beyond what chance gives. Where the records are found to differ (`differs`), the estimate
+    is widened.
     """
 
     key: str
@@ -71,24 +67,16 @@ class Homogeneity:
     differs: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PooledFit:
-    """The noise model of one axis of one unit, from several records.
+    """The noise model of one axis of one unit, from a number of `records`.
 
-    Attributes
-    ----------
-    sensor, rate_hz, level, records
-        As in each record's fit, and how many there are.
-    model
-        The terms found, with their values.
-    estimates
-        One for each term of the model that was asked for, and for N, B and K always. Where the records
-        differ the limits are those of the mean over records, and `widening` says by what factor they
-        lie farther apart than those of one common coefficient.
-    homogeneity
-        The test of each term but the ramp; empty for a single record.
-    goodness, findings
-        How well the model describes all records together, and what is to be said of them.
+    `sensor`, `rate_hz` and `level` are as in each record's fit; `model` has the terms found, with their
+    values. `estimates` has one for each term of the model that was asked for, and for N, B and K always.
+    Where the records differ its limits are those of the mean over records, and `widening` says by what factor
+    they lie farther apart than those of one common coefficient. `homogeneity` is the test of each term but
+    the ramp, empty for a single record; `goodness` says how well the model describes all records together,
+    and `findings` are what is to be said of them.
     """
 
     sensor: Sensor | None
@@ -108,28 +96,15 @@ class PooledFit:
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
     """Fit several records of one axis of one unit together, from the bins of their fits.
 
-    Without the samples: the likelihood is evaluated from what each fit carries in `NoiseFit.bins`.
+    Without the samples: the likelihood is evaluated from what each of the `fits` carries in `NoiseFit.bins`.
+    They are by `imucal.fit`, `imucal.characterize`, or read back from a report that was written with bins.
+    The terms of `model` are the same for every unit that is to be compared: ``auto`` would choose by the
+    record. `level` is that of the limits, profile limits of the joint likelihood as those of `imucal.fit`.
 
-    Parameters
-    ----------
-    fits
-        Of one axis of one unit, by `imucal.fit`, `imucal.characterize`, or read back from a report that
-        was written with bins.
-    model
-        The terms, the same for every unit that is to be compared: ``auto`` would choose by the record.
-    level
-        Confidence level of the limits: profile limits of the joint likelihood, as those of `imucal.fit`.
+    It is a DataError if a fit has no bins, or the records are not of one sensor, one sampling rate and one
+    output filter; a ValueError if there is no fit, `model` is no sum of terms, or `level` is not between 0
+    and 1.
 
-    Raises
-    ------
-    DataError
-        If a fit has no bins, or the records are not of one sensor, one sampling rate and one output
-        filter.
-    ValueError
-        If there is no fit, `model` is no sum of terms, or `level` is not between 0 and 1.
-
-    Notes
-    -----
     Of stationary records without spikes, lines apart, it equals the fit with ``segments=1`` of the one
     record that has them one after the other with gaps of more than 64 samples between, to rounding: such
     gaps part the blocks of a record, whose likelihoods multiply. That holds for up to four blocks in all (a
@@ -152,11 +127,11 @@ def pool_bins(
     # Where records differ in one term, the others are means over them, too.
     differ = any(test.p_value < CHANCE for test in tests)
     widened = _means(every, structure, tests, found.estimates, level) if differ else {}
-    estimates = tuple(widened[e.key][0] if e.key in widened else e for e in found.estimates)
+    estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
     homogeneity = tuple(
         Homogeneity(
             **{name: getattr(test, name) for name in ("key", "symbol", "statistic", "dof", "p_value")},
-            spread=widened[test.key][1] if test.p_value < CHANCE and test.key in widened else 0.0,
+            spread=widened.get(test.key, (None, 0.0))[1] if test.p_value < CHANCE else 0.0,
             values=tuple(test.values.tolist()),
             differs=test.p_value < CHANCE,
         )
@@ -190,7 +165,7 @@ def _means(
     alone: list[dict[str, SquaredCoefficient]] = []
     means = {}
     for test in (test for test in tests if test.key in joint):
-        differs = test.p_value < CHANCE
+        differs, shared = test.p_value < CHANCE, joint[test.key]
         if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
             *limits, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
             value, low, high = map(math.exp, limits)
@@ -207,67 +182,59 @@ def _means(
             value, low, high = (math.sqrt(max(limit, 0.0)) for limit in limits)
             # Of the square, relative to the upper end where the mean is not told from zero; that of the
             # common coefficient where all limits of the mean are below it.
-            spread = 0.5 * spread / max(value, 0.5 * max(high, joint[test.key].high)) ** 2
-        means[test.key] = _widened(joint[test.key], value, low, high), spread
+            spread = 0.5 * spread / max(value, 0.5 * max(high, shared.high)) ** 2
+        low, high = min(low, shared.low), max(high, shared.high)
+        mean = replace(shared, status="estimated", value=value, low=low, high=high)
+        if low <= 0 or value <= 0:
+            mean = Estimate.bounded(test.key, shared.symbol, high)
+        wider = max((high - low) / (shared.high - shared.low), 1.0)
+        means[test.key] = replace(mean, widening=shared.widening * wider), spread
     return means
-
-
-def _widened(joint: Estimate, value: float, low: float, high: float) -> Estimate:
-    """Return the estimate of a mean with limits that are not inside those of one common coefficient."""
-    low, high = min(low, joint.low), max(high, joint.high)
-    widening = joint.widening * max((high - low) / (joint.high - joint.low), 1.0)
-    if low <= 0 or value <= 0:
-        return replace(Estimate.bounded(joint.key, joint.symbol, high), widening=widening)
-    return replace(joint, status="estimated", value=value, low=low, high=high, widening=widening)
 
 
 def _mean(
     values: FloatArray, deviations: FloatArray, level: float, *, random: bool
 ) -> tuple[float, float, float, float]:
     """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
-    from scipy.special import ndtri, stdtrit
-
     if not random:
         weight = deviations**-2.0
         mean, spread = float(np.average(values, weights=weight)), 0.0
-        reach = float(ndtri((1 + level) / 2)) / math.sqrt(float(weight.sum()))
+        reach = float(scipy.special.ndtri((1 + level) / 2)) / math.sqrt(float(weight.sum()))
     else:
         dof = values.size - 1
         mean, error, spread = random_mean(values, deviations)
         scatter = float(np.sum((values - mean) ** 2 / (deviations**2 + spread**2))) / dof
-        reach = float(stdtrit(dof, (1 + level) / 2)) * error * math.sqrt(max(scatter, 1.0))
+        reach = float(scipy.special.stdtrit(dof, (1 + level) / 2)) * error * math.sqrt(max(scatter, 1.0))
     return mean, mean - reach, mean + reach, spread
 
 
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
     """Return the model with the values of the estimates, without the terms that became bounded."""
     terms = [term for term in model.terms if len(term.values) > 1 or term.symbol == "R"]
-    single = [e for e in estimates if len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R"]
+    single = (e for e in estimates if len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R")
     terms += [e.term(e.value) for e in single if e.value is not None]
     return NoiseModel(terms=tuple(sorted(terms, key=lambda term: list(TERMS).index(term.symbol))))
 
 
 def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> Iterator[Finding]:
-    said = "; ".join(
-        f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in homogeneity if t.differs
-    )
-    if said:
+    differing = (t for t in homogeneity if t.differs)
+    if said := "; ".join(f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in differing):
         yield Finding(
-            level="warning",
-            code="records-differ",
-            text=f"The records differ from one another by more than chance: {said}; "
+            "warning",
+            "records-differ",
+            f"The records differ from one another by more than chance: {said}; "
             "intervals are those of the mean over records.",
-            advice="Look for what changed between them (temperature, mounting, supply); another record "
+            "Look for what changed between them (temperature, mounting, supply); another record "
             "may differ as much.",
         )
     if goodness.statistic > MISFIT:
         yield Finding(
-            level="warning",
-            code="model-misfit",
-            text=f"{model} does not describe these records: the squared residuals of their spectra are "
+            "warning",
+            "model-misfit",
+            f"{model} does not describe these records: the squared residuals of their spectra are "
             f"{goodness.chi2_per_bin:.3g} on average where 1 is expected (score "
             f"{goodness.statistic:.1f}).",
-            advice="Give a model with the terms that the single fits found.",
+            "Give a model with the terms that the single fits found.",
         )
 
 
@@ -284,67 +251,52 @@ def log_values(
 
     Every term has its value and limits, from a fit of the same `model` for every log, and its squared
     coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak
-    logs together are right. A ramp has limits only.
-
-    Raises
-    ------
-    DataError, ValueError
-        As `pool`.
+    logs together are right. A ramp has limits only. It raises what `pool` does.
     """
     bins, structure = _bins_of([fit]), _structure_of(model, level)
-    found = fit_bins(bins, structure, level=level, near=_band_of(fit, structure))
-    squares = squared_coefficients(found)
-
-    def said(e: Estimate) -> LogValue:
-        square = squares.get(e.key)
-        return LogValue(
+    # The band of a fit of the same given terms is the one that a search would find again, if it is not flat.
+    fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_poles"))
+    same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
+    near = fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
+    found = fit_bins(bins, structure, level=level, near=near)
+    laws: dict[str, dict[str, Any]] = {
+        key: {"variance": law.value, "variance_sd": law.deviation, "variance_growth": law.growth}
+        for key, law in squared_coefficients(found).items()
+    }
+    return {
+        e.key: LogValue(
             unit=unit,
             value=e.value,
             low=e.low,
             high=e.high,
-            variance=square.value if square else None,
-            variance_sd=square.deviation if square else None,
-            variance_growth=square.growth if square else 0.0,
             temperature_c=temperature_c,
             days=days,
             level=level,
             correlation_time=e.correlation_time.value if e.correlation_time else None,
+            **laws.get(e.key, {}),
         )
-
-    return {e.key: said(e) for e in found.estimates}
-
-
-def _band_of(fit: NoiseFit, structure: tuple[str, ...]) -> float | None:
-    """Return the band of a fit of the same given terms, which a search would find again; None if flat."""
-    fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_poles"))
-    same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
-    return fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
+        for e in found.estimates
+    }
 
 
 def _structure_of(model: str, level: float) -> tuple[str, ...]:
     """Return the symbols of a sum of terms, the same for every record."""
     structure = FitSettings(model=model, level=level).structure
     if structure is None:
-        msg = "pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'"
-        raise ValueError(msg)
+        raise ValueError("pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'")
     return structure
 
 
 def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
     """Return the bins that fits carry."""
     if not fits:
-        msg = "pool: found no fits, expected at least one"
-        raise ValueError(msg)
-    every = []
+        raise ValueError("pool: found no fits, expected at least one")
     for number, fit in enumerate(fits, 1):
         if fit.bins is None:
-            msg = (
-                f"fit {number} of {len(fits)} ({fit.method}): found no bins, expected those of method 'mle'; "
-                "fit the log again, and write its report with imucal fit --bins"
-            )
-            raise DataError(msg)
-        every.append(fit.bins)
-    return every
+            which = f"fit {number} of {len(fits)} ({fit.method})"
+            advice = "fit the log again, and write its report with imucal fit --bins"
+            raise DataError(f"{which}: found no bins, expected those of method 'mle'; {advice}")
+    return [fit.bins for fit in fits if fit.bins is not None]
 
 
 def _refuse_different(fits: Sequence[NoiseFit]) -> None:
@@ -364,5 +316,4 @@ def _refuse_different(fits: Sequence[NoiseFit]) -> None:
         else:
             continue
         where = f"fit {number} of {len(fits)}"
-        msg = f"{where}: found {said[0]}, expected {said[1]} as in fit 1; {advice}"
-        raise DataError(msg)
+        raise DataError(f"{where}: found {said[0]}, expected {said[1]} as in fit 1; {advice}")

@@ -13,31 +13,25 @@ which such logs do not tell.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
-from imucal.fleet.posterior import (
-    TAILS,
-    TWO_SIDED,
-    NextLog,
-    Posterior,
-    UnitLikelihoods,
-    interval_of,
-    scatters,
-)
+from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLikelihoods, interval_of
 from imucal.fleet.values import LogValue, LogValues
+from imucal.frozen import frozen
 
 #: Fewer units tell no spread.
 FEWEST = 3
 #: Expected share of false ones among the units that are called odd.
 FALSE_SHARE = 0.05
-#: Share of bounds above which they are worth a sentence.
-_MOSTLY = 0.5
+#: Share of bounds, in per cent, above which they are worth a sentence.
+_MOSTLY = 50.0
 #: Units that are judged by the others alone at most, and up to which chance at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.2
 #: Probability with which the next unit lies in its limits.
@@ -47,13 +41,16 @@ _ALL_BOUNDED = (
     "All logs together do not show this term: every number is an upper bound, and the spread between "
     "units is not known. Longer logs would say more than more units."
 )
-#: Points of a mean square's likelihood, up to where its logarithm is so far below the peak.
-_POINTS, _NOTHING = 1001, -30.0
-#: How often its reach is doubled at most; and units that are added at a time.
-_DOUBLINGS, _CHUNK = 200, 1024
+_TOO_FEW = (
+    f"{{}}: the spread between units, the next unit and a tolerance bound need {FEWEST} at least; "
+    "10 are worth testing."
+)
+#: Points of a mean square's likelihood, up to where its logarithm is so far below the peak; how often its
+#: reach is doubled at most; and units that are added at a time.
+_POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class UnitValue:
     """One unit of a fleet: its coefficient from all of its logs, None where they only bound it.
 
@@ -71,31 +68,21 @@ class UnitValue:
     odd: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Population:
     """What a coefficient is like over the units of one sensor model.
 
-    Attributes
-    ----------
-    units, logs
-        The units in the order of their first log, and how many logs there are.
-    median
-        Coefficient of the median unit, with its 95 % interval. Where it is `bounded`, the interval begins at
-        0, and value and high are its upper limit.
-    bounded
-        Whether the logs, all together, do not tell the median unit from one without this term. The spreads
-        are then not known either.
-    spread, within
-        Standard deviation between units, in the logarithm (0.1: 10 %), None below three units; and between
-        logs of one unit, None where no unit has two.
-    prediction, next_log
-        Limits that hold the next unit with probability 0.95, and where a log of it lies; None below three
-        units.
-    quantile, tolerance
-        The coefficient that a share `content` of all units stays below: its median estimate, and the value
-        that bounds it with `confidence`, which is the number for the config of every unit.
-    findings
-        What should be known of these numbers.
+    `units` are in the order of their first log; `logs` is how many there are. `median` is the coefficient of
+    the median unit, with its 95 % interval. It is `bounded` where the logs, all together, do not tell it from
+    that of a unit without this term: its interval then begins at 0, value and high are its upper limit, and
+    the spreads are not known either.
+
+    `spread` is the standard deviation between units, in the logarithm (0.1: 10 %), None below three units;
+    `within` that between logs of one unit, None where no unit has two. `prediction` are limits that hold the
+    next unit with probability 0.95, and `next_log` is where a log of it lies; None below three units.
+
+    A share `content` of all units stays below `quantile`, by its median estimate, and with `confidence` below
+    `tolerance`, which is the number for the config of every unit. `findings` should be known with these.
     """
 
     units: tuple[UnitValue, ...]
@@ -112,30 +99,22 @@ class Population:
     bounded: bool = False
     next_log: NextLog | None = None
 
+    @property
+    def middle(self) -> float | None:
+        """The median unit's coefficient; None where the logs only bound it."""
+        return None if self.bounded else self.median.value
+
 
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
-    """Return what the units of a fleet are like.
+    """Return what the units of a fleet are like, by what each log says, any number of `logs` a unit.
 
-    Parameters
-    ----------
-    logs
-        What each log says of the coefficient, any number of logs a unit.
-    content, confidence
-        The tolerance bound holds a share `content` of all units with probability `confidence`.
-
-    Raises
-    ------
-    ValueError
-        If there is no log, or a probability is not between 0 and 1.
+    The tolerance bound holds a share `content` of all units with probability `confidence`. It is a ValueError
+    if there is no log, or a probability is not between 0 and 1.
     """
-    from scipy.special import ndtri
-
     if not logs:
-        msg = "a population needs at least one log"
-        raise ValueError(msg)
+        raise ValueError("a population needs at least one log")
     if not (0 < content < 1 and 0 < confidence < 1):
-        msg = f"content and confidence must be between 0 and 1, got {content} and {confidence}"
-        raise ValueError(msg)
+        raise ValueError(f"content and confidence must be between 0 and 1, got {content} and {confidence}")
     values = LogValues.of(logs)
     answer = partial(Population, logs=len(logs), content=content, confidence=confidence)
     if len(values.names) < FEWEST:
@@ -143,25 +122,22 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     posterior = Posterior.whole(values)
     within = interval_of(posterior.quantiles(posterior.omega, TAILS))
     units = _judged(values, UnitLikelihoods(values, within.value), posterior)
-    square = MeanSquare(values)
+    answer, square = partial(answer, units=units, next_log=posterior.next_log()), MeanSquare(values)
     if not square.shows:
         highest, median = square.share_bound(content, confidence), square.bound(TAILS[-1])
         return answer(
-            units=units,
             median=Interval(value=median, low=0.0, high=median),
             bounded=True,
             prediction=(0.0, square.share_bound(_CONTENT, _CONTENT)),
             quantile=min(square.share_bound(content, 0.5), highest),
             tolerance=highest,
-            findings=_said("weak-term", _ALL_BOUNDED),
-            next_log=posterior.next_log(),
+            findings=(Finding("info", "weak-term", _ALL_BOUNDED),),
         )
-    share = float(np.mean(values.bounded))
-    reach = posterior.mu + float(ndtri(content)) * posterior.tau
+    share = 100 * float(np.mean(values.bounded))
+    reach = posterior.mu + float(scipy.special.ndtri(content)) * posterior.tau
     quantile, tolerance = np.exp(posterior.quantiles(reach, (0.5, confidence))).tolist()
     low, high = np.exp(posterior.prediction(TAILS[::2])).tolist()
     return answer(
-        units=units,
         median=interval_of(np.exp(posterior.quantiles(posterior.mu, TAILS))),
         spread=interval_of(posterior.quantiles(posterior.tau, TAILS)),
         within=within if len(posterior.omega) > 1 else None,
@@ -169,13 +145,8 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         quantile=quantile,
         tolerance=tolerance,
         # The median then leans on the bounds.
-        findings=_said("weak-term", _MOSTLY_BOUNDED.format(100 * share)) if share > _MOSTLY else (),
-        next_log=posterior.next_log(),
+        findings=(Finding("info", "weak-term", _MOSTLY_BOUNDED.format(share)),) if share > _MOSTLY else (),
     )
-
-
-def _said(code: str, text: str) -> tuple[Finding, ...]:
-    return (Finding(level="info", code=code, text=text),)
 
 
 def membership(found: Population, new: LogValue) -> float:
@@ -185,27 +156,22 @@ def membership(found: Population, new: LogValue) -> float:
     and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
     """
     if found.next_log is None:
-        msg = f"a spread between units needs {FEWEST} units at least, got {len(found.units)}"
-        raise ValueError(msg)
+        raise ValueError(f"a spread between units needs {FEWEST} units at least, got {len(found.units)}")
     return found.next_log.p_value(LogValues.of([new]))
 
 
 def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population:
     """Return one or two units as they are: they tell nothing of a spread between units."""
-    n = len(values.names)
     units = _units(values, UnitLikelihoods(values, 0.0))
     told = [unit.value for unit in units if unit.value is not None]
-    high = max(unit.high for unit in units)
+    low, high = min(unit.low for unit in units), max(unit.high for unit in units)
     middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
-    text = (
-        f"{n} unit{'s' * (n > 1)}: the spread between units, the next unit and a tolerance bound need "
-        f"{FEWEST} at least; 10 are worth testing."
-    )
+    number = f"{len(units)} unit{'s' * (len(units) > 1)}"
     return answer(
         units=units,
-        median=Interval(value=middle, low=min(u.low for u in units), high=high),
+        median=Interval(value=middle, low=low, high=high),
         bounded=not told,
-        findings=_said("few-units", text),
+        findings=(Finding("info", "few-units", _TOO_FEW.format(number)),),
     )
 
 
@@ -239,13 +205,13 @@ def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> 
         others = values.take(values.unit != unit)
         if len(others.names) < FEWEST:
             return 1.0
-        alone = Posterior(others, scatters(others) if told else scatter)
+        alone = Posterior(others, None if told else scatter)
         if told:
             return alone.p_value(values.take(values.unit == unit))
         return float(alone.p_values(squares[[unit]], own[[unit]])[0])
 
-    p_values = oddest_by_others(quick, _SUSPECT, by_others)
-    chances = zip(p_values.tolist(), adjusted(p_values).tolist(), strict=True)
+    p_values = oddest_by_others(quick, _SUSPECT, by_others).tolist()
+    chances = zip(p_values, adjusted(p_values), strict=True)
     return tuple(
         replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= FALSE_SHARE)
         for unit, (p, p_odd) in zip(_units(values, units), chances, strict=True)
@@ -270,8 +236,6 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     `centre` and `deviation`, shape (units,), are the logarithm of each unit's coefficient and its standard
     error. The standard deviation `tau` between units sets their weights, not the scale of the test.
     """
-    from scipy.special import stdtr
-
     n = centre.size
     if n <= FEWEST:
         # No degrees of freedom are left to judge one by the others.
@@ -284,17 +248,16 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     # Squares about the mean of the others: those about the mean of all, less the unit's own share.
     squares = np.sum(w * off**2) - w * off * apart
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
-    result: FloatArray = 2 * stdtr(n - 2, -np.abs(apart) / scale)
+    result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)
     return result
 
 
-def adjusted(p: FloatArray) -> FloatArray:
+def adjusted(p_values: Sequence[float] | FloatArray) -> list[float]:
     """Return p-values adjusted for the number of tests by Benjamini and Hochberg's step-up procedure."""
-    order = np.argsort(p)
+    p, order = np.array(p_values), np.argsort(p_values)
     stepped = p[order] * p.size / np.arange(1, p.size + 1)
-    result = np.empty(p.size)
-    result[order] = np.minimum(np.minimum.accumulate(stepped[::-1])[::-1], 1.0)
-    return result
+    p[order] = np.minimum(np.minimum.accumulate(stepped[::-1])[::-1], 1.0)
+    return [*map(float, p)]
 
 
 def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
@@ -329,9 +292,7 @@ class MeanSquare:
 
     def share_bound(self, content: float, confidence: float) -> float:
         """Return what a share `content` of all units stays below with a probability `confidence`."""
-        from scipy.special import ndtri
-
-        return self.bound(confidence) * math.exp(max(float(ndtri(content)), 0.0) ** 2 / 4)
+        return self.bound(confidence) * math.exp(max(float(scipy.special.ndtri(content)), 0.0) ** 2 / 4)
 
     def bound(self, confidence: float) -> float:
         """Return the value that the units' root mean square stays below with a probability `confidence`.
@@ -343,8 +304,6 @@ class MeanSquare:
 
     def _of_one(self, confidence: float) -> float:
         """Return the bound of a square that is the same for all units, from its likelihood."""
-        from scipy.integrate import cumulative_simpson
-
         units, reach = self._units, float(self._units.sd.min())
         for _ in range(_DOUBLINGS):
             square = np.linspace(0.0, reach, _POINTS)
@@ -355,15 +314,13 @@ class MeanSquare:
             if height[-1] < _NOTHING:
                 break
             reach *= 2
-        total = cumulative_simpson(np.exp(height), x=square, initial=0.0)
+        total = scipy.integrate.cumulative_simpson(np.exp(height), x=square, initial=0.0)
         return float(np.interp(confidence, total / total[-1], square))
 
     def _of_different(self, confidence: float) -> float:
         """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
-        from scipy.special import ndtr, ndtri
-
         units = self._units
         at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
         mean, error, spread = random_mean(units.estimate, units.deviation(at))
-        bound: float = mean - error * float(ndtri((1 - confidence) * float(ndtr(mean / error))))
-        return bound if spread else 0.0
+        beyond = (1 - confidence) * float(scipy.special.ndtr(mean / error))
+        return mean - error * float(scipy.special.ndtri(beyond)) if spread else 0.0

@@ -18,13 +18,14 @@ Tolerance Regions, chapters 2 and 5, the bound.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.values import LogValues, Squares
+from imucal.frozen import frozen
 
 #: Grid points of the coefficient of weakly told units, of mu, of tau and of omega.
 _POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
@@ -123,12 +124,11 @@ class UnitLikelihoods:
         y, offset = self.centre[self.normal] - mu[:, :1], mu - mu[:, :1]
         first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
         squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
-        result = self.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
+        result: FloatArray = self.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
         if blurs:
             result += [np.log(matrix @ self.weak.T + _TINY).sum(axis=1) for matrix in blurs]
             result += self._prior_of_median(mu)
-        posterior: FloatArray = result + self._prior(tau)[:, None]
-        return posterior
+        return result + self._prior(tau)[:, None]
 
     def _prior(self, tau: FloatArray) -> FloatArray:
         """Return the logarithm of the prior of log tau and of the scatter: Jeffreys' where told."""
@@ -146,8 +146,7 @@ class UnitLikelihoods:
         # One deviation for all: a prior need not be more exact.
         weak, precision = len(self.weak), float(np.mean(1 / variance[~self.normal]))
         at = np.exp(np.minimum(-4 * (mu - self.about), _LARGEST)) / precision
-        result: FloatArray = 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
-        return result
+        return 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
 
 
 def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
@@ -155,25 +154,22 @@ def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
 
     Beyond the ends of the grid the function is what it is there.
     """
-    from scipy.special import ndtr
-
     step = float(theta[1] - theta[0])
     wide = max(width, step / 2)
     kernel = np.exp(-0.5 * ((theta_to[:, None] - theta) / wide) ** 2)
     cell = math.sqrt(2 * math.pi) * wide / step
-    kernel[:, 0] = cell * ndtr((theta[0] + step / 2 - theta_to) / wide)
-    kernel[:, -1] = cell * ndtr((theta_to - theta[-1] + step / 2) / wide)
+    kernel[:, 0] = cell * scipy.special.ndtr((theta[0] + step / 2 - theta_to) / wide)
+    kernel[:, -1] = cell * scipy.special.ndtr((theta_to - theta[-1] + step / 2) / wide)
     result: FloatArray = kernel / kernel.sum(axis=1, keepdims=True)
     return result
 
 
 def two_sided(chance: FloatArray) -> FloatArray:
     """Return the chance of lying as far out on either side, from that of lying on one."""
-    result: FloatArray = 2 * np.minimum(chance, 1 - chance)
-    return result
+    return 2 * np.minimum(chance, 1 - chance)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NextLog:
     """Where a log of a unit that was not seen lies, its own error aside.
 
@@ -186,14 +182,12 @@ class NextLog:
 
     def p_value(self, new: LogValues) -> float:
         """Return the two-sided chance of one log like this."""
-        from scipy.special import ndtr
-
         step, weight = np.diff(self.points), np.diff(self.below)
         at = np.asarray(self.points[1:]) - step / 2
         if new.narrow.all():
             # Between two points what is there lies evenly.
             error = np.hypot(new.deviation[0], step / math.sqrt(12))
-            less = ndtr((new.centre[0] - at) / error)
+            less = scipy.special.ndtr((new.centre[0] - at) / error)
         else:
             less = new.squares.below(np.exp(2 * np.minimum(at, _LARGEST / 2)))[0]
         return float(two_sided(less @ weight / weight.sum()))
@@ -202,10 +196,12 @@ class NextLog:
 class Posterior:
     """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one.
 
-    The scatters within a unit are given; tau and mu are narrowed until they fit their support.
+    The scatters within a unit are given, or all that the logs allow; tau and mu are narrowed until they fit
+    their support.
     """
 
-    def __init__(self, values: LogValues, omegas: FloatArray) -> None:
+    def __init__(self, values: LogValues, omegas: FloatArray | None = None) -> None:
+        omegas = _scatters(values) if omegas is None else omegas
         units = [UnitLikelihoods(values, omega) for omega in omegas.tolist()]
         taus = (math.log(0.01 * values.scale), math.log(max(_WIDEST, 2 * values.scale)))
         for _ in range(_ROUNDS):
@@ -222,7 +218,7 @@ class Posterior:
     @classmethod
     def whole(cls, values: LogValues) -> "Posterior":
         """Return that over all scatters within a unit; of weak logs on a finer grid, at second sight."""
-        found = cls(values, scatters(values))
+        found = cls(values)
         if values.narrow.all() or len(found.omega) < 2:
             return found
         omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
@@ -244,30 +240,25 @@ class Posterior:
 
     def next_log(self) -> NextLog:
         """Return where a log of a unit that was not seen lies."""
-        from scipy.special import ndtr
-
         law = _Law(self.mu, np.hypot(self.tau, self.omega), self.weight)
-        points = np.unique(law.quantiles(ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
+        points = np.unique(law.quantiles(scipy.special.ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
         return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
 
     def p_value(self, unit: LogValues) -> float:
         """Return the two-sided chance of the logs of one new unit, all of them narrow."""
-        from scipy.special import ndtr
-
         weight = 1 / (unit.deviation**2 + self.omega**2)
         total = weight.sum(axis=-1, keepdims=True)
         apart = weight @ unit.centre[:, None] / total - self.mu
-        return float(two_sided(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + 1 / total)))))
+        score = apart / np.sqrt(self.tau**2 + 1 / total)
+        return float(two_sided(np.sum(self.weight * scipy.special.ndtr(score))))
 
     def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
         """Return the two-sided chance of estimates of squared coefficients like these.
 
         `scatter`, shape (units,), is that of the mean of a unit's logs about the unit, in the logarithm.
         """
-        from scipy.special import ndtri
-
         at = (np.arange(_DRAWS) + 0.5) / _DRAWS
-        log, moved = self.prediction(at), ndtri((at * _DRAWS * _GOLDEN) % 1)
+        log, moved = self.prediction(at), scipy.special.ndtri((at * _DRAWS * _GOLDEN) % 1)
         return two_sided(units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1))
 
 
@@ -294,20 +285,17 @@ class _Law:
 
     def below(self, points: FloatArray) -> FloatArray:
         """Return the chance of less at each point."""
-        from scipy.special import ndtr
-
         # A point at a time: all of them would take more memory than the posterior itself.
-        return np.array([float(ndtr((at - self._mu) / self._wide) @ self._weight) for at in points])
+        apart = ((at - self._mu) / self._wide for at in points)
+        return np.array([float(scipy.special.ndtr(one) @ self._weight) for one in apart])
 
     def quantiles(self, at: Sequence[float] | FloatArray) -> FloatArray:
         """Return where the chance of less is `at`."""
         return np.interp(at, self.below(self.points), self.points)
 
 
-def scatters(values: LogValues) -> FloatArray:
+def _scatters(values: LogValues) -> FloatArray:
     """Return the scatters within a unit to consider, evenly spaced; only 0 where no unit has two logs."""
-    from scipy.special import chdtri
-
     counts = np.bincount(values.unit)
     degrees = values.unit.size - counts.size
     if degrees == 0:
@@ -317,7 +305,7 @@ def scatters(values: LogValues) -> FloatArray:
     if not values.narrow.all():
         return np.linspace(0.0, min(3 * math.sqrt(squares / degrees) + 0.3, _WIDEST), _OMEGAS)
     known = float(np.mean(values.deviation**2))
-    low, high = (squares / float(chdtri(degrees, tail)) for tail in (_RARE, 1 - _RARE))
+    low, high = (squares / float(scipy.special.chdtri(degrees, tail)) for tail in (_RARE, 1 - _RARE))
     most = 10 * math.sqrt(squares / degrees) + 1e-6
     return np.linspace(math.sqrt(max(low - known, 0.0)), min(math.sqrt(high), most), _OMEGAS)
 

@@ -48,10 +48,7 @@ LOGS = {
     **dict.fromkeys(("report", "version"), _TEXT),
 }
 #: Fields of a `imucal.LogValue` that are kept.
-OF_VALUE = (
-    *("value", "low", "high", "variance", "variance_sd", "variance_growth"),
-    *("level", "correlation_time"),
-)
+OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "variance_growth", "level", "correlation_time")
 #: One row a log, axis and term; in SI.
 RESULTS = {
     **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
@@ -74,19 +71,10 @@ Row = Mapping[str, object]
 
 
 class FleetStore:
-    """A fleet's folder: its manifest, and what is known of each log.
+    """A fleet's folder, which `create` makes: its manifest, and what is known of each log.
 
-    Parameters
-    ----------
-    folder
-        Where it is; `create` makes it.
-
-    Raises
-    ------
-    WriteError
-        Of each method that writes or removes, if that can't be done.
-    StoreError
-        Of each method that reads, if what is there is damaged.
+    Each method that writes or removes raises `WriteError` if that can't be done, and each that reads
+    `StoreError` if what is there is damaged.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -106,24 +94,19 @@ class FleetStore:
         with suppress(StoreError):
             begun = begun or bool(self.settings())
         if self.folder.is_dir() and not begun:
-            own = {_SETTINGS, *_TABLES}
-            names = sorted(path.name for path in self.folder.iterdir())
+            names = sorted({path.name for path in self.folder.iterdir()} - {_SETTINGS, *_TABLES})
             # Another run may begin here, too: its scratch files and its lock begin with a dot.
-            strange = [name for name in names if name not in own and not name.startswith(".")]
-            if strange:
-                msg = (
-                    f"{self.folder}: holds {', '.join(strange[:3])} but no fleet of imucal's; "
-                    "nothing was changed; choose another folder"
-                )
-                raise WriteError(msg)
-        with _translated(self.folder):
+            if strange := [name for name in names if not name.startswith(".")]:
+                found = f"holds {', '.join(strange[:3])} but no fleet of imucal's"
+                raise WriteError(f"{self.folder}: {found}; nothing was changed; choose another folder")
+        with translated(self.folder):
             for name in _TABLES:
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
                 sweep((self.folder / name).glob(".part-*"))
 
     def clear(self) -> None:
         """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is."""
-        with _translated(self.folder):
+        with translated(self.folder):
             # The commit records first: what they named is nobody's from then on.
             for path in (path for table in reversed(_TABLES) for path in self._parts(table)):
                 path.unlink(missing_ok=True)
@@ -141,8 +124,7 @@ class FleetStore:
         except (OSError, ValueError, KeyError, AttributeError):
             found, seal = {}, None
         if seal != _digest(json.dumps(found).encode()).hex():
-            msg = f"{path}: {_NOT_WHOLE}; start the fleet anew, with --fresh"
-            raise StoreError(msg)
+            raise StoreError(f"{path}: {_NOT_WHOLE}; start the fleet anew, with --fresh")
         return dict(found)
 
     def keep_settings(self, settings: Row) -> None:
@@ -161,15 +143,14 @@ class FleetStore:
             found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or error
             msg = f"{path}: {found}; expected the folder of a fleet that imucal fleet run writes"
             raise ReadError(msg) from error
-        msg = f"{path}: {_NOT_WHOLE}; remove it, and name the logs again: what is done is kept"
-        raise StoreError(msg)
+        raise StoreError(f"{path}: {_NOT_WHOLE}; remove it, and name the logs again: what is done is kept")
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
         """Add logs, with columns as `MANIFEST` and free ones, to those asked for; return the whole manifest.
 
         A log that was named before gets its new labels.
         """
-        with _translated(self.folder), alone(self.folder / ".lock"):
+        with translated(self.folder), alone(self.folder / ".lock"):
             if self.exists:
                 old = self.manifest()
                 others = old.join(rows.select("path"), on="path", how="anti")
@@ -181,16 +162,10 @@ class FleetStore:
 
     def changed_ns(self) -> int:
         """Return when logs or labels were last added, changed or removed, in ns since 1970."""
-        places = (self.folder / _MANIFEST, self.folder / "logs")
-        return max(place.stat().st_mtime_ns for place in places)
+        return max((self.folder / name).stat().st_mtime_ns for name in (_MANIFEST, "logs"))
 
     def commit(
-        self,
-        logs: Iterable[Row],
-        results: Iterable[Row] = (),
-        bins: Iterable[Row] = (),
-        *,
-        shard: str = "0",
+        self, logs: Iterable[Row], results: Iterable[Row] = (), bins: Iterable[Row] = (), *, shard: str = "0"
     ) -> str:
         """Write what is known of some logs, all or nothing; return the name of the part, with `shard` in it.
 
@@ -208,7 +183,7 @@ class FleetStore:
 
     def keep_derived(self, found: Mapping[str, str]) -> None:
         """Keep what was made, by its keys."""
-        with _translated(self.folder):
+        with translated(self.folder):
             (self.folder / "derived").mkdir(exist_ok=True)
         rows = ({"key": key, "value": value} for key, value in found.items())
         self._add("derived", f"part-{secrets.token_hex(8)}.parquet", rows)
@@ -219,11 +194,9 @@ class FleetStore:
         A content counts once (the newest success, else the newest failure), and so does a path (its newest
         content). Labels are those of the manifest where it has them: they may have been mended since.
         """
-        found = self._read("logs", self._parts("logs"))
-        found = found.sort(pl.col("status") == "ok", "finished", "part", descending=True)
-        found = found.unique("key", keep="first", maintain_order=True)
-        found = found.sort("finished", "part", descending=True)
-        found = found.unique("path", keep="first", maintain_order=True)
+        found, newest = self._read("logs", self._parts("logs")), ("finished", "part")
+        for one, order in (("key", (pl.col("status") == "ok", *newest)), ("path", newest)):
+            found = found.sort(*order, descending=True).unique(one, keep="first", maintain_order=True)
         if self.exists:
             manifest = self.manifest()
             # A log that was moved since is known to the manifest by its new path.
@@ -250,20 +223,15 @@ class FleetStore:
         columns = dict.fromkeys((*labels.columns[1:], *RESULTS))
         return found.select(*columns).sort("path", "sensor", "axis", "term")
 
-    def bins(self) -> pl.DataFrame:
-        """Return the binned spectra of all logs: the columns of `BINS`."""
-        return next(self.bins_in_turn([self.logs()["key"].to_list()]))
+    def bins(self, keys: Collection[str] | None = None) -> pl.DataFrame:
+        """Return the binned spectra of logs, given by their keys, or of all: the columns of `BINS`."""
+        logs = self.logs().select("part", "key")
+        own = logs if keys is None else logs.filter(pl.col("key").is_in(list(keys)))
+        return self._rows_of("bins", own).sort("key", "sensor", "axis")
 
     def axes(self) -> pl.DataFrame:
         """Return the key, sensor and axis of each binned spectrum, and not the spectrum."""
         return self._rows_of("bins", self.logs().select("part", "key"), ("key", "sensor", "axis"))
-
-    def bins_in_turn(self, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
-        """Yield the binned spectra of groups of logs, given by their keys; only one group's are in memory."""
-        places = self.logs().select("part", "key")
-        for keys in groups:
-            own = places.filter(pl.col("key").is_in(list(keys)))
-            yield self._rows_of("bins", own).sort("key", "sensor", "axis")
 
     def damaged(self) -> dict[Path, list[Path]]:
         """Return the parts that are not as they were written, each with all that it is nothing without.
@@ -279,13 +247,12 @@ class FleetStore:
     def refuse_damage(self) -> None:
         """Raise `StoreError` if a part is not as it was written."""
         for part in self.damaged():
-            msg = f"{part}: {_NOT_WHOLE}; run the fleet again, which does its logs anew"
-            raise StoreError(msg)
+            raise StoreError(f"{part}: {_NOT_WHOLE}; run the fleet again, which does its logs anew")
 
     def mend(self) -> list[Path]:
         """Remove what is damaged, so that its logs are not done; return which parts."""
         damaged = self.damaged()
-        with _translated(self.folder):
+        with translated(self.folder):
             for path in itertools.chain.from_iterable(damaged.values()):
                 path.unlink(missing_ok=True)
         return list(damaged)
@@ -318,8 +285,7 @@ class FleetStore:
             found = rows.collect(engine="streaming")
         except (OSError, pl.exceptions.PolarsError) as error:
             why = (str(error) or type(error).__name__).splitlines()[0]
-            msg = f"{self.folder / table}: can't be read ({why}); run the fleet again"
-            raise StoreError(msg) from error
+            raise StoreError(f"{self.folder / table}: can't be read ({why}); run the fleet again") from error
         return found.with_columns(pl.col("part").str.split("/").list.last())
 
 
@@ -355,13 +321,13 @@ def _is_whole(path: Path, columns: Iterable[str]) -> bool:
 
 
 @contextmanager
-def _translated(folder: Path) -> Iterator[None]:
+def translated(folder: Path) -> Iterator[None]:
+    """Raise `WriteError` where a folder can't be written."""
     try:
         yield
     except OSError as error:
-        msg = (
-            f"{folder}: can't be written: {error.strerror or error}; free some space or choose another folder"
-        )
+        why = error.strerror or error
+        msg = f"{folder}: can't be written: {why}; free some space or choose another folder"
         raise WriteError(msg) from error
 
 

@@ -14,9 +14,11 @@ prior of a spread.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import compress, islice
+from functools import partial
+from itertools import compress
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
@@ -24,6 +26,7 @@ from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import FALSE_SHARE, adjusted, leave_one_out, oddest_by_others
 from imucal.fleet.posterior import TAILS, interval_of, support, two_sided
 from imucal.fleet.values import LogValue, LogValues
+from imucal.frozen import frozen
 
 #: Label -> what it must vary by within a unit to tell a slope.
 NEAREST = {"temperature_c": 1.0, "days": 0.5}
@@ -47,7 +50,7 @@ _HALVINGS, _LITTLE = 40, 1e-3
 _SUSPECT = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Slope:
     """How a coefficient moves by one label, of the fleet or of one unit of it.
 
@@ -65,7 +68,7 @@ class Slope:
     odd: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Trend:
     """How a coefficient moves with temperature and time.
 
@@ -80,15 +83,12 @@ class Trend:
     @property
     def temperature(self) -> Interval | None:
         """Mean change of the logarithm a °C; None where fewer than two temperatures of a unit are known."""
-        return self._mean("temperature_c")
+        return {mean.label: mean.slope for mean in self.means}.get("temperature_c")
 
     @property
     def drift(self) -> Interval | None:
         """Mean change of the logarithm a year; None where no unit has logs of two days."""
-        return self._mean("days")
-
-    def _mean(self, label: str) -> Interval | None:
-        return next((mean.slope for mean in self.means if mean.label == label), None)
+        return {mean.label: mean.slope for mean in self.means}.get("days")
 
 
 def trend(logs: Sequence[LogValue]) -> Trend:
@@ -96,25 +96,21 @@ def trend(logs: Sequence[LogValue]) -> Trend:
 
     Only logs with a label are used, and only units with at least two temperatures, or two days. A weak log
     counts by the estimate of its squared coefficient, linear about the fleet's; without one, a log that only
-    bounds the coefficient is left out.
-
-    Raises
-    ------
-    DataError
-        If no unit has logs at two temperatures or of two days, if the two always move together, or if the
-        logs do not show the term.
+    bounds the coefficient is left out. It is a DataError if no unit has logs at two temperatures or of two
+    days, if the two always move together, or if the logs do not show the term.
     """
     labelled, labels = labelled_logs(logs)
     posterior = SlopePosterior(labelled)
-    means: list[Slope] = []
-    slopes: list[Slope] = []
+    means, slopes = list[Slope](), list[Slope]()
     for place, label in enumerate(labels):
         units: list[int] = np.unique(labelled.unit[labelled.labels[:, place] != 0]).tolist()
-        mean, own = posterior.mean_slope(place), posterior.own_slopes(labelled, place, units)
+        sd = np.sqrt(posterior.covariance[None, :, place, place])
+        mean = Normals(posterior.mean[None, :, place], sd, posterior.weight)
+        own = posterior.own_slopes(labelled, place, units)
         names = ("", *(labelled.names[unit] for unit in units))
         limits = map(interval_of, (*mean.limits(), *own.limits()))
         p_values = (*mean.two_sided(), *_p_values(labelled, posterior, place, own, units))
-        rows = zip(names, limits, p_values, strict=True)
+        rows = zip(names, limits, map(float, p_values), strict=True)
         found = [Slope(unit=name, label=label, slope=slope, p_value=p) for name, slope, p in rows]
         means.append(found[0])
         slopes += found[1:]
@@ -127,24 +123,19 @@ def adjust(trends: Sequence[Trend]) -> tuple[Trend, ...]:
     The means of the fleet are one family of tests, the units of it another.
     """
 
-    def judged(slopes: Sequence[Slope]) -> Iterator[Slope]:
-        p_values = adjusted(np.array([slope.p_value for slope in slopes])).tolist()
-        for slope, p in zip(slopes, p_values, strict=True):
-            yield replace(slope, p_odd=p, odd=p <= FALSE_SHARE)
+    def judged(parts: Sequence[Sequence[Slope]]) -> Iterator[tuple[Slope, ...]]:
+        p_values = iter(adjusted([slope.p_value for part in parts for slope in part]))
+        for part in parts:
+            chances = [(slope, next(p_values)) for slope in part]
+            yield tuple(replace(slope, p_odd=p, odd=p <= FALSE_SHARE) for slope, p in chances)
 
-    means = judged([mean for one in trends for mean in one.means])
-    slopes = judged([slope for one in trends for slope in one.slopes])
-    return tuple(
-        replace(
-            one, means=tuple(islice(means, len(one.means))), slopes=tuple(islice(slopes, len(one.slopes)))
-        )
-        for one in trends
-    )
+    means, slopes = judged([one.means for one in trends]), judged([one.slopes for one in trends])
+    return tuple(replace(one, means=m, slopes=s) for one, m, s in zip(trends, means, slopes, strict=True))
 
 
 def _p_values(
     logs: LogValues, posterior: "SlopePosterior", place: int, own: "Normals", units: Sequence[int]
-) -> list[float]:
+) -> FloatArray:
     """Return how probable the slope of each unit is: the oddest in the posterior of the others.
 
     That allows for how badly the scatter and the spread of slopes are known.
@@ -158,10 +149,10 @@ def _p_values(
         if not np.any(others.labels, axis=0).all():
             # What only this unit shows, the others can't tell from its slope.
             return 1.0
-        return SlopePosterior(others).beyond(logs.take(logs.unit == units[i]), place).two_sided()[0]
+        alone = SlopePosterior(others).beyond(logs.take(logs.unit == units[i]), place)
+        return float(alone.two_sided()[0])
 
-    p_values: list[float] = oddest_by_others(quick, _SUSPECT, by_others).tolist()
-    return p_values
+    return oddest_by_others(quick, _SUSPECT, by_others)
 
 
 def labelled_logs(logs: Sequence[LogValue]) -> tuple[LogValues, tuple[str, ...]]:
@@ -182,19 +173,13 @@ def labelled_logs(logs: Sequence[LogValue]) -> tuple[LogValues, tuple[str, ...]]
             told[place] = values.labels[place] - values.labels[place].mean(axis=0)
             rows.append(own)
     if not rows:
-        msg = (
-            "no unit has logs at two temperatures or of two days: label the logs with temperature_c or "
-            "started, two different ones a unit at least"
-        )
-        raise DataError(msg)
+        advice = "label the logs with temperature_c or started, two different ones a unit at least"
+        raise DataError(f"no unit has logs at two temperatures or of two days: {advice}")
     keep, tells = np.concatenate(rows), np.any(told, axis=0)
     x = told[keep][:, tells] / np.array(_SCALE)[tells]
     if np.linalg.matrix_rank(x / np.linalg.norm(x, axis=0), tol=_SAME) < x.shape[1]:
-        msg = (
-            "temperature and time moved together in every unit, so that neither's effect can be told: "
-            "record a unit at another temperature on the same day"
-        )
-        raise DataError(msg)
+        said = "temperature and time moved together in every unit, so that neither's effect can be told"
+        raise DataError(f"{said}: record a unit at another temperature on the same day")
     return replace(values.take(keep), labels=x), tuple(compress(NEAREST, tells.tolist()))
 
 
@@ -242,24 +227,19 @@ class Normals:
     sd: FloatArray
     weight: FloatArray
 
-    def two_sided(self) -> list[float]:
+    def two_sided(self) -> FloatArray:
         """Return the chance that each number lies beyond zero, from where most of it is, on either side."""
-        from scipy.special import ndtr
-
-        chance: list[float] = two_sided(ndtr(self.mean / self.sd) @ self.weight).tolist()
-        return chance
+        return two_sided(scipy.special.ndtr(self.mean / self.sd) @ self.weight)
 
     def limits(self) -> FloatArray:
         """Return the 95 % interval of each number about its median, shape (numbers, 3), by bisection."""
-        from scipy.special import ndtr
-
         keep = self.weight > _LITTLE * self.weight.max()
         mean, sd = self.mean[:, None, keep], self.sd[:, None, keep]
         weight = self.weight[keep] / self.weight[keep].sum()
         low, high = np.min(mean - 9 * sd, axis=-1), np.max(mean + 9 * sd, axis=-1)
         for _ in range(_HALVINGS):
             middle = (low + high) / 2 + np.zeros(len(TAILS))
-            below = ndtr((middle[..., None] - mean) / sd) @ weight < TAILS
+            below = scipy.special.ndtr((middle[..., None] - mean) / sd) @ weight < TAILS
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         result: FloatArray = (low + high) / 2
         return result
@@ -280,11 +260,8 @@ class SlopePosterior:
             slices = [_at_scatter(logs, omega, taus) for omega in omegas.tolist()]
             mean, covariance, height = (np.array(part) for part in zip(*slices, strict=True))
             height -= height.max()
-            axes = range(height.ndim)
-            found = [
-                support(grid, np.max(height, axis=tuple(i for i in axes if i != axis)) > -_OUTSIDE)
-                for axis, grid in enumerate(grids)
-            ]
+            rows = (np.moveaxis(height, axis, 0).reshape(grid.size, -1) for axis, grid in enumerate(grids))
+            found = [*map(support, grids, (np.max(row, axis=1) > -_OUTSIDE for row in rows))]
             if np.all(2 * np.diff(found) >= np.diff(ranges)):
                 break
             ranges = found
@@ -293,11 +270,6 @@ class SlopePosterior:
         self.tau = np.column_stack(tau)
         self.weight: FloatArray = np.exp(height[keep]) / np.exp(height[keep]).sum()
         self.mean, self.covariance = mean[keep], covariance[keep]
-
-    def mean_slope(self, label: int) -> Normals:
-        """Return the mean slope of a label."""
-        sd = np.sqrt(self.covariance[None, :, label, label])
-        return Normals(self.mean[None, :, label], sd, self.weight)
 
     def own_slopes(self, logs: LogValues, label: int, units: Sequence[int]) -> Normals:
         """Return the slopes of some units by their own logs; of other labels, each moves as others do."""
@@ -317,8 +289,8 @@ class SlopePosterior:
 
     def _beyond(self, information: FloatArray, score: FloatArray, label: int) -> FloatArray:
         """Return the score of each unit's slope beyond the mean's, (points, units)."""
-        result: FloatArray = score[..., label] - np.einsum("puj,pj->pu", information[..., label], self.mean)
-        return result
+        expected: FloatArray = np.einsum("puj,pj->pu", information[..., label], self.mean)
+        return score[..., label] - expected
 
 
 def unit_sums(logs: LogValues, omega: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -329,11 +301,7 @@ def unit_sums(logs: LogValues, omega: FloatArray) -> tuple[FloatArray, FloatArra
     """
     starts = np.flatnonzero(np.diff(logs.unit, prepend=-1))
     w = 1 / (logs.deviation**2 + omega[..., None] ** 2)
-
-    def total(values: FloatArray) -> FloatArray:
-        result: FloatArray = np.add.reduceat(values, starts, axis=omega.ndim)
-        return result
-
+    total = partial(np.add.reduceat, indices=starts, axis=omega.ndim)
     whole = total(w)
     x = logs.labels - (total(w[..., None] * logs.labels) / whole[..., None])[..., logs.unit, :]
     y = logs.centre - (total(w * logs.centre) / whole)[..., logs.unit]

@@ -11,8 +11,10 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.frozen import frozen
 
 #: A deviation that grows by less is constant.
 _NO_GROWTH = 1e-4
@@ -41,12 +43,11 @@ class Squares:
     growth: FloatArray
 
     def __getitem__(self, which: Any) -> "Squares":  # noqa: ANN401 - whatever indexes an array
-        return Squares(self.estimate[which], self.sd[which], self.growth[which])
+        return Squares(*(part[which] for part in (self.estimate, self.sd, self.growth)))
 
     def deviation(self, square: float | FloatArray) -> FloatArray:
         """Return the standard deviation of each, were its squared coefficient `square`."""
-        result: FloatArray = self.sd + self.growth * square
-        return result
+        return self.sd + self.growth * square
 
     def log_likelihood(self, square: FloatArray) -> FloatArray:
         """Return the log-likelihood of squared coefficients, shape (n, squares), against the most likely."""
@@ -58,8 +59,7 @@ class Squares:
             chi_square = (np.log1p(grows * square / own.sd) + grows * apart) / grows**2
             return np.where(own.growth < _NO_GROWTH, 0.5 * apart**2, chi_square)
 
-        result: FloatArray = depth(np.maximum(own.estimate, 0.0)) - depth(square)
-        return result
+        return depth(np.maximum(own.estimate, 0.0)) - depth(square)
 
     def below(self, square: FloatArray) -> FloatArray:
         """Return the chance of an estimate below each, were the squares those, shape (n, squares).
@@ -68,15 +68,12 @@ class Squares:
         chi-square is nearly normal. An estimate may lie below what its background alone would be, since
         the other terms are not known: far down it is normal.
         """
-        from scipy.special import ndtr
-
         own = self[:, None]
         apart = (own.estimate - square) / own.deviation(square)
         grows = np.maximum(own.growth, _NO_GROWTH)
         root = (np.cbrt(1 + grows * apart) - 1) * 3 / grows + grows / 3
         root = np.where(apart < 0, np.maximum(root, apart), root)
-        result: FloatArray = ndtr(np.where(own.growth < _NO_GROWTH, apart, root))
-        return result
+        return scipy.special.ndtr(np.where(own.growth < _NO_GROWTH, apart, root))
 
     def mean_by(self, group: IntArray, at: float) -> "Squares":
         """Return the mean of each group, shape (groups,), with weights that are best at a square `at`."""
@@ -93,35 +90,21 @@ class Squares:
         return Squares(mean, sd, (error(far) - sd) / far)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LogValue:
-    """What one log of one unit says of a coefficient.
+    """What one log of the `unit`, such as its serial number, says of a coefficient.
 
-    Attributes
-    ----------
-    unit
-        Which unit was recorded, such as its serial number.
-    value
-        The coefficient; None where the log only bounds it.
-    low, high
-        Its limits at `level`; `low` is 0 and `high` the upper limit where it is bounded.
-    variance
-        The estimate of the squared coefficient, which may be negative. It says more than value and limits,
-        which are no more than a first guess where there is one.
-    variance_sd, variance_growth
-        Its standard deviation is ``variance_sd + variance_growth * v`` where the squared coefficient is v.
-        They must not follow the estimate, or weights would: high ones would count for less.
-    temperature_c, days
-        Temperature in °C, and age in days since any epoch, for `imucal.fleet.trend`; nan where unknown.
-    level
-        Confidence level of the limits.
-    correlation_time
-        In s, of a Gauss-Markov term that the log estimates; None otherwise.
+    `value` is the coefficient, None where the log only bounds it; `low` and `high` are its limits at the
+    confidence `level`, 0 and the upper limit where it is bounded. A ValueError says that the limits are out
+    of order, not positive, or that a variance comes without its deviation.
 
-    Raises
-    ------
-    ValueError
-        If the limits are out of order, not positive, or a variance comes without its deviation.
+    `variance` is the estimate of the squared coefficient, which may be negative. It says more than value and
+    limits, which are no more than a first guess where there is one. Its standard deviation is
+    ``variance_sd + variance_growth * v`` where the squared coefficient is v; these two must not follow the
+    estimate, or weights would: high ones would count for less.
+
+    `temperature_c`, in °C, and `days`, the age since any epoch, are for `imucal.fleet.trend`; nan where
+    unknown. `correlation_time`, in s, is that of a Gauss-Markov term that the log estimates; None otherwise.
     """
 
     unit: str
@@ -137,19 +120,17 @@ class LogValue:
     correlation_time: float | None = None
 
     def __post_init__(self) -> None:
-        inside = self.value is None or 0 <= self.low <= self.value <= self.high
-        if not (inside and 0 < self.high < math.inf and 0 < self.level < 1 and self.value != 0):
-            msg = (
-                f"{self.unit}: limits must hold a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
-            )
-            raise ValueError(msg)
+        inside, wrong = self.value is None or 0 <= self.low <= self.value <= self.high, ""
         told = 1.0 if self.variance_sd is None else self.variance_sd
-        if (self.variance is None) != (self.variance_sd is None) or not (told > 0 <= self.variance_growth):
-            msg = f"{self.unit}: a variance needs a positive standard deviation, which does not fall"
-            raise ValueError(msg)
+        if not (inside and 0 < self.high < math.inf and 0 < self.level < 1 and self.value != 0):
+            wrong = f"limits must hold a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
+        elif (self.variance is None) != (self.variance_sd is None) or not (told > 0 <= self.variance_growth):
+            wrong = "a variance needs a positive standard deviation, which does not fall"
+        if wrong:
+            raise ValueError(f"{self.unit}: {wrong}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LogValues:
     """The logs of a fleet as columns, shape (logs,); logarithms are natural.
 
@@ -159,7 +140,8 @@ class LogValues:
     it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `narrow` logs are
     normal in the logarithm; `bounded` ones have no value; `weighed` ones have an estimate of the squared
     coefficient, which is in `squares`: without one there is the square of the value, or zero for a bound.
-    `labels` are what may move the coefficient, shape (logs, labels).
+    Those `by_limits` are known by their value and its limits alone. `labels` are what may move the
+    coefficient, shape (logs, labels).
     """
 
     names: tuple[str, ...]
@@ -173,17 +155,16 @@ class LogValues:
     narrow: BoolArray
     bounded: BoolArray
     weighed: BoolArray
+    by_limits: BoolArray
     squares: Squares
     labels: FloatArray
 
     @classmethod
     def of(cls, logs: Sequence[LogValue]) -> "LogValues":
         """Return the columns of `logs`, with temperature and days as labels."""
-        from scipy.special import ndtri
-
         numbers = np.array([*map(_NUMBERS, logs)], dtype=np.float64)
         value, low, high, level, variance, sd, growth, *_ = numbers.T
-        z = ndtri((1 + level) / 2)
+        z = scipy.special.ndtri((1 + level) / 2)
         bounded, weighed = np.isnan(value), ~np.isnan(variance)
         centre = np.log(np.where(bounded, high / 2, value))
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
@@ -193,9 +174,8 @@ class LogValues:
         positive = weighed & (variance > 0)
         square = np.where(positive, variance, 1.0)
         error = np.where(positive, (sd + growth * variance) / (2 * square), np.inf)
-        centre = np.where(
-            error <= _NARROW_SQUARE, 0.5 * np.log(square) + np.minimum(error, _NARROW_SQUARE) ** 2, centre
-        )
+        of_square = 0.5 * np.log(square) + np.minimum(error, _NARROW_SQUARE) ** 2
+        centre = np.where(error <= _NARROW_SQUARE, of_square, centre)
         deviation = np.where(weighed, error, np.where(told, (high_sd + low_sd) / 2, np.inf))
         of_limits = np.where(bounded, 0.0, np.exp(2 * centre))
         middle = float(np.median(centre))
@@ -213,6 +193,7 @@ class LogValues:
             narrow=deviation <= np.where(weighed, _NARROW_SQUARE, _NARROW),
             bounded=bounded,
             weighed=weighed,
+            by_limits=~(weighed | bounded),
             squares=Squares(
                 np.where(weighed, variance, of_limits),
                 np.where(weighed, sd, np.where(bounded, high**2 / z, of_limits * (low_sd + high_sd))),
@@ -220,11 +201,6 @@ class LogValues:
             ),
             labels=numbers[:, -2:],
         )
-
-    @property
-    def by_limits(self) -> BoolArray:
-        """Which logs are known by their value and its limits alone."""
-        return ~(self.weighed | self.bounded)
 
     def take(self, which: BoolArray | IntArray) -> "LogValues":
         """Return some of the logs, and the units that they are of; about where all of the fleet lies."""
@@ -237,5 +213,4 @@ class LogValues:
         apart = theta - self.centre[:, None]
         score = apart / np.where(apart >= 0, self.high_sd[:, None], self.low_sd[:, None])
         of_square = self.squares.log_likelihood(np.exp(2 * np.minimum(theta, _LARGEST)))
-        result: FloatArray = np.where(self.by_limits[:, None], -0.5 * score**2, of_square)
-        return result
+        return np.where(self.by_limits[:, None], -0.5 * score**2, of_square)

@@ -6,7 +6,6 @@ there; a report, a check or a comparison reads them, and makes only those that a
 was mended.
 """
 
-import functools
 import hashlib
 import json
 import math
@@ -14,21 +13,21 @@ import types
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 from imucal._version import __version__
 from imucal.errors import DataError, WriteError
 from imucal.findings import Finding
 from imucal.fitting.bins import unpack
+from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.pooling import pool_bins
 from imucal.fleet.population import Population, population
 from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import Trend, trend
 from imucal.fleet.values import LogValue
+from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.processes import side_by_side, try_side_work
 from imucal.recording import Sensor
@@ -47,59 +46,44 @@ _AT_ONCE = 5000
 #: The bound that is near enough, and the most units that are thought of.
 NEAR = 1.1
 _MOST = 10_000
-#: What a row of results says of a log, beside its unit; and which of that may be None.
-_NUMBERS = tuple(field.name for field in fields(LogValue) if field.name != "unit")
-_MAY_LACK = np.isin(_NUMBERS, ("value", "variance", "variance_sd", "correlation_time"))
+#: What a row of results says of a log.
+_OF_LOG = tuple(field.name for field in fields(LogValue))
 
 
 class LogRows(Sequence[LogValue]):
-    """Values of many logs, from their rows of results; made where somebody looks at one.
+    """Values of many logs, from their `rows` of results; made where somebody looks at one.
 
-    `units`, shape (logs,), and `numbers`, shape (logs, fields of a `LogValue` but its unit), are as they
-    stand in the store, which is all that the digest and the key of a question need.
+    The digest and the key of a question need only the rows, a `LogValue` each.
     """
 
     def __init__(self, rows: "pl.DataFrame") -> None:
-        self.units: list[str] = rows["unit"].to_list()
         # A term without a square has none that could grow.
-        numbers = rows.select(_NUMBERS).with_columns(rows["variance_growth"].fill_null(0.0))
-        self.numbers = np.ascontiguousarray(numbers.to_numpy())
+        self.rows = rows.select(_OF_LOG).with_columns(rows["variance_growth"].fill_null(0.0))
 
     @property
     def digest(self) -> str:
         """Of the same values of the same units the same."""
-        return hashlib.blake2b(self.numbers.tobytes() + json.dumps(self.units).encode()).hexdigest()
+        numbers, units = self.rows.drop("unit").to_numpy(), self.rows["unit"].to_list()
+        return hashlib.blake2b(numbers.tobytes() + json.dumps(units).encode()).hexdigest()
 
     @cached_property
     def _values(self) -> tuple[LogValue, ...]:
-        told = self.numbers.astype(object)
-        told[np.isnan(self.numbers) & _MAY_LACK] = None
-        return tuple(
-            LogValue(unit=unit, **dict(zip(_NUMBERS, row, strict=True)))
-            for unit, row in zip(self.units, told.tolist(), strict=True)
-        )
+        return tuple(LogValue(**row) for row in self.rows.iter_rows(named=True))
 
     def __len__(self) -> int:
-        return len(self.units)
+        return self.rows.height
 
     def __getitem__(self, place: Any) -> Any:  # noqa: ANN401 - one by its number, several by a slice
         return self._values[place]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TermAnswer:
-    """What the units are like in one term.
+    """What the units are like in one term: their `population`, with the tolerance bound.
 
-    Attributes
-    ----------
-    population
-        Median, spreads and the tolerance bound.
-    trend
-        How it moves with temperature and time; None where labels do not tell, and `no_trend` says why.
-    price
-        Pairs of a number of units, and the bound that so many give over the quantile that it bounds.
-    without_odd
-        The tolerance bound of the other units; None where none is odd, or too few are left.
+    `trend` says how it moves with temperature and time; None where labels do not tell, and `no_trend` says
+    why. `price` has pairs of a number of units, and the bound that so many give over the quantile that it
+    bounds. `without_odd` is the bound of the other units; None where none is odd, or too few are left.
     """
 
     population: Population
@@ -109,7 +93,7 @@ class TermAnswer:
     without_odd: float | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TermQuestion:
     """The question what the units of one term are like."""
 
@@ -124,8 +108,8 @@ class TermQuestion:
 
     def answer(self) -> TermAnswer:
         """Find it out."""
-        found = self._of(self.logs)
-        moves, why = None, ""
+        of = partial(population, content=self.content, confidence=self.confidence)
+        found, moves, why = of(self.logs), None, ""
         try:
             moves = trend(self.logs)
         except DataError as error:
@@ -137,14 +121,11 @@ class TermQuestion:
             trend=moves,
             no_trend=why,
             price=_prices(found),
-            without_odd=self._of(others).tolerance if others else None,
+            without_odd=of(others).tolerance if others else None,
         )
 
-    def _of(self, logs: Sequence[LogValue]) -> Population:
-        return population(logs, content=self.content, confidence=self.confidence)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class UnitLogs:
     """Several logs of one unit, of one term: whether they have one coefficient.
 
@@ -165,7 +146,7 @@ class UnitLogs:
     high: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class UnitAnswer:
     """The tests of a unit's axis, a term each; none where it can't be judged, and a finding that says so."""
 
@@ -173,7 +154,7 @@ class UnitAnswer:
     findings: tuple[Finding, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class UnitQuestion:
     """The question whether the logs of one axis of a unit have one coefficient of each term.
 
@@ -209,8 +190,7 @@ class UnitQuestion:
         first = every[0].tau0
         rates = sorted({f"{1 / one.tau0:.6g} Hz" for one in every if abs(one.tau0 / first - 1) > _SAME_RATE})
         if rates:
-            msg = f"found rates of {1 / first:.6g} Hz and {', '.join(rates)}, expected one"
-            raise DataError(msg)
+            raise DataError(f"found rates of {1 / first:.6g} Hz and {', '.join(rates)}, expected one")
         pooled = pool_bins(every, self.symbols, sensor=Sensor(self.sensor), rate_hz=1 / first, level=_LEVEL)
         return tuple(
             UnitLogs(
@@ -247,48 +227,37 @@ def _key(kind: type, *said: object) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-class Answers:
-    """The answers of a store: those that it has, and others as they are made.
+def here(questions: Sequence[Question]) -> Iterable[str]:
+    """Return the answers of this process, and of others beside it."""
+    return side_by_side(answer_text, questions, workers=threads())
 
-    Parameters
-    ----------
-    store
-        Where they are kept; one that can't be written to is only read.
-    ask
-        Who makes others; by default this process, and others beside it.
+
+def answers_to(
+    questions: Sequence[Q],
+    kind: type[A],
+    store: FleetStore,
+    ask: Ask,
+    fill: Callable[[list[Q]], Iterable[list[Q]]] = lambda every: [every],
+) -> list[A]:
+    """Return the answers to questions, in their order: those that a store has, and others as they are made.
+
+    Those that are not there are made in groups, as `fill` yields them with all that they need. They are kept;
+    a store that can't be written to is only read.
     """
-
-    def __init__(self, store: FleetStore, ask: Ask | None = None) -> None:
-        self.store = store
-        self._ask: Ask = ask or (lambda questions: side_by_side(answer_text, questions, workers=threads()))
-
-    def to(
-        self,
-        questions: Sequence[Q],
-        kind: type[A],
-        fill: Callable[[list[Q]], Iterable[list[Q]]] = lambda every: [every],
-    ) -> list[A]:
-        """Return the answers to questions, in their order.
-
-        Those that are not there are made in groups, as `fill` yields them with all that they need.
-        """
-        keys, read = (
-            [question.key for question in questions],
-            cast("Callable[[Any], A]", _record_reader(kind)),
-        )
-        known = self.store.derived(keys)
-        missing = {key: one for key, one in zip(keys, questions, strict=True) if key not in known}
-        for group in fill(list(missing.values())) if missing else ():
-            texts = zip(group, self._ask(group), strict=True)
-            made = {question.key: text or answer_text(question) for question, text in texts}
-            known |= made
-            with suppress(WriteError):
-                self.store.keep_derived(made)
-        return [read(json.loads(known[key])) for key in keys]
+    keys, read = [question.key for question in questions], _reader(kind)
+    known = store.derived(keys)
+    missing = {key: one for key, one in zip(keys, questions, strict=True) if key not in known}
+    for group in fill(list(missing.values())) if missing else ():
+        texts = zip(group, ask(group), strict=True)
+        made = {question.key: text or answer_text(question) for question, text in texts}
+        known |= made
+        with suppress(WriteError):
+            store.keep_derived(made)
+    return [read(json.loads(known[key])) for key in keys]
 
 
 def unit_tests(
-    answers: Answers, units: Mapping[str, tuple[str, str]], terms: Iterable[TermKey]
+    store: FleetStore, ask: Ask, units: Mapping[str, tuple[str, str]], terms: Iterable[TermKey]
 ) -> tuple[dict[TermKey, list[UnitLogs]], tuple[Finding, ...]]:
     """Return for each of some terms the units with several logs, and what could not be judged.
 
@@ -298,7 +267,7 @@ def unit_tests(
     for model, sensor, axis, term in terms:
         symbols.setdefault((model, sensor, axis), set()).add(symbol_of(term))
     logs: dict[tuple[str, str, str, str], list[str]] = {}
-    for key, sensor, axis in answers.store.axes().iter_rows():
+    for key, sensor, axis in store.axes().iter_rows():
         if key in units and (units[key][0], sensor, axis) in symbols:
             logs.setdefault((*units[key], sensor, axis), []).append(key)
     # By question, the model.
@@ -315,7 +284,7 @@ def unit_tests(
     }
     found: dict[TermKey, list[UnitLogs]] = {}
     findings: list[Finding] = []
-    every = answers.to(list(asked), UnitAnswer, partial(_with_bins, answers.store))
+    every = answers_to(list(asked), UnitAnswer, store, ask, partial(_with_bins, store))
     for (question, model), answer in zip(asked.items(), every, strict=True):
         findings += answer.findings
         for test in answer.tests:
@@ -332,59 +301,37 @@ def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[lis
             groups.append(([], set()))
         groups[-1][0].append(question)
         groups[-1][1].update(question.logs)
-    for (group, _), frame in zip(groups, store.bins_in_turn(keys for _, keys in groups), strict=True):
-        packed = {(key, sensor, axis): data for key, sensor, axis, data in frame.iter_rows()}
+    for group, keys in groups:
+        packed = {(key, sensor, axis): data for key, sensor, axis, data in store.bins(keys).iter_rows()}
         yield [
             replace(one, packed=tuple(packed[key, one.sensor, one.axis] for key in one.logs)) for one in group
         ]
 
 
-@functools.cache
-def _reader(kind: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - of any type
+def _reader(kind: Any) -> Any:  # noqa: ANN401 - of any type
     """Return what makes a value of a type of what JSON says; None where JSON says the value itself.
 
     A type is a dataclass, a tuple of any length of one type, a pair of plain values, something or None, or
     plain. That is found out once: of a thousand units most fields are plain, and cost nothing.
     """
     if isinstance(kind, type) and is_dataclass(kind):
-        return _record_reader(kind)
+        hints = get_type_hints(kind).items()
+        deeper = {name: read for name, hint in hints if (read := _reader(hint))}
+        return lambda said: kind(**said | {name: read(said[name]) for name, read in deeper.items()})
     first, *others = get_args(kind) or (None,)
     read = _reader(first) if others in ([types.NoneType], [...]) else None
     if get_origin(kind) is tuple:
-        return lambda said: tuple(said if read is None else map(read, said))
+        return lambda said: tuple(map(read, said) if read else said)
     return read and (lambda said: None if said is None else read(said))
 
 
-def _record_reader(kind: type) -> Callable[[Any], Any]:
-    hints = get_type_hints(kind).items()
-    deeper = {name: read for name, hint in hints if (read := _reader(hint)) is not None}
-    return lambda said: kind(**said | {name: read(said[name]) for name, read in deeper.items()})
-
-
-def symbol_of(term: str) -> str:
-    """Return ``GM`` of ``GM2``."""
-    return term.rstrip("0123456789")
-
-
 def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
-    """Return the median bound of `units` units over the quantile that it bounds: what more units would buy.
+    """Return the median bound of two units or more over the quantile that it bounds: what more would buy.
 
-    Parameters
-    ----------
-    units
-        At least 2.
-    spread
-        Standard deviation tau between units, in the logarithm.
-    content, confidence
-        Of the bound.
-
-    Notes
-    -----
     Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
-    exp(tau (k - z)) is the price of having tested so few units.
-
-    Source: Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3): k is a quantile of the
-    noncentral t law.
+    of a `spread` tau between units, in the logarithm, exp(tau (k - z)) is the price of having tested so few.
+    `content` and `confidence` are those of the bound. Source: Krishnamoorthy & Mathew (2009), Statistical
+    Tolerance Regions, eq. (2.2.3): k is a quantile of the noncentral t law.
     """
     from scipy.special import nctdtrit, ndtri
 

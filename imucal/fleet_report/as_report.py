@@ -3,22 +3,25 @@
 As a `Report` it is exported and compared; for a check each term of a log is one of the next unit, or is not.
 """
 
+from dataclasses import asdict
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from imucal.checking.verdict import Measured, Row, Verdict
+from imucal.checking.verdict import Row, Verdict
 from imucal.errors import DataError
 from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.fleet.pooling import log_values
 from imucal.fleet.population import FEWEST, membership
+from imucal.fleet.posterior import TAILS, interval_of
 from imucal.fleet.values import LogValue
+from imucal.fleet_report.pages import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
-from imucal.fleet_report.verdict import bound_name, sheet_unit
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Source
 from imucal.report.given import given_axis
+from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
 FleetValue: TypeAlias = Literal["tolerance", "median"]
@@ -53,8 +56,7 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
         If `value` is unknown.
     """
     if value not in get_args(FleetValue):
-        msg = f"value {value!r} is not one of {', '.join(get_args(FleetValue))}"
-        raise ValueError(msg)
+        raise ValueError(f"value {value!r} is not one of {', '.join(get_args(FleetValue))}")
     found = fleet.model(model)
     if not found.terms:
         msg = f"{fleet.folder}: {found.title} has no numbers, expected logs that count; run the fleet again"
@@ -64,82 +66,57 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
         axes.setdefault(term.name, []).append(term)
     of_units = f"fleet of {len(found.units)} units{f' of {found.name}' if found.name else ''}"
     what = f"{bound_name(found.terms[0])} tolerance bound" if value == "tolerance" else "median unit"
-    seconds = sorted(log.seconds for log in found.logs if log.seconds and not log.left_out)
-    duration = seconds[len(seconds) // 2] if seconds else 0.0
     return Report(
         source=Source(path=str(fleet.folder), format=f"{of_units}; every number is the {what}"),
-        axes=tuple(
-            _axis(
-                found,
-                terms[0],
-                # A Gauss-Markov term that no log shows is none.
-                {
-                    term.term: _estimate(fleet, term, value, what)
-                    for term in terms
-                    if not TERMS[term.symbol].repeatable or any(log.value for log in term.logs)
-                },
-                duration,
-                fleet=fleet,
-            )
-            for terms in axes.values()
-        ),
+        axes=tuple(_axis(fleet, found, terms, value, what) for terms in axes.values()),
         settings={"fleet": str(fleet.folder), "model": found.name, "value": value},
         version=fleet.version,
     )
 
 
 def _axis(
-    model: SensorModel, term: FleetTerm, estimates: dict[str, Estimate], duration: float, *, fleet: Fleet
+    fleet: Fleet, model: SensorModel, terms: list[FleetTerm], value: FleetValue, what: str
 ) -> AxisReport:
-    missing = [symbol for symbol in ALWAYS if symbol not in estimates]
-    if missing:
-        msg = (
-            f"{fleet.folder}: {term.name} of {model.title} has no {', '.join(missing)}, expected "
-            f"{', '.join(ALWAYS)}; run the fleet with --model 'N + B + K'"
+    # A Gauss-Markov term that no log shows is none.
+    shown = (t for t in terms if not TERMS[t.symbol].repeatable or any(log.value for log in t.logs))
+    estimates = {term.term: _estimate(fleet, term, value, what) for term in shown}
+    if missing := [symbol for symbol in ALWAYS if symbol not in estimates]:
+        lacking = (
+            f"{terms[0].name} of {model.title} has no {', '.join(missing)}, expected {', '.join(ALWAYS)}"
         )
-        raise DataError(msg)
+        raise DataError(f"{fleet.folder}: {lacking}; run the fleet with --model 'N + B + K'")
+    seconds = sorted(log.seconds for log in model.logs if log.seconds and not log.left_out)
     return given_axis(
-        term.sensor,
-        term.axis,
-        tuple(estimates.values()),
+        *(terms[0].sensor, terms[0].axis, tuple(estimates.values())),
         rate_hz=model.rate_hz,
-        duration_s=duration,
+        duration_s=seconds[len(seconds) // 2] if seconds else 0.0,
         method="fleet",
     )
 
 
 def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Estimate:
-    found = term.population
+    found, time = term.population, None
     if value == "median" and found.bounded:
         return Estimate.bounded(term.term, term.symbol, found.median.high)
-    if value == "median":
-        limits = found.median.value, found.median.low, found.median.high
-    elif found.tolerance is None or found.quantile is None:
-        msg = (
-            f"{fleet.folder}: found {len(found.units)} units, expected 3 at least for a tolerance bound; "
-            "take the median, or test more units: 10 are worth testing"
-        )
-        raise DataError(msg)
-    else:
-        limits = found.tolerance, min(found.quantile, found.tolerance), found.tolerance
-    middle, low, high = limits
+    if value == "tolerance" and (found.tolerance is None or found.quantile is None):
+        few = f"found {len(found.units)} units, expected 3 at least for a tolerance bound"
+        raise DataError(f"{fleet.folder}: {few}; take the median, or test more units: 10 are worth testing")
+    limits = found.median
+    if found.tolerance and found.quantile and value == "tolerance":
+        bound, low = found.tolerance, min(found.quantile, found.tolerance)
+        limits = Interval(value=bound, low=low, high=bound)
+    if TERMS[term.symbol].repeatable:
+        # The median of the logs' correlation times, and where 95 % of them lie.
+        times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
+        time = interval_of(np.exp(np.quantile(np.log(times), TAILS)))
     return Estimate(
         key=term.term,
         symbol=term.symbol,
         status="estimated",
-        value=middle,
-        low=low,
-        high=high,
-        correlation_time=_correlation_time(term) if TERMS[term.symbol].repeatable else None,
+        **asdict(limits),
+        correlation_time=time,
         origin=f"{what} of {len(found.units)} units" if value == "tolerance" else "",
     )
-
-
-def _correlation_time(term: FleetTerm) -> Interval:
-    """Return the median of the logs' correlation times, and where 95 % of them lie."""
-    times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
-    low, value, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
-    return Interval(value=value, low=low, high=high)
 
 
 def check_fleet(
@@ -170,11 +147,8 @@ def check_fleet(
     """
     found = fleet.model(model)
     if len(found.units) < FEWEST:
-        msg = (
-            f"{fleet.folder}: found {len(found.units)} units of {found.title}, expected {FEWEST} at least to "
-            "say where the next one lies; add units to the fleet"
-        )
-        raise DataError(msg)
+        few = f"found {len(found.units)} units of {found.title}, expected {FEWEST} at least"
+        raise DataError(f"{fleet.folder}: {few} to say where the next one lies; add units to the fleet")
     common: list[tuple[FleetTerm, LogValue]] = []
     for axis in report.axes:
         terms = [term for term in found.terms if term.name == axis.name]
@@ -182,11 +156,8 @@ def check_fleet(
         common += [(term, values[term.term]) for term in terms if term.term in values]
     if not common:
         axes = ", ".join(dict.fromkeys(term.name for term in found.terms))
-        msg = (
-            f"{report.source.path}: no axis and term in common with {found.title} of {fleet.folder}, which "
-            f"has {axes}; check a log of the same sensor"
-        )
-        raise DataError(msg)
+        what = f"no axis and term in common with {found.title} of {fleet.folder}, which has {axes}"
+        raise DataError(f"{report.source.path}: {what}; check a log of the same sensor")
     told = [(term, value) for term, value in common if term.population.prediction]
     chances = iter(holm([membership(term.population, value) for term, value in told]))
     return tuple(
@@ -209,7 +180,7 @@ def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:
 def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | None, alpha: float) -> Row:
     """Return the verdict on a term; without `p` too few units have it, such as of a sensor that most lack."""
     unit, found = sheet_unit(term), term.population
-    measured = Measured(value=value.value, low=value.low, high=value.high).scaled(unit.factor)
+    measured = Quantity.of(value).scaled(unit.factor)
     verdict: Verdict = "undecided"
     if found.prediction is None or p is None:
         subject, units = term.term, f"{len(found.units)} unit{'s' * (len(found.units) > 1)}"

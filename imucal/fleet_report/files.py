@@ -8,24 +8,20 @@ import csv
 import io
 import json
 import unicodedata
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from imucal.atomic import alone, replacing
-from imucal.errors import WriteError
 from imucal.findings import Finding
-from imucal.fleet_report.pages import render_fleet_page
+from imucal.fleet.store import translated
+from imucal.fleet_report.pages import beyond_chance, render_fleet_page, verdict
 from imucal.fleet_report.pictures import drawn_as, fleet_pictures
-from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
-from imucal.fleet_report.verdict import beyond_chance, verdict
+from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.printable import printable
 from imucal.processes import try_side_work
-from imucal.report.json_file import plain
+from imucal.report.json_file import JsonObject, picked, plain
 
 SCHEMA = "imucal/fleet/1"
 
@@ -34,16 +30,12 @@ _COLUMNS = (
     *("logs_differ", "median", "spread", "within", "prediction_low", "prediction_high", "tolerance"),
     *("median_low", "median_high", "bounded"),
 )
+#: Attributes that the document has, as `picked` takes them.
+_LIMITS, _FINDING = "value low high", "level code axis text"
+_POPULATION = "logs content confidence median bounded spread within prediction quantile tolerance"
 
 
-def fleet_schema() -> dict[str, object]:
-    """Return the JSON schema of ``fleet.json``."""
-    text = files("imucal.fleet_report").joinpath("schema", "fleet-1.schema.json").read_text(encoding="utf-8")
-    schema: dict[str, object] = json.loads(text)
-    return schema
-
-
-def fleet_document(fleet: Fleet) -> dict[str, object]:
+def fleet_document(fleet: Fleet) -> JsonObject:
     """Return a fleet as JSON values."""
     grade, text = verdict(fleet)
     sure = beyond_chance(fleet)
@@ -76,20 +68,15 @@ def fleet_document(fleet: Fleet) -> dict[str, object]:
                 {
                     "path": one.log.path,
                     "values": [
-                        {"axis": axis, "term": term, **_limits(value)}
+                        {"axis": axis, "term": term, **picked(value, _LIMITS)}
                         for (axis, term), value in one.values.items()
                     ],
                 }
                 for one in fleet.loose
             ],
         },
-        "findings": _findings(fleet.findings),
+        "findings": [picked(finding, _FINDING) for finding in fleet.findings],
     }
-
-
-def fleet_json(fleet: Fleet) -> str:
-    """Return the text of ``fleet.json``."""
-    return json.dumps(fleet_document(fleet), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def fleet_csv(fleet: Fleet) -> str:
@@ -97,33 +84,19 @@ def fleet_csv(fleet: Fleet) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(_COLUMNS)
-    for model in fleet.models:
-        for term in model.terms:
-            rows.writerows(_rows(model, term))
+    for model, term in ((m, term) for m in fleet.models for term in m.terms):
+        found, first = term.population, (_cell(model.name), term.sensor, term.axis, term.term, term.unit)
+        tested = {one.unit: int(one.differs) for one in term.unit_logs}
+        last = (
+            found.middle,
+            *(one and one.value for one in (found.spread, found.within)),
+            *(found.prediction or (None, None)),
+            *(found.tolerance, found.median.low, found.median.high, int(found.bounded)),
+        )
+        for unit in found.units:
+            known = unit.logs, unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd
+            rows.writerow((*first, _cell(unit.unit), *known, tested.get(unit.unit), *last))
     return text.getvalue()
-
-
-def _rows(model: SensorModel, term: FleetTerm) -> Iterator[list[object]]:
-    """Yield the row of each unit."""
-    found = term.population
-    tested = {one.unit: int(one.differs) for one in term.unit_logs}
-    shared = [
-        None if found.bounded else found.median.value,
-        found.spread.value if found.spread else None,
-        found.within.value if found.within else None,
-        *(found.prediction or (None, None)),
-        found.tolerance,
-        found.median.low,
-        found.median.high,
-        int(found.bounded),
-    ]
-    for unit in found.units:
-        yield [
-            *(_cell(model.name), str(term.sensor), term.axis, term.term, term.unit, _cell(unit.unit)),
-            unit.logs,
-            *(unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd, tested.get(unit.unit)),
-            *shared,
-        ]
 
 
 #: What a table's cell begins with that spreadsheets take for a formula, in their narrow forms.
@@ -137,57 +110,35 @@ def _cell(text: str) -> str:
     return f"'{printable(text)}" if plain_text.startswith(_FORMULA) else printable(text)
 
 
-def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> dict[str, object]:
+def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> JsonObject:
     found, trend = term.population, term.trend
-    median = _limits(found.median) | ({"value": None} if found.bounded else {})
     return {
-        "sensor": str(term.sensor),
-        **_fields(term, "axis", "term", "unit"),
-        **_fields(found, "logs", "content", "confidence"),
-        "median": median,
-        "bounded": found.bounded,
-        "spread": _limits(found.spread),
-        "within": _limits(found.within),
-        "prediction": found.prediction and list(found.prediction),
-        **_fields(found, "quantile", "tolerance"),
+        **picked(term, "sensor axis term unit"),
+        **picked(found, _POPULATION),
+        "median": {"value": found.middle, **picked(found.median, "low high")},
         "tolerance_without_odd": term.without_odd,
         "price": [{"units": units, "ratio": ratio} for units, ratio in term.price],
-        "temperature_per_c": _limits(trend and trend.temperature),
-        "drift_per_year": _limits(trend and trend.drift),
+        "temperature_per_c": plain(trend and trend.temperature),
+        "drift_per_year": plain(trend and trend.drift),
         "no_trend": term.no_trend,
         "units": [
             {
-                **_fields(unit, "unit", "logs", "value", "low", "high", "p_odd", "odd"),
+                **picked(unit, f"unit logs {_LIMITS} p_odd odd"),
                 "odd_overall": unit.odd and (id(term), unit.unit) in sure,
             }
             for unit in found.units
         ],
         "moves": [
-            {"label": mean.label, "p_value": mean.p_value, "p_adjusted": mean.p_odd, "moves": mean.odd}
+            picked(mean, "label p_value p_adjusted=p_odd moves=odd")
             for mean in (trend.means if trend else ())
         ],
         "slopes": [
-            {**_fields(slope, "unit", "label"), **_limits(slope.slope), **_fields(slope, "p_odd", "odd")}
-            for slope in (trend.slopes if trend else ())
+            {**picked(one, "unit label"), **picked(one.slope, _LIMITS), **picked(one, "p_odd odd")}
+            for one in (trend.slopes if trend else ())
         ],
-        "unit_logs": [
-            _fields(one, "unit", "logs", "p_value", "differs", "spread", "value", "low", "high")
-            for one in term.unit_logs
-        ],
-        "findings": _findings(found.findings),
+        "unit_logs": [picked(one, f"unit logs p_value differs spread {_LIMITS}") for one in term.unit_logs],
+        "findings": [picked(finding, _FINDING) for finding in found.findings],
     }
-
-
-def _fields(value: object, *names: str) -> dict[str, Any]:
-    return {name: getattr(value, name) for name in names}
-
-
-def _limits(interval: object) -> Any:  # noqa: ANN401 - None of None
-    return None if interval is None else _fields(interval, "value", "low", "high")
-
-
-def _findings(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    return [_fields(finding, "level", "code", "axis", "text") for finding in findings]
 
 
 def write_fleet(
@@ -224,7 +175,7 @@ def write_fleet(
     written, fleet = _drawn(fleet, pictures=pictures, html=html, tell=tell or (lambda _: None))
     written = {"fleet.csv": fleet_csv(fleet).encode(), **written}
     whole = folder / "fleet.json"
-    with _translated(folder), alone(folder / ".lock"):
+    with translated(folder), alone(folder / ".lock"):
         whole.unlink(missing_ok=True)
         for name, data in written.items():
             if data is None:
@@ -233,18 +184,10 @@ def write_fleet(
                 continue
             with replacing(folder / name) as scratch:
                 scratch.write_bytes(data)
+        text = json.dumps(fleet_document(fleet), indent=1, allow_nan=False, ensure_ascii=False)
         with replacing(whole) as scratch:
-            scratch.write_bytes(fleet_json(fleet).encode())
+            scratch.write_bytes(f"{text}\n".encode())
     return whole, *(folder / name for name, data in written.items() if data is not None)
-
-
-@contextmanager
-def _translated(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        msg = f"{folder}: can't be written: {error.strerror or error}; choose another folder"
-        raise WriteError(msg) from error
 
 
 def _drawn(

@@ -1,116 +1,289 @@
-"""``fleet.html``: what the units of each sensor model are like, on one page that opens without a network.
+"""What people read of a fleet: numbers and a verdict in words, ``fleet.html``, and values in a notebook.
 
-Tables and pictures are there without any script: the templates lay them out, `verdict` words the numbers.
+The page opens without a network, and its tables and pictures are there without any script: the templates lay
+them out, the functions here word the numbers, in data-sheet units and in SI.
 """
 
 import base64
+import itertools
+import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
 
-from imucal.fleet.trend import NEAREST
-from imucal.fleet_report import verdict
-from imucal.fleet_report.summary import Fleet, SensorModel
-from imucal.report.markup import Markup, render
+from imucal.fitting.homogeneity import symbol_of
+from imucal.fitting.noise_fit import Interval
+from imucal.fleet.population import FALSE_SHARE, adjusted
+from imucal.fleet.trend import NEAREST, Trend
+from imucal.fleet.values import LogValue
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.markup import Markup, both_units, render
+from imucal.report.numbers import Quantity, level_unit
+from imucal.units import DatasheetUnit
 
-#: Most logs without a label that are listed.
-_MOST_LOOSE = 500
-#: What the templates call, of `verdict`.
-_TEXTS = (
-    *("alone", "between", "bound_name", "by_term", "loose_text", "loose_value", "median_text", "p_text"),
-    *("percent", "price_text", "slope_text", "term_name", "with_limits"),
-)
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Most logs without a label that the page lists, and most sensor models that a notebook's text names.
+_MOST_LOOSE, _MOST_MODELS = 500, 9
 
 #: Section of the page -> what each of its pictures shows, and its SVG.
 Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
 
 
+#: Less is not told apart.
+_LEAST_P = 1e-4
+
+
+def sheet_unit(term: FleetTerm) -> DatasheetUnit:
+    """Return the unit that data sheets print a term in: µg in place of mg where the median is small."""
+    unit = TERMS[term.symbol].datasheet_unit(term.sensor)
+    return level_unit(term.sensor, term.population.median.value) if unit.name == "mg" else unit
+
+
+def _both(say: Callable[[Quantity], str], plain: Quantity, sheet: DatasheetUnit) -> Markup:
+    """Return what is said of a coefficient, which is in SI, in the unit of data sheets and in SI."""
+    return both_units(say(plain.scaled(sheet.factor, sheet.name)), say(plain))
+
+
+def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -> Markup:
+    """Return ``0.31 [0.30, 0.32] deg/√h`` in both units."""
+    plain = Quantity(value=value, low=low, high=high, unit=term.unit)
+    return _both(lambda q: _kept(numbers.with_interval(q)), plain, sheet_unit(term))
+
+
+def loose_value(where: tuple[str, str], value: LogValue) -> Markup:
+    """Return what a log without a unit says of an axis and term, in both units."""
+    axis, term = where
+    sensor = next(s for s in Sensor if axis.startswith(s.short))
+    law = TERMS[symbol_of(term)]
+    return _both(numbers.with_interval, Quantity.of(value, law.unit(sensor)), law.datasheet_unit(sensor))
+
+
+def median_text(term: FleetTerm) -> Markup:
+    """Return the median unit with its interval."""
+    found = term.population
+    return with_limits(term, found.middle, found.median.low, found.median.high)
+
+
+def alone(term: FleetTerm, value: float) -> Markup:
+    """Return a number with three digits and its unit, in both units: ``0.342 deg/√h``."""
+    keep = Markup('<span class="keep">{}</span>').format
+    plain = Quantity(value=value, low=value, high=value, unit=term.unit)
+    return _both(lambda q: keep(_rounded_up(q)), plain, sheet_unit(term))
+
+
+def between(term: FleetTerm, low: float, high: float) -> Markup:
+    """Return ``0.24 to 0.42 deg/√h`` in both units."""
+
+    def say(q: Quantity) -> Markup:
+        first = _rounded_up(replace(q, value=q.low)).rpartition(" ")[0]
+        return _kept(f"{first} to {_rounded_up(q)}")
+
+    return _both(say, Quantity(value=high, low=low, high=high, unit=term.unit), sheet_unit(term))
+
+
+def _kept(text: str) -> Markup:
+    """Return a text whose last word, a unit, stays in one line: browsers part ``deg/h`` after the stroke."""
+    number, _, unit = text.rpartition(" ")
+    return Markup('{} <span class="keep">{}</span>').format(number, unit)
+
+
+def _rounded_up(one: Quantity) -> str:
+    """Return a bound with three digits and its unit, rounded up so that it stays one."""
+    exponent = numbers.power_of_ten(one)
+    scaled = (one.value or one.high) * 10.0**-exponent
+    return numbers.with_unit(numbers.rounded_up(scaled, 3), exponent, one.unit)
+
+
+def percent(value: float) -> str:
+    """Return a relative standard deviation of two digits, such as ``6.2 %``."""
+    digits = ".2g" if value < 0.995 else ".0f"
+    return f"{100 * value:{digits}}\N{NO-BREAK SPACE}%"
+
+
+def p_text(p: float) -> str:
+    """Return ``p = 0.0046``, or that it is less than what anyone asks for."""
+    return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+
+
+def per(label: str, trends: Iterable[Trend]) -> tuple[str, float]:
+    """Return what changes by a label are said of, such as a year, and what part of the slopes' it is.
+
+    A change of the logarithm is a share of the coefficient while it is small. Where one would come to more
+    than 100 % a year, as it may of logs of one week, all are said of a day.
+    """
+    if label == "temperature_c":
+        return "°C", 1.0
+    shown = [slope for trend in trends for slope in (*trend.means, *trend.slopes) if slope.label == label]
+    fast = any(abs(slope.slope.value) > 1 for slope in shown if slope.odd or not slope.unit)
+    return ("day", 1 / 365.25) if fast else ("year", 1.0)
+
+
+def slope_text(slope: Interval, unit: str, part: float) -> str:
+    """Return ``+0.31 [+0.25, +0.37] % a °C`` of a change of the logarithm; unit, part: see `per`."""
+    value, low, high = (100 * part * x for x in (slope.value, slope.low, slope.high))
+    places = min(max(0, 1 - math.floor(math.log10(max((high - low) / 2, 1e-9)))), 4)
+    # No sign before a zero.
+    texts = [f"{x:+.{places}f}" if round(x, places) else f"{0:.{places}f}" for x in (value, low, high)]
+    unit = f"% a {unit}".replace(" ", "\N{NO-BREAK SPACE}")
+    return f"{texts[0]} [{texts[1]}, {texts[2]}] {unit}".replace("-", "\N{MINUS SIGN}")
+
+
+def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:
+    """Return the axes of each term, by sensor and term."""
+    groups = itertools.groupby(model.terms, lambda term: (str(term.sensor), term.term))
+    return {key: list(terms) for key, terms in groups}
+
+
+def bound_name(term: FleetTerm) -> str:
+    """Return ``95/95``: content over confidence."""
+    return f"{100 * term.population.content:.4g}/{100 * term.population.confidence:.4g}"
+
+
+def price_text(term: FleetTerm) -> str:
+    """Return what the bound costs, and what more units would buy."""
+    if not term.price:
+        return ""
+    return ", ".join(f"{ratio:.2f}\N{NO-BREAK SPACE}× with {units}" for units, ratio in term.price) + " units"
+
+
+def loose_text(fleet: Fleet) -> str:
+    """Return how many logs stand without a unit."""
+    number = len(fleet.loose)
+    return f"{number} log has no unit's label" if number == 1 else f"{number} logs have no unit's label"
+
+
+def verdict(fleet: Fleet) -> tuple[str, str]:
+    """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
+    said, chance = _strange(fleet)
+    if failed := sum(bool(log.left_out) for log in fleet.logs):
+        said.append(f"{failed} of {len(fleet.logs)} logs do{'es' * (failed == 1)} not count")
+    if fleet.loose:
+        said.append(loose_text(fleet))
+    if few := [model.title for model in fleet.models if len(model.units) < 3]:
+        said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")
+    grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
+    if chance:
+        text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
+    # A model's name stays as it is.
+    named = any(text.startswith((f"{model.title}:", f"{model.title},")) for model in fleet.models)
+    return grade, f"{text if named else text[0].upper() + text[1:]}."
+
+
+def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
+    """Return which units of each model are odd or move otherwise, and which may be odd by chance."""
+    several, sure = len(fleet.models) > 1, beyond_chance(fleet)
+    said, chance = list[str](), list[str]()
+    for model in fleet.models:
+        title = f"{model.title}: " if several else ""
+        odd = [(unit.unit, term) for term in model.terms for unit in term.odd]
+        if surely := [(unit, term) for unit, term in odd if (id(term), unit) in sure]:
+            said.append(f"{title}odd unit{'s' * (len(dict(surely)) > 1)} {_listed(surely)}")
+        if perhaps := _listed((unit, term) for unit, term in odd if (id(term), unit) not in sure):
+            chance.append(f"{title}{perhaps}")
+        if moving := _listed((unit, term) for term in model.terms for unit in term.drifting):
+            said.append(f"{title}drifts with time or temperature unlike the others: {moving}")
+    return said, chance
+
+
+def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
+    """Return the terms, by identity, and units that are odd among all units of all terms together.
+
+    Each term has its false alarms, of which a fleet with many terms has some.
+    """
+    every = ((id(t), unit) for m in fleet.models for t in m.terms for unit in t.population.units)
+    tested = {(term, unit.unit): unit.p_value for term, unit in every if unit.p_value is not None}
+    chances = zip(tested, adjusted([*tested.values()]), strict=True)
+    return {place for place, p in chances if p <= FALSE_SHARE}
+
+
+def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
+    """Return ``u07 (gyro_z N); u11 (gyro_x B, gyro_x K)``."""
+    terms: dict[str, list[str]] = {}
+    for unit, term in places:
+        terms.setdefault(unit, []).append(f"{term.name} {term.term}")
+    return "; ".join(f"{unit} ({', '.join(where)})" for unit, where in terms.items())
+
+
 def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
     """Return the page, with the pictures that are drawn; the same fleet always gives the same text."""
-    name = fleet.folder.resolve().name
-    grade, sentence = verdict.verdict(fleet)
+    # What temperature and time do to each term; where labels do not tell, why not.
+    moving, refused = [], dict[str, list[str]]()
+    for model in fleet.models:
+        for term in model.terms:
+            where = f"{f'{model.title} ' * (len(fleet.models) > 1)}{term.name} {term.term}"
+            if term.trend:
+                moving.append((where, term.trend))
+            else:
+                refused.setdefault(term.no_trend, []).append(where)
+    loose = fleet.loose[:_MOST_LOOSE]
     return _filled(
         "fleet.html",
-        title=f"{name} – fleet of IMUs",
-        heading="Fleet" if name == "fleet" else f"Fleet {name}",
-        grade=grade,
-        sentence=sentence,
-        lead=_lead(fleet),
-        sections=list(_sections(fleet, pictures or {})),
-        version=fleet.version,
+        fleet=fleet,
+        models=fleet.models,
+        pictures={
+            section: [(shows, base64.b64encode(svg).decode("ascii")) for shows, svg in own]
+            for section, own in (pictures or {}).items()
+        },
+        moving=moving,
+        units={label: per(label, [trend for _, trend in moving]) for label in NEAREST},
+        refused=refused,
+        logs=loose,
+        columns=list(dict.fromkeys(where for one in loose for where in one.values)),
+        command=shlex.join(["imucal", "fleet", "run", "-o", str(fleet.folder), "--labels", fleet.labels]),
     )
 
 
+#: What templates call.
+_WORDS: tuple[Callable[..., object], ...] = (
+    *(with_limits, loose_value, median_text, alone, between, percent, p_text, per, slope_text, by_term),
+    *(bound_name, price_text, loose_text, verdict, numbers.term_name),
+)
+
+
 def _filled(template: str, **values: object) -> Markup:
-    texts = {name: getattr(verdict, name) for name in _TEXTS}
+    """Return a template, which may call the functions that word numbers."""
+    texts = {function.__name__: function for function in _WORDS}
     return render(template, package="imucal.fleet_report", **texts, **values)
 
 
-def _lead(fleet: Fleet) -> str:
-    parts = [
-        f"{f'{model.name}: ' * bool(model.name)}{len(model.units)} unit{'s' * (len(model.units) != 1)}, "
-        f"{sum(not log.left_out for log in model.logs)} logs that count, {model.rate_hz:.6g} Hz"
+def text_of(fleet: Fleet) -> str:
+    """Return what a fleet holds, in at most twelve lines."""
+    lines = [f"Fleet of {len(fleet.logs)} logs in {fleet.folder}: {verdict(fleet)[1]}"]
+    for model in fleet.models[:_MOST_MODELS]:
+        many = f"{len(model.units)} units, {len(model.logs)} logs, {len(model.terms)} terms"
+        lines.append(f"{model.title}: {many}")
+    more = len(fleet.models) - _MOST_MODELS
+    return "\n".join([*lines, *([f"and {more} more sensor models"] if more > 0 else [])])
+
+
+def html_of(fleet: Fleet) -> Markup:
+    """Return the page's table of the number for the config of each term and axis."""
+    table = _filled("config.html", models=fleet.models)
+    return render("notebook.html", table=table, caption=verdict(fleet)[1])
+
+
+def frame_of(fleet: Fleet) -> "pl.DataFrame":
+    """Return a row for each term and axis of each sensor model: median and bound in SI, or null."""
+    import polars as pl
+
+    rows = [
+        {
+            "model": model.name,
+            "axis": term.name,
+            "term": term.term,
+            "units": len(term.population.units),
+            "logs": term.population.logs,
+            "median": term.population.middle,
+            "tolerance": term.population.tolerance,
+            "unit": term.unit,
+        }
         for model in fleet.models
-    ]
-    waiting = fleet.asked - len(fleet.logs)
-    if waiting > 0:
-        parts.append(f"{waiting} of {fleet.asked} logs are not done yet")
-    return " · ".join(parts) or f"{len(fleet.logs)} logs"
-
-
-def _sections(fleet: Fleet, pictures: Pictures) -> Iterator[tuple[str, str, Markup]]:
-    """Yield anchor, title and body of each section."""
-    models = fleet.models
-
-    def drawn(section: str) -> Markup:
-        own = pictures.get(section, ())
-        encoded = [(shows, base64.b64encode(svg).decode("ascii")) for shows, svg in own]
-        return _filled("pictures.html", section=section, pictures=encoded)
-
-    if models:
-        yield "config", "The number for the config", config_section(models)
-    for i, model in enumerate(models):
-        title = f"Units of {model.name}" if model.name else "Units"
-        yield f"units-{i}", title, drawn(f"units-{i}") + _filled("units.html", model=model)
-    if len(models) > 1:
-        yield "models", "Models side by side", drawn("models")
-    if models:
-        yield "heat", "Units and terms", drawn("heat")
-        yield "trend", "Temperature and time", drawn("trend") + _slopes(models)
-        tested = [model for model in models if any(term.unit_logs for term in model.terms)]
-        if tested:
-            yield "logs", "Several logs of one unit", _filled("unit_logs.html", models=tested)
-        yield "numbers", "All numbers", _filled("numbers.html", models=models)
-    if fleet.loose:
-        command = ["imucal", "fleet", "run", "-o", str(fleet.folder), "--labels", fleet.labels]
-        logs = fleet.loose[:_MOST_LOOSE]
-        columns = list(dict.fromkeys(where for one in logs for where in one.values))
-        body = _filled("loose.html", fleet=fleet, logs=logs, columns=columns, command=shlex.join(command))
-        yield "loose", "Logs without a unit", body
-    yield "failed", "Logs that do not count", _filled("failed.html", failures=fleet.failures)
-    if fleet.findings:
-        yield "findings", "Findings", _filled("remarks.html", findings=fleet.findings)
-    yield "words", "What the words mean", _filled("words.html")
-
-
-def config_section(models: Sequence[SensorModel]) -> Markup:
-    """Return the number for the config of each term and axis of sensor models, with median and spreads."""
-    few = [model.title for model in models if len(model.units) < 3]
-    with_axes = [(model, sorted({term.axis for term in model.terms})) for model in models]
-    return _filled("config.html", models=with_axes, few=few)
-
-
-def _slopes(models: Sequence[SensorModel]) -> Markup:
-    """Return what temperature and time do to each term; where labels do not tell, why not."""
-    every = [
-        (f"{f'{model.title} ' * (len(models) > 1)}{term.name} {term.term}", term)
-        for model in models
         for term in model.terms
     ]
-    refused: dict[str, list[str]] = {}
-    for where, term in every:
-        if term.trend is None:
-            refused.setdefault(term.no_trend, []).append(where)
-    moving = [(where, term.trend) for where, term in every if term.trend]
-    units = {label: verdict.per(label, [trend for _, trend in moving]) for label in NEAREST}
-    return _filled("slopes.html", moving=moving, units=units, refused=refused)
+    return pl.DataFrame(rows, schema_overrides={"median": pl.Float64, "tolerance": pl.Float64})

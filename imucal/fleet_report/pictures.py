@@ -7,23 +7,20 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from imucal.fleet.population import UnitValue
-from imucal.fleet.trend import NEAREST, Trend
+from imucal.fleet.population import Population, UnitValue
+from imucal.fleet.trend import NEAREST, Slope
+from imucal.fleet_report.pages import bound_name, by_term, per, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
-from imucal.fleet_report.verdict import bound_name, by_term, deviation, per, sheet_unit
 from imucal.recording import Sensor
 from imucal.report.figure import (
     DATA,
     FADED,
-    FRAME,
     GRID,
     INK,
     LABEL_SIZE,
@@ -31,11 +28,13 @@ from imucal.report.figure import (
     MODEL,
     SMALL_SIZE,
     TITLE_SIZE,
+    Style,
     new_figure,
+    quiet_frame,
     tick_label,
     tick_places,
 )
-from imucal.units import pretty
+from imucal.units import DatasheetUnit, pretty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,8 +45,11 @@ _DPI = 110
 _BOUND = "#8a5200"
 #: Units whose names are written beside their rows; inches of a row, and most of a panel.
 _NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
-_SMALL: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": INK}
-_LABEL: dict[str, Any] = {"fontsize": LABEL_SIZE, "color": INK}
+_SMALL: Style = {"fontsize": SMALL_SIZE, "color": INK}
+_LABEL: Style = {"fontsize": LABEL_SIZE, "color": INK}
+_NEAR: Style = {"fontsize": SMALL_SIZE, "textcoords": "offset points"}
+#: Width of a band of 95 %, in standard deviations.
+_BAND_SDS = 2 * 1.96
 #: A whisker or bound reaches no farther below the lowest value than this factor.
 _BELOW = 3.0
 #: Fonts with the signs of many languages, as systems have them; the last one has a box for any other.
@@ -58,14 +60,13 @@ _FONTS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
-    """A picture of a fleet: its name, what draws it, its section of the page, and what it shows there."""
+class Picture(NamedTuple):
+    """A picture of a fleet: its name, its section of the page, what it shows there, and what draws it."""
 
     name: str
-    draw: Callable[[], "Figure"]
     section: str
     shows: str
+    draw: Callable[[], "Figure"]
 
 
 def fleet_pictures(fleet: Fleet) -> Iterator[Picture]:
@@ -74,29 +75,34 @@ def fleet_pictures(fleet: Fleet) -> Iterator[Picture]:
     for number, model in enumerate(fleet.models):
         name = re.sub(r"[^\w.-]|_", "-", model.name).strip(".") or "model"
         end = f"-{name}" if several else ""
-        for sensor in Sensor:
-            if any(term.sensor is sensor for term in model.terms):
-                yield Picture(
-                    name=f"units-{sensor.short}{end}",
-                    draw=partial(units_figure, model, sensor),
-                    section=f"units-{number}",
-                    shows=f"{model.title}, {sensor}: units sorted, each with its 95 % interval",
-                )
+        for sensor in dict.fromkeys(term.sensor for term in model.terms):
+            shows = f"{model.title}, {sensor}: units sorted, each with its 95 % interval"
+            draw = partial(units_figure, model, sensor)
+            yield Picture(f"units-{sensor.short}{end}", f"units-{number}", shows, draw)
         shows = f"{model.title}: how far each unit lies off the median in each term"
-        yield Picture(name=f"heat{end}", draw=partial(heat_figure, model), section="heat", shows=shows)
+        yield Picture(f"heat{end}", "heat", shows, partial(heat_figure, model))
         if any(term.trend for term in model.terms):
             shows = f"{model.title}: change of each term with temperature and time"
-            yield Picture(name=f"drift{end}", draw=partial(drift_figure, model), section="trend", shows=shows)
+            yield Picture(f"drift{end}", "trend", shows, partial(drift_figure, model))
     if several:
         shows = "Each term of each axis: a row a model, a dot a unit"
-        draw = partial(models_figure, fleet.models)
-        yield Picture(name="models", draw=draw, section="models", shows=shows)
+        yield Picture("models", "models", shows, partial(models_figure, fleet.models))
 
 
 def drawn_as(draw: Callable[[], "Figure"], forms: Sequence[str]) -> dict[str, bytes]:
-    """Return a picture in some formats; the same picture always gives the same bytes."""
-    files = {}
-    with _every_font():
+    """Return a picture in some formats; the same picture always gives the same bytes.
+
+    Signs that the usual font lacks are of others of this machine; a page's browser has its own.
+    """
+    from matplotlib import rc_context, rcParams
+    from matplotlib.font_manager import fontManager
+
+    installed, files = {font.name for font in fontManager.ttflist}, {}
+    families = [*rcParams["font.family"], *(name for name in _FONTS if name in installed)]
+    settings: Any = {"font.family": families, "svg.fonttype": "none", "svg.hashsalt": "imucal"}
+    with rc_context(settings), warnings.catch_warnings():
+        # A box says it as well.
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
         figure = draw()
         for form in forms:
             stream = io.BytesIO()
@@ -104,21 +110,6 @@ def drawn_as(draw: Callable[[], "Figure"], forms: Sequence[str]) -> dict[str, by
             figure.savefig(stream, format=form, metadata=said)
             files[form] = stream.getvalue()
     return files
-
-
-@contextmanager
-def _every_font() -> Iterator[None]:
-    """Take signs that the usual font lacks from others of this machine; a page's browser has its own."""
-    from matplotlib import rc_context, rcParams
-    from matplotlib.font_manager import fontManager
-
-    installed = {font.name for font in fontManager.ttflist}
-    families = [*rcParams["font.family"], *(name for name in _FONTS if name in installed)]
-    settings: Any = {"font.family": families, "svg.fonttype": "none", "svg.hashsalt": "imucal"}
-    with rc_context(settings), warnings.catch_warnings():
-        # A box says it as well.
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        yield
 
 
 def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
@@ -133,8 +124,7 @@ def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
             _draw_units(place, term)
         for place in row[len(terms) :]:
             place.set_visible(False)
-    title = f"{model.title}, {sensor}: {len(model.units)} units"
-    figure.suptitle(title, fontsize=TITLE_SIZE, color=INK)
+    figure.suptitle(f"{model.title}, {sensor}: {len(model.units)} units", fontsize=TITLE_SIZE, color=INK)
     _key(figure, columns)
     figure.tight_layout(rect=(0, 0.3 * (1 + (columns == 1)) / figure.get_figheight(), 1, 0.99))
     return figure
@@ -172,56 +162,39 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
     units = sorted_units(term)[::-1]
     factor = unit.factor
     low, high = (limit * factor for limit in span(term))
-    _draw_marks(axes, units, factor, range(len(units)), size=4.5, least=low)
+    _draw_marks(axes, enumerate(units), factor, low)
     if found.prediction:
         band = [max(limit * factor, low) for limit in found.prediction]
         axes.axvspan(*band, color=MODEL.light, alpha=0.13, linewidth=0)
-    if not found.bounded:
-        axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
+    if found.middle:
+        axes.axvline(found.middle * factor, color=MODEL.light, linewidth=1.4)
     if found.tolerance:
         axes.axvline(found.tolerance * factor, color=_BOUND, linewidth=1.5, linestyle="--")
-        axes.annotate(
-            bound_name(term),
-            (found.tolerance * factor, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 2),
-            textcoords="offset points",
-            ha="center",
-            color=_BOUND,
-            fontsize=SMALL_SIZE,
-        )
-    named = [(i, one.unit) for i, one in enumerate(units) if len(units) <= _NAMED or one.odd]
-    axes.set_yticks([i for i, _ in named], [name for _, name in named], fontsize=SMALL_SIZE - 1, color=INK)
-    _style(axes, f"{term.term} in {pretty(unit.name)}", f"{term.name} {term.term}")
-    _log_ticks(axes, low, high)
+        at, units_of = (found.tolerance * factor, 1.0), ("data", "axes fraction")
+        axes.annotate(bound_name(term), at, (0, 2), units_of, ha="center", color=_BOUND, **_NEAR)
+    named = {i: one.unit for i, one in enumerate(units) if len(units) <= _NAMED or one.odd}
+    axes.set_yticks([*named], [*named.values()], fontsize=SMALL_SIZE - 1, color=INK)
+    _log_axis(axes, term, unit, low, high)
     axes.set_ylim(-0.8, len(units) - 0.2)
-
-
-def same_terms(models: Sequence[SensorModel]) -> dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]]:
-    """Return the models that have a term, with theirs, by axis and term."""
-    groups: dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]] = {}
-    for model in models:
-        for term in model.terms:
-            groups.setdefault((term.name, term.term), []).append((model, term))
-    return groups
 
 
 def models_figure(models: Sequence[SensorModel]) -> "Figure":
     """Return each term of each axis: a row a model, a dot a unit, the median and the next unit's band."""
-    groups = same_terms(models)
+    groups: dict[tuple[str, str], list[tuple[str, FleetTerm]]] = {}
+    for model in models:
+        for term in model.terms:
+            groups.setdefault((term.name, term.term), []).append((model.title, term))
     rows = math.ceil(len(groups) / 3)
     figure = new_figure(12, (0.42 * len(models) + 0.95) * rows + 0.7, _DPI)
     axes = figure.subplots(rows, 3, squeeze=False).ravel()
-    for place, ((name, key), own) in zip(axes, groups.items(), strict=False):
+    for place, own in zip(axes, groups.values(), strict=False):
         unit = sheet_unit(own[0][1])
-        spans = [span(term) for _, term in own]
-        lowest = min(s[0] for s in spans)
+        lows, highs = zip(*(span(term) for _, term in own), strict=True)
         for i, (_, term) in enumerate(own):
             # In one unit, whatever is usual for so small a value.
-            _draw_strip(place, term, i, factor=unit.factor, lowest=lowest)
-        place.set_yticks(range(len(own)), [model.title for model, _ in own], **_SMALL)
-        _style(place, f"{key} in {pretty(unit.name)}", f"{name} {key}")
-        _log_ticks(place, lowest * unit.factor, max(s[1] for s in spans) * unit.factor)
+            _draw_strip(place, term.population, i, unit.factor, min(lows))
+        place.set_yticks(range(len(own)), [title for title, _ in own], **_SMALL)
+        _log_axis(place, own[0][1], unit, min(lows) * unit.factor, max(highs) * unit.factor)
         place.set_ylim(len(own) - 0.4, -0.6)
     for place in axes[len(groups) :]:
         place.set_visible(False)
@@ -230,47 +203,39 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
     return figure
 
 
-def _draw_strip(axes: "Axes", term: FleetTerm, row: int, *, factor: float, lowest: float) -> None:
+def _draw_strip(axes: "Axes", found: Population, row: int, factor: float, lowest: float) -> None:
     """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
-    found = term.population
     if found.prediction:
         low, high = (max(limit, lowest) * factor for limit in found.prediction)
         axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
-    if not found.bounded:
-        middle = found.median.value * factor
-        axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
+    if found.middle:
+        axes.plot([found.middle * factor] * 2, [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
     # Three lanes keep units of one value apart.
-    lanes = [row + 0.18 * (j % 3 - 1) for j in range(len(found.units))]
-    _draw_marks(axes, found.units, factor, lanes, size=3.5)
+    lanes = [(row + 0.18 * (j % 3 - 1), unit) for j, unit in enumerate(found.units)]
+    _draw_marks(axes, lanes, factor)
 
 
 def _draw_marks(
-    axes: "Axes",
-    units: Sequence[UnitValue],
-    factor: float,
-    heights: Sequence[float],
-    *,
-    size: float,
-    least: float | None = None,
+    axes: "Axes", rows: Iterable[tuple[float, UnitValue]], factor: float, least: float = 0.0
 ) -> None:
     """Draw a dot for each unit; a diamond for an odd one, an open triangle for a bound.
 
-    With intervals, those of bounds from `least` on.
+    With intervals, those of bounds from `least` on, where that is given.
     """
-    kinds: dict[tuple[bool, bool], list[tuple[UnitValue, float]]] = {}
-    for unit, y in zip(units, heights, strict=True):
-        kinds.setdefault((unit.value is None, unit.odd), []).append((unit, y))
+    kinds: dict[tuple[bool, bool], list[tuple[float, UnitValue]]] = {}
+    for row in rows:
+        kinds.setdefault((row[1].value is None, row[1].odd), []).append(row)
     for (bounded, odd), own in kinds.items():
-        colour, rows = LEFT_OUT if odd else DATA.light, [y for _, y in own]
-        if least is not None:
-            starts = [least if bounded else unit.low * factor for unit, _ in own]
-            ends = [unit.high * factor for unit, _ in own]
-            axes.hlines(rows, starts, ends, colors=colour, linewidth=1, linestyles=":" if bounded else "-")
+        colour, (heights, units) = LEFT_OUT if odd else DATA.light, zip(*own, strict=True)
+        if least:
+            starts = [least if bounded else unit.low * factor for unit in units]
+            ends = [unit.high * factor for unit in units]
+            axes.hlines(heights, starts, ends, colors=colour, linewidth=1, linestyles=":" if bounded else "-")
         axes.plot(
-            [(unit.value or unit.high) * factor for unit, _ in own],
-            rows,
+            [(unit.value or unit.high) * factor for unit in units],
+            heights,
             marker="<" if bounded else "D" if odd else "o",
-            markersize=size,
+            markersize=4.5 if least else 3.5,
             color=colour,
             markerfacecolor="white" if bounded else colour,
             linestyle="",
@@ -278,7 +243,10 @@ def _draw_marks(
 
 
 def heat_figure(model: SensorModel) -> "Figure":
-    """Return units × terms: how far off the median each unit lies, in standard deviations of the next."""
+    """Return units × terms: how far off the median each unit lies, in standard deviations of the next.
+
+    Both in the logarithm; nothing where one of them is not known, or only bounded.
+    """
     from matplotlib.patches import Rectangle
 
     names, terms = list(model.units), model.terms
@@ -287,10 +255,11 @@ def heat_figure(model: SensorModel) -> "Figure":
     axes = figure.subplots()
     values = np.full((len(names), len(terms)), np.nan)
     for j, term in enumerate(terms):
-        for unit in term.population.units:
+        found, band = term.population, term.population.prediction
+        sd = math.log(band[1] / band[0]) / _BAND_SDS if band and not found.bounded else math.nan
+        for unit in found.units:
             i = names.index(unit.unit)
-            off = deviation(term, unit)
-            values[i, j] = math.nan if off is None else off
+            values[i, j] = math.log(unit.value / found.median.value) / sd if unit.value else math.nan
             if unit.odd:
                 mark = _LABEL | {"color": "white" if abs(values[i, j]) > 2 else INK}
                 axes.text(j, i, "!", ha="center", va="center", **mark)
@@ -300,8 +269,8 @@ def heat_figure(model: SensorModel) -> "Figure":
     axes.patch.set(facecolor="white", edgecolor=FADED, hatch="////", linewidth=0)
     axes.set_xticks(range(len(terms)), [f"{term.name} {term.term}" for term in terms], rotation=90, **_SMALL)
     odd = {unit.unit for term in terms for unit in term.odd}
-    named = [(i, name) for i, name in enumerate(names) if len(names) <= _NAMED or name in odd]
-    axes.set_yticks([i for i, _ in named], [name for _, name in named], **_SMALL)
+    named = {i: name for i, name in enumerate(names) if len(names) <= _NAMED or name in odd}
+    axes.set_yticks([*named], [*named.values()], **_SMALL)
     bar = figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02)
     bar.set_label("standard deviations of the next unit", **_SMALL)
     bar.ax.tick_params(labelsize=SMALL_SIZE, colors=INK)
@@ -320,8 +289,9 @@ def drift_figure(model: SensorModel) -> "Figure":
     places = figure.subplots(1, len(labels), sharey=True, squeeze=False)[0]
     for axes, label in zip(places, labels, strict=True):
         name, part = per(label, trends)
-        for i, trend in enumerate(trends):
-            _draw_slopes(axes, trend, label, row=i, size=100 * part)
+        for row, trend in enumerate(trends):
+            for slope in (slope for slope in (*trend.means, *trend.slopes) if slope.label == label):
+                _draw_slope(axes, slope, row, 100 * part)
         axes.axvline(0, color=FADED, linewidth=1)
         _style(axes, f"% a {name}", "")
         axes.set_yticks(range(len(trends)), list(moving), fontsize=SMALL_SIZE)
@@ -331,41 +301,34 @@ def drift_figure(model: SensorModel) -> "Figure":
     return figure
 
 
-def _draw_slopes(axes: "Axes", trend: Trend, label: str, *, row: int, size: float) -> None:
-    """Draw a term's change by one label with its interval, and the units that move otherwise.
-
-    `size` is that of a slope of 1 in the picture.
-    """
-    for mean in (mean.slope for mean in trend.means if mean.label == label):
-        axes.plot([size * mean.low, size * mean.high], [row, row], color=DATA.light, linewidth=1.2)
-        axes.plot(size * mean.value, row, marker="o", markersize=5, color=MODEL.light)
-    for slope in trend.slopes:
-        if slope.odd and slope.label == label:
-            at = size * slope.slope.value, row
-            axes.plot(*at, marker="D", markersize=5, color=LEFT_OUT)
-            near: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}
-            axes.annotate(slope.unit, at, fontsize=SMALL_SIZE, color=LEFT_OUT, **near)
+def _draw_slope(axes: "Axes", slope: Slope, row: int, size: float) -> None:
+    """Draw a mean with its interval, or a unit that moves otherwise; a slope of 1 has a `size`."""
+    at = size * slope.slope.value, row
+    if not slope.unit:
+        ends = [size * slope.slope.low, size * slope.slope.high]
+        axes.plot(ends, [row, row], color=DATA.light, linewidth=1.2)
+        axes.plot(*at, marker="o", markersize=5, color=MODEL.light)
+    elif slope.odd:
+        axes.plot(*at, marker="D", markersize=5, color=LEFT_OUT)
+        axes.annotate(slope.unit, at, (5, 3), color=LEFT_OUT, **_NEAR)
 
 
 def _style(axes: "Axes", x: str, title: str) -> None:
     axes.set_xlabel(x, **_LABEL)
     axes.set_title(title, fontsize=LABEL_SIZE + 1, color=INK, loc="left", pad=12)
     axes.grid(visible=True, axis="x", color=GRID, linewidth=0.8)
-    axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
-    for side in ("top", "right", "left"):
-        axes.spines[side].set_visible(False)
-    axes.spines["bottom"].set_color(FRAME)
+    quiet_frame(axes)
+    axes.spines["left"].set_visible(False)
 
 
-def _log_ticks(axes: "Axes", low: float, high: float) -> None:
+def _log_axis(axes: "Axes", term: FleetTerm, unit: DatasheetUnit, low: float, high: float) -> None:
+    places, labels, power = labelled_ticks(low, high)
+    _style(axes, f"{term.term} in {power}{pretty(unit.name)}", f"{term.name} {term.term}")
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    places, labels, power = labelled_ticks(low, high)
     axes.set_xticks(places, labels)
     axes.set_xticks([], minor=True)
-    if power:
-        axes.set_xlabel(axes.get_xlabel().replace(" in ", f" in {power}", 1))
 
 
 def sorted_units(term: FleetTerm) -> list[UnitValue]:

@@ -2,32 +2,23 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, ClassVar
-
-import numpy as np
 
 from imucal._version import __version__
 from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
+from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
 from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import adjust
 from imucal.fleet.values import LogValue
-from imucal.fleet_report.answers import (
-    Answers,
-    Ask,
-    LogRows,
-    TermAnswer,
-    TermKey,
-    TermQuestion,
-    UnitLogs,
-    symbol_of,
-    unit_tests,
-)
+from imucal.fleet_report import answers
+from imucal.fleet_report.answers import Ask, LogRows, TermAnswer, TermKey, UnitLogs
+from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
 
@@ -35,7 +26,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FleetLog:
     """One log of a fleet; of its labels `model` is empty and `unit` None where there is none.
 
@@ -65,7 +56,7 @@ class FleetLog:
         return self.unit is not None and not self.left_out
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FleetTerm(TermAnswer):
     """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`.
 
@@ -110,7 +101,7 @@ class FleetTerm(TermAnswer):
         return tuple(unit.unit for unit in self.unit_logs if unit.differs)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SensorModel:
     """The units of one sensor model; `name` is empty where no label says which.
 
@@ -133,11 +124,10 @@ class SensorModel:
         for term in self.terms:
             if (term.name, term.term) == key:
                 return term
-        msg = f"{key}; {self.title} has {', '.join(f'{t.name} {t.term}' for t in self.terms)}"
-        raise KeyError(msg)
+        raise KeyError(f"{key}; {self.title} has {', '.join(f'{t.name} {t.term}' for t in self.terms)}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LooseLog:
     """A log without a unit's label: its own values, by axis and term."""
 
@@ -154,7 +144,7 @@ class Fleet(Displayed):
     for them. `findings` should be known of all of it; `version` is imucal's.
     """
 
-    drawn_by: ClassVar[str] = "imucal.fleet_report.notebook"
+    drawn_by: ClassVar[str] = "imucal.fleet_report.pages"
 
     folder: Path
     models: tuple[SensorModel, ...]
@@ -181,16 +171,10 @@ class Fleet(Displayed):
     def model(self, name: str | None = None) -> SensorModel:
         """Return a sensor model by its name; without one the only model.
 
-        Raises
-        ------
-        ChoiceError
-            If there is no such model, or several and no name.
+        A ChoiceError says that there is no such model, or several and no name.
         """
         chosen = choose_model(self.folder, [model.name for model in self.models], name)
         return next(model for model in self.models if model.name == chosen)
-
-
-Row = Mapping[str, Any]
 
 
 def load_fleet(
@@ -238,10 +222,7 @@ def load_fleet(
 def load_model(folder: str | Path, model: str | None = None) -> Fleet:
     """Return a fleet with one sensor model alone, without tests of its units' logs, as `load_fleet` does.
 
-    Raises
-    ------
-    ChoiceError
-        If there is no such model, or several and no name; before anything is worked out.
+    A ChoiceError, as of `Fleet.model`, comes before anything is worked out.
     """
     return _loaded(FleetStore(folder), lambda names: [choose_model(folder, names, model)], unit_logs=False)
 
@@ -256,26 +237,27 @@ def _loaded(
     ask: Ask | None = None,
 ) -> Fleet:
     """Return a fleet with those of its sensor models that are chosen by their names."""
-    manifest = store.manifest()
-    store.refuse_damage()
     # A copy of another log is counted with it.
-    asked = manifest["copy_of"].null_count()
-    table = store.logs()
+    asked = store.manifest()["copy_of"].null_count()
+    store.refuse_damage()
+    table, ask = store.logs(), ask or answers.here
     logs = {row["key"]: _log(row) for row in table.iter_rows(named=True)}
     if not logs:
         msg = f"{store.folder}: found {asked} logs and none done, expected some; run the fleet first"
         raise DataError(msg)
-    names = choose(sorted({log.model for log in logs.values() if log.counts}))
     units = {key: (log.model, log.unit or "") for key, log in logs.items() if log.counts}
+    names = choose(sorted({model for model, _ in units.values()}))
     results = store.results(table)
     groups = _grouped(results, {key: own for key, (own, _) in units.items() if own in names})
-    answers = Answers(store, ask)
-    tests, findings = unit_tests(answers, units, groups) if unit_logs else ({}, ())
-    terms = _terms(answers, groups, tests, (content, confidence))
+    tests, findings = answers.unit_tests(store, ask, units, groups) if unit_logs else ({}, ())
+    rows = list(map(LogRows, groups.values()))
+    asked_of = [answers.TermQuestion(logs=own, content=content, confidence=confidence) for own in rows]
+    found = answers.answers_to(asked_of, TermAnswer, store, ask)
+    terms = list(_judged_together(dict(zip(groups, zip(rows, found, strict=True), strict=True)), tests))
     loose = _loose(results, logs)
     return Fleet(
         folder=store.folder,
-        models=_judged_together([_model(name, logs.values(), terms) for name in names]),
+        models=tuple(_model(name, logs.values(), terms) for name in names),
         logs=tuple(logs.values()),
         asked=asked,
         loose=loose,
@@ -286,20 +268,13 @@ def _loaded(
 
 
 def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) -> str:
-    """Return the sensor model that is asked for, or the only one.
-
-    Raises
-    ------
-    ChoiceError
-        If there is no such model, or several and no name.
-    """
+    """Return the sensor model that is asked for, or the only one; raise ChoiceError where there is none."""
     found = [name for name in names if asked in {None, name}]
     if len(found) == 1:
         return found[0]
     said = ", ".join(map(repr, names)) or "none: no log has a unit's label"
     what = "no model's name" if asked is None else repr(asked)
-    msg = f"{folder}: found {what}, expected one of the sensor models: {said}"
-    raise ChoiceError(msg)
+    raise ChoiceError(f"{folder}: found {what}, expected one of the sensor models: {said}")
 
 
 def labels_to_type(paths: Sequence[str]) -> str:
@@ -312,37 +287,34 @@ def labels_to_type(paths: Sequence[str]) -> str:
 
 
 def _model(name: str, every: Iterable[FleetLog], terms: Iterable[tuple[str, FleetTerm]]) -> SensorModel:
-    own = [term for model, term in terms if model == name]
     logs = tuple(log for log in every if log.model == name and log.unit is not None)
     rates = sorted(log.rate_hz for log in logs if log.rate_hz)
-    order = {name: place for place, name in enumerate((*Sensor, *TERMS))}
     return SensorModel(
         name=name,
         units=tuple(sorted({log.unit for log in logs if log.unit and log.counts})),
         logs=logs,
         rate_hz=rates[len(rates) // 2] if rates else math.nan,
-        terms=tuple(sorted(own, key=lambda t: (order[t.sensor], order[t.symbol], t.term, t.axis))),
+        terms=tuple(term for model, term in terms if model == name),
     )
 
 
-def _judged_together(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
-    """Return models judged over all of their terms: what is rare in one of many terms is none of these."""
-    every = [term for model in models for term in model.terms]
-    moved = iter(adjust([term.trend for term in every if term.trend]))
-    tests = [test for term in every for test in term.unit_logs]
-    chances = iter(adjusted(np.array([test.p_value for test in tests])).tolist())
+def _judged_together(
+    found: Mapping[TermKey, tuple[LogRows, TermAnswer]], tests: Mapping[TermKey, Sequence[UnitLogs]]
+) -> Iterator[tuple[str, FleetTerm]]:
+    """Yield the terms, each with the name of its model, and judged over all of them.
 
-    def judged(term: FleetTerm) -> FleetTerm:
-        return replace(
-            term,
-            trend=next(moved) if term.trend else None,
-            unit_logs=tuple(replace(test, differs=next(chances) <= FALSE_SHARE) for test in term.unit_logs),
-        )
+    What is rare in one of many terms is none of these.
+    """
+    moved = iter(adjust([answer.trend for _, answer in found.values() if answer.trend]))
+    chances = iter(adjusted([test.p_value for key in found for test in tests.get(key, ())]))
+    for key, (logs, answer) in found.items():
+        told: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
+        told |= {"trend": next(moved) if answer.trend else None, "axis": key[2], "term": key[3]}
+        own = (replace(test, differs=next(chances) <= FALSE_SHARE) for test in tests.get(key, ()))
+        yield key[0], FleetTerm(sensor=Sensor(key[1]), logs=logs, unit_logs=tuple(own), **told)
 
-    return tuple(replace(model, terms=tuple(map(judged, model.terms))) for model in models)
 
-
-def _log(row: Row) -> FleetLog:
+def _log(row: Mapping[str, Any]) -> FleetLog:
     status, verdict = row["status"], row["verdict"] or ""
     # Reasons are grouped: the path, which they begin with, is none.
     left_out = (row["reason"] or status).removeprefix(f"{row['path']}: ") if status != "ok" else ""
@@ -355,38 +327,19 @@ def _log(row: Row) -> FleetLog:
 
 
 def _grouped(results: "pl.DataFrame", counted: Mapping[str, str]) -> dict[TermKey, "pl.DataFrame"]:
-    """Return the rows of results that count, by model, sensor, axis and term; `counted` is key -> model."""
+    """Return the rows of results that count, in the order of a model's terms; `counted` is key -> model."""
     import polars as pl
 
     models = pl.DataFrame(list(counted.items()), schema={"key": pl.String, "model": pl.String}, orient="row")
     rows = results.drop("model").join(models, on="key", how="inner", maintain_order="left")
     found = rows.partition_by("model", "sensor", "axis", "term", as_dict=True, maintain_order=True)
-    return {(str(key[0]), str(key[1]), str(key[2]), str(key[3])): rows for key, rows in found.items()}
+    order = {str(name): place for place, name in enumerate((*Sensor, *TERMS))}
 
+    def place(key: TermKey) -> tuple[object, ...]:
+        return key[0], order[key[1]], order[symbol_of(key[3])], key[3], key[2]
 
-def _terms(
-    answers: Answers,
-    groups: Mapping[TermKey, "pl.DataFrame"],
-    tests: Mapping[TermKey, Sequence[UnitLogs]],
-    shares: tuple[float, float],
-) -> list[tuple[str, FleetTerm]]:
-    """Return the terms, each with the name of its model; `shares` are content and confidence."""
-    logs = list(map(LogRows, groups.values()))
-    questions = [TermQuestion(logs=own, content=shares[0], confidence=shares[1]) for own in logs]
-    return [
-        (
-            key[0],
-            FleetTerm(
-                sensor=Sensor(key[1]),
-                axis=key[2],  # type: ignore[arg-type]  # "x", "y" or "z", from a table
-                term=key[3],
-                logs=own,
-                unit_logs=tuple(tests.get(key, ())),
-                **{field.name: getattr(answer, field.name) for field in fields(TermAnswer)},
-            ),
-        )
-        for key, own, answer in zip(groups, logs, answers.to(questions, TermAnswer), strict=True)
-    ]
+    keys: Any = found.keys()
+    return {key: found[key] for key in sorted(keys, key=place)}
 
 
 def _loose(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> tuple[LooseLog, ...]:

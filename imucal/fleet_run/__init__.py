@@ -1,6 +1,6 @@
 """fleet_run: the logs of a fleet -> its store; planning, the work on one log, and who hands the work out."""
 
-from imucal.fleet_run.fleet_call import fleet_settings, planned, prepare, run_fleet
-from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogTask
+from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogTask, fleet_settings, planned
+from imucal.fleet_run.running import prepare, run_fleet
 
 __all__ = ["FleetPlan", "FleetSettings", "LogTask", "fleet_settings", "planned", "prepare", "run_fleet"]

@@ -20,20 +20,17 @@ from imucal.errors import ArgumentError, ReadError
 from imucal.readers import FORMATS
 from imucal.readers.compression import crc32
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
-from imucal.remote import RemoteLog, expand, fetched, identify, is_url
+from imucal.remote import RemoteLog, is_url
 from imucal.remote.addresses import has_wildcards, name_of
-from imucal.remote.stores import store_of
+from imucal.remote.copies import fetched
+from imucal.remote.stores import expand, identify, store_of
 
 #: Endings that files have which are no logs: a folder's files of these are not taken unless they are named.
 _VAGUE = (".txt", ".log", ".dat")
 #: What compressed tables and logs end in besides.
 _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
-    ending + packed
-    for form in FORMATS
-    for ending in form.suffixes
-    for packed in _PACKED
-    if ending not in _VAGUE
+    ending + packed for form in FORMATS for ending in {*form.suffixes} - {*_VAGUE} for packed in _PACKED
 )
 #: Bytes at the beginning and at the end of a file that make its edge.
 _EDGE = 1 << 16
@@ -47,12 +44,8 @@ def find_logs(names: Iterable[str]) -> list[str]:
     """Return the logs that some names stand for, each once, in the order of the names.
 
     They are files, folders, URLs, or names with wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of
-    any depth).
-
-    Raises
-    ------
-    ReadError
-        If wildcards match nothing, a folder holds no log, or a name is neither a file nor a log's.
+    any depth). It is a ReadError if wildcards match nothing, a folder holds no log, or a name is neither a
+    file nor a log's.
     """
     return list(dict.fromkeys(log for name in names for log in _logs_of(name)))
 
@@ -63,20 +56,18 @@ def _logs_of(name: str) -> list[str]:
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
-    logs: Iterable[str] = ()
-    found = "no such file or folder; expected logs, or folders with logs in them"
     if os.path.isdir(name):  # noqa: PTH112 - a name stays as it was typed
         found = "no log in this folder; expected files that end in .mcap, .bag, .db3, .csv or others"
-        logs = _walk(name)
+        logs = [*_walk(name)]
     elif os.path.lexists(name) or (not glob.has_magic(name) and name.lower().endswith(_ENDINGS)):
-        logs = (name,)
+        return [name]
     elif glob.has_magic(name):
         found = "no log has such a name; expected files, or folders with logs in them"
-        logs = _matches(name)
-    logs = list(logs)
+        logs = [*_matches(name)]
+    else:
+        found, logs = "no such file or folder; expected logs, or folders with logs in them", []
     if not logs:
-        msg = f"{name}: {found}"
-        raise ReadError(msg)
+        raise ReadError(f"{name}: {found}")
     return logs
 
 
@@ -157,18 +148,14 @@ def stamp_of(log: str | RemoteLog) -> Stamp | None:
 def edge_at(place: str) -> str:
     """Return a checksum of the sizes, beginnings and ends of a log's files, of a remote one by ranges.
 
-    Raises
-    ------
-    OSError, ReadError
-        If they can't be read.
+    It is an OSError or a ReadError if they can't be read.
     """
     machine = hashlib.blake2b(digest_size=16)
     for file in identify(place).files if is_url(place) else _files(Path(place)):
         if isinstance(file, Path):
             size, read = file.stat().st_size, functools.partial(_part, file)
         elif file.size is None or not file.ranges:
-            msg = "its store gives no parts"
-            raise ReadError(msg)
+            raise ReadError("its store gives no parts")
         else:
             size, read = file.size, functools.partial(store_of(place).read, file)
         machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
@@ -185,15 +172,8 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 def content_at(place: str) -> str:
     """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
 
-    A remote one is fetched for it.
+    A remote one is fetched for it. It is an OSError or a ReadError if they can't be read.
 
-    Raises
-    ------
-    OSError, ReadError
-        If they can't be read.
-
-    Notes
-    -----
     It tells logs apart and guards against nobody: a CRC runs at the speed of memory, while a checksum
     against forgers of all bytes took 3 to 5 % of the time of an uncompressed log.
     """
@@ -216,11 +196,9 @@ def _files(path: Path) -> list[Path]:
 
 
 #: Parts of a pattern: plain text, labels, and wildcards as in the names of files.
-_PART = re.compile(
-    r"\{(?P<label>[^{}]*)\}|(?P<any>\*\*/?)|(?P<some>\*)|(?P<one>\?)|(?P<brace>[{}])|(?P<text>[^{}*?]+)"
-)
+_PART = re.compile(r"\{(?P<label>[^{}]*)\}|(?P<wild>\*\*/?|[*?])|(?P<brace>[{}])|(?P<text>[^{}*?]+)")
 _LABEL = re.compile(r"(?!(?:path|options|copy_of)$)[A-Za-z_][A-Za-z0-9_]*")
-_WILD = {"any": ".*", "some": "[^/]*", "one": "[^/]"}
+_WILD = {"**/": ".*", "**": ".*", "*": "[^/]*", "?": "[^/]"}
 _SUCH = "write such as '{model}/{unit}/*.mcap'"
 
 
@@ -228,12 +206,8 @@ _SUCH = "write such as '{model}/{unit}/*.mcap'"
 def label_pattern(pattern: str) -> re.Pattern[str]:
     """Return what finds labels in paths by a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
-    It is held against the end of a path, from any folder on; a label is as short as it can be.
-
-    Raises
-    ------
-    ArgumentError
-        If it has no label, one twice, or a brace alone.
+    It is held against the end of a path, from any folder on; a label is as short as it can be. A pattern
+    without a label, with one twice, or with a brace alone is an ArgumentError.
     """
     parts, slip, body = [*_PART.finditer(pattern)], "", ""
     labels = [part["label"] for part in parts if part["label"] is not None]
@@ -242,7 +216,7 @@ def label_pattern(pattern: str) -> re.Pattern[str]:
         if part["brace"]:
             slip = f"a brace alone; {_SUCH}"
         elif label is None:
-            body += re.escape(part["text"]) if part["text"] else _WILD[part.lastgroup or ""]
+            body += re.escape(part["text"]) if part["text"] else _WILD[part["wild"]]
         elif not _LABEL.fullmatch(label):
             slip = f"{label!r} is no name of a label; write such as {{unit}}"
         elif labels.count(label) > 1:
@@ -250,6 +224,5 @@ def label_pattern(pattern: str) -> re.Pattern[str]:
         else:
             body += f"(?P<{label}>[^/]+?)"
     if slip or not labels:
-        msg = f"labels {pattern!r}: {slip or f'no label; {_SUCH}'}"
-        raise ArgumentError(msg)
+        raise ArgumentError(f"labels {pattern!r}: {slip or f'no label; {_SUCH}'}")
     return re.compile(f"(?:^|.*/){body}$")

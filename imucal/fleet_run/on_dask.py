@@ -12,12 +12,12 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 from urllib.parse import urlsplit
 
 from imucal._version import __version__
 from imucal.errors import EngineError
+from imucal.frozen import frozen
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -42,7 +42,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Lost:
     """Why a batch has no result, in words: its worker ended again and again, or failed."""
 
@@ -88,8 +88,7 @@ class DaskWorkers(Generic[T, R]):
                 self._heard = time.monotonic()
             elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
                 said = "scheduler or workers are gone; what was done is kept; start them, and run again"
-                msg = f"{self._where}: {said}"
-                raise EngineError(msg)
+                raise EngineError(f"{self._where}: {said}")
         return WINDOW * max(self._threads, 1) - len(self.hands)
 
     def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
@@ -139,12 +138,8 @@ def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T
     """Yield the workers of the cluster of a scheduler's address, who do batches.
 
     `work` is what they do with a batch, in a time that it holds itself: a function of a module, which may be
-    a `functools.partial`.
-
-    Raises
-    ------
-    EngineError
-        If dask is missing, or the scheduler or all workers can't be reached or are gone.
+    a `functools.partial`. It is an EngineError if dask is missing, or the scheduler or all workers can't be
+    reached or are gone.
     """
     try:
         import dask
@@ -177,8 +172,7 @@ def check_workers(client: "Client", address: str) -> None:
         found = client.run(_version, on_error="return")
     except (OSError, TimeoutError) as error:
         within = f"no worker within {WORKERS_S:.0f} s ({error})"
-        msg = f"{address}: {within}; start some: dask worker {address}"
-        raise EngineError(msg) from error
+        raise EngineError(f"{address}: {within}; start some: dask worker {address}") from error
     for worker, version in found.items():
         if version != __version__:
             what = f"imucal {version}" if isinstance(version, str) else f"no imucal ({version})"

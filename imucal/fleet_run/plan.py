@@ -1,4 +1,4 @@
-"""The logs that are asked for, less those that the store has: what is to be done of a fleet.
+"""The settings of a run, and the logs that are asked for, less those that the store has: what is to be done.
 
 They are named by hand, or by a manifest: a table of text, one row a log. Equal contents are done once.
 """
@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -18,18 +18,19 @@ from typing import Any, Literal, TypeAlias
 import polars as pl
 
 from imucal._version import __version__
-from imucal.errors import ManifestError, ReadError
+from imucal.errors import ArgumentError, ManifestError, ReadError
 from imucal.fleet.store import LABELS, MANIFEST, FleetStore
-from imucal.fleet_run.logs import Stamp, content_at, edge_at, label_pattern, stamps_of
+from imucal.fleet_run.logs import Stamp, content_at, edge_at, find_logs, label_pattern, stamps_of
+from imucal.frozen import frozen
+from imucal.noise import parse_structure, structure_text
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
+from imucal.resources import memory_there_is, parse_size, threads
 from imucal.units import parse_sample_unit
 
 #: Model and level of a fleet that says nothing else.
 MODEL, LEVEL = "N + B + K", 0.95
-#: Which logs get a report of their own.
-REPORTS = ("none", "failed", "all")
 #: Bytes that the packages take which read and fit a log, and a short log.
 LEAST_MEMORY = 300 << 20
 #: Seconds that a log may take, and more for each megabyte; usual ones take 0.06 s for each.
@@ -46,12 +47,13 @@ _LEAST_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 #: Arguments of `imucal.read` that may be several texts.
 _SEVERAL = ("topic", "fields", "message_definition")
 
-
+#: What is expected of a column, what its text means, and what is true or raises no error where that may be.
+Column: TypeAlias = tuple[str, Callable[[Any], Any], Callable[[Any], object]]
 #: What is to become of a log.
 State: TypeAlias = Literal["run", "again", "done", "copy"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LogTask:
     """A log that is asked for, and what is to become of it.
 
@@ -83,7 +85,7 @@ class LogTask:
         return _SECONDS + self.size / _BYTES_PER_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FleetSettings:
     """How a run does the logs of a fleet: arguments of `imucal.run_fleet`, as they hold for it.
 
@@ -121,7 +123,7 @@ def has_failed(status: object, verdict: object) -> bool:
     return status != "ok" or verdict == "not-noise"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FleetPlan:
     """What is to be done: all `logs` that are asked for, each with its state."""
 
@@ -139,14 +141,10 @@ class FleetPlan:
     def manifest(self) -> pl.DataFrame:
         """Return the rows for the store's manifest."""
         free = sorted({name for log in self.logs for name in log.labels if name not in LABELS})
+        said = (json.dumps(log.reading, sort_keys=True) if log.reading else None for log in self.logs)
         rows = [
-            {
-                **log.labels,
-                "path": log.path,
-                "options": json.dumps(log.reading, sort_keys=True) if log.reading else None,
-                "copy_of": log.copy_of,
-            }
-            for log in self.logs
+            {**log.labels, "path": log.path, "options": options, "copy_of": log.copy_of}
+            for log, options in zip(self.logs, said, strict=True)
         ]
         return pl.DataFrame(rows, schema={**MANIFEST, **dict.fromkeys(free, pl.String())})
 
@@ -154,31 +152,21 @@ class FleetPlan:
 def labels_in(path: str, pattern: str | None) -> dict[str, str | float]:
     """Return the labels of a path; none where it does not fit a pattern, or there is no pattern.
 
-    Raises
-    ------
-    ManifestError
-        If one can't be meant.
+    It is a ManifestError if one can't be meant.
     """
-    labels: dict[str, str | float] = {}
     found = label_pattern(pattern).match(path.replace("\\", "/")) if pattern else None
-    for name, text in found.groupdict().items() if found else ():
-        try:
-            labels[name] = meant(_COLUMNS.get(name, _ANY) if name in LABELS else _ANY, text)
-        except ValueError as error:
-            msg = f"labels: {path}: {name} is {text!r}, expected {error}"
-            raise ManifestError(msg) from error
-    return labels
+    columns = {name: _COLUMNS.get(name, _ANY) for name in LABELS}
+    return {
+        name: meant(columns.get(name, _ANY), text, f"labels: {path}: {name} is", ManifestError)
+        for name, text in (found.groupdict() if found else {}).items()
+    }
 
 
 def read_manifest(file: Path) -> list[LogTask]:
     """Read a manifest: comma-separated, with headings, of which ``path`` is needed.
 
-    A relative path begins at the manifest's folder.
-
-    Raises
-    ------
-    ManifestError
-        If it can't be read, has no column ``path``, a log twice, or a value that can't be meant.
+    A relative path begins at the manifest's folder. It is a ManifestError if it can't be read, has no column
+    ``path``, a log twice, or a value that can't be meant.
     """
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
@@ -198,22 +186,15 @@ def read_manifest(file: Path) -> list[LogTask]:
                 first = logs.setdefault(log.path, log) is log
                 _refuse_unless(first, f"{log.path} stands twice; expected one row a log")
     except ValueError as error:
-        msg = f"{file}:{line}: {error}"
-        raise ManifestError(msg) from error
+        raise ManifestError(f"{file}:{line}: {error}") from error
     return list(logs.values())
 
 
 def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask:
     """Return the log of a row; raise ValueError with what is wrong."""
-    many = f"{len(row)} cells, expected {len(heading)} as in the headings"
-    _refuse_unless(len(row) == len(heading), many)
-    said: dict[str, Any] = {}
-    for name, text in zip(heading, row, strict=True):
-        try:
-            said |= {name: meant(_COLUMNS.get(name, _ANY), text)} if text else {}
-        except ValueError as error:
-            msg = f"column {name!r} is {text!r}, expected {error}"
-            raise ValueError(msg) from error
+    _refuse_unless(len(row) == len(heading), f"{len(row)} cells, expected {len(heading)} as in the headings")
+    cells = ((name, text) for name, text in zip(heading, row, strict=True) if text)
+    said = {name: meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is") for name, text in cells}
     place = said.pop("path", "")
     _refuse_unless(place, "no path; expected that of a log")
     reading = {name: said.pop(name) for name in _COLUMNS if name in said and name not in LABELS}
@@ -225,48 +206,38 @@ def _refuse_unless(right: object, text: str) -> None:
         raise ValueError(text)
 
 
-def meant(column: "Column", said: object) -> Any:  # noqa: ANN401 - what the column holds
-    """Return what a text or another value means; raise ValueError with what is expected of it."""
+def meant(column: Column, said: Any, name: str, error: type[Exception] = ValueError) -> Any:  # noqa: ANN401
+    """Return what a text or another value means; raise an error that names it, and what is expected of it."""
     what, parse, fits = column
     with suppress(ValueError, KeyError, TypeError):
         if fits(value := parse(said)):
             return value
-    raise ValueError(what)
+    raise error(f"{name} {said!r}, expected {what}")
 
 
-def _unit_of(sensor: Sensor, such_as: str) -> "Column":
+def _unit_of(sensor: Sensor, such_as: str) -> Column:
     what = f"a unit of the {sensor}, such as {such_as}"
     return what, str, lambda text: (parse_sample_unit(text) or (None,))[0] is sensor
 
 
-#: What is expected of a column, what its text means, and whether that may be.
-Column: TypeAlias = tuple[str, Callable[[Any], Any], Callable[[Any], bool]]
 _ANY: Column = ("text", str, bool)
-_SEVERAL_TEXTS: Column = ("text", lambda text: [text], bool)
-_POSITIVE: Column = ("a number above 0", float, lambda value: 0 < value < math.inf)
 _YES = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 #: Columns that are labels, and those that are arguments of `imucal.read`.
 _COLUMNS: dict[str, Column] = {
     "temperature_c": ("a number", float, math.isfinite),
-    "started": (
-        "a date such as 2026-01-31 or 2026-01-31T12:00:00Z",
-        str,
-        lambda text: datetime.fromisoformat(text).year > 0,
-    ),
+    "started": ("a date such as 2026-01-31 or 2026-01-31T12:00:00Z", str, datetime.fromisoformat),
+    **dict.fromkeys(("time", "columns"), _ANY),
     "topic": ("text", str.split, bool),
-    "time": _ANY,
+    **dict.fromkeys(("fields", "message_definition"), ("text", lambda text: [text], bool)),
     "time_unit": ("s, ms, us or ns", str, {"s", "ms", "us", "ns"}.__contains__),
-    "rate_hz": _POSITIVE,
     "gyro_unit": _unit_of(Sensor.GYROSCOPE, "deg/s"),
     "accel_unit": _unit_of(Sensor.ACCELEROMETER, "g"),
-    "gyro_scale": _POSITIVE,
-    "accel_scale": _POSITIVE,
-    "columns": _ANY,
-    "fields": _SEVERAL_TEXTS,
-    "message_definition": _SEVERAL_TEXTS,
     "strict": ("true or false", lambda text: _YES[text.lower()], lambda _: True),
     "skip_s": ("a time in s, 0 or more", float, lambda value: 0 <= value < math.inf),
-    "take_s": _POSITIVE,
+    **dict.fromkeys(
+        ("rate_hz", "gyro_scale", "accel_scale", "take_s"),
+        ("a number above 0", float, lambda value: 0 < value < math.inf),
+    ),
 }
 
 
@@ -278,25 +249,122 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
     """
     said: dict[str, Any] = {}
     for name, value in reading.items():
+        plain: Any = str(value) if isinstance(value, Path) else value
         if name in _SEVERAL:
             several = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-            plain: Any = [str(one) for one in several if one]
-        else:
-            plain = str(value) if isinstance(value, Path) else value
+            plain = [str(one) for one in several if one]
         if plain or (plain == 0 and plain is not False and name != "skip_s"):
             said[name] = plain
     return said
 
 
+#: The share of the machine's memory that all workers may take, and what is taken where none is known.
+_SHARE, _UNKNOWN = 0.8, 2 << 30
+#: What is expected of an argument, what it means, and whether that may be.
+_ARGUMENTS: dict[str, Column] = {
+    "model": ("terms, such as N + B + K: auto would choose by the log", str, lambda model: model != "auto"),
+    "level": ("one between 0 and 1, such as 0.95", float, lambda level: 0 < level < 1),
+    "jobs": ("a number from 1", int, lambda jobs: jobs >= 1),
+    "shard": ("(i, n) with i from 1 to n", tuple, lambda part: 1 <= part[0] <= part[1]),
+    "memory": (
+        f"a size such as 500M or 2G, {LEAST_MEMORY >> 20}M or more",
+        lambda size: parse_size(str(size), least=LEAST_MEMORY),
+        bool,
+    ),
+    "timeout_s": ("seconds above 0", float, lambda seconds: 0 < seconds < math.inf),
+    "reading": ("arguments of imucal.read", as_json, lambda _: True),
+    "reports": ("one of none, failed, all", str, ("none", "failed", "all").__contains__),
+}
+#: All that hold for a whole run: these, and three that need no such look.
+ASKED = (*_ARGUMENTS, "labels", "scheduler", "fresh")
+
+
+def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSettings:
+    """Return the settings of a run: arguments of `run_fleet` by their names, and what holds without them.
+
+    Model and level are those of the fleet that is there, or the usual ones; each worker has its share of the
+    memory. A shard does one log at a time. It is an ArgumentError if one can't be meant, or the fleet has
+    another model or level, as it has one for all of its logs; a StoreError if its settings are damaged.
+    """
+    given = {name: _meant(name, value) for name, value in asked.items() if value is not None}
+    if "shard" in given and "scheduler" in given:
+        raise ArgumentError("a shard works without a cluster; expected shard or scheduler, not both")
+    store = FleetStore(Path(folder).absolute())
+    kept = {} if given.get("fresh") else store.settings()
+    for name in kept.keys() & {"model", "level"}:
+        if given.setdefault(name, kept[name]) != kept[name]:
+            said = f"holds fits with {name} {kept[name]}, found {given[name]}"
+            msg = f"{store.folder}: {said}; choose another folder, or do all logs anew, with --fresh"
+            raise ArgumentError(msg)
+    given["jobs"] = 1 if "shard" in given else given.get("jobs") or threads()
+    memory = int((memory_there_is() or _UNKNOWN) * _SHARE) // given["jobs"]
+    return FleetSettings(**{"store": str(store.folder), "folder": str(Path.cwd()), "memory": memory, **given})
+
+
+def _meant(name: str, said: Any) -> Any:  # noqa: ANN401 - of any argument
+    """Return what an argument means."""
+    if name == "labels":
+        label_pattern(said)
+    try:
+        if name == "model" and said != "auto":
+            return structure_text(parse_structure(said))
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+    return meant(_ARGUMENTS[name], said, name, ArgumentError) if name in _ARGUMENTS else said
+
+
+def planned(
+    settings: FleetSettings,
+    names: Collection[str],
+    *,
+    manifest: Path | None = None,
+    dry: bool = False,
+    say: Callable[[str], object] = lambda _: None,
+) -> FleetPlan:
+    """Return what is to be done of the logs that names and a manifest stand for.
+
+    `names` are those of `find_logs`, `manifest` is a table of logs; what it says of one
+    that is named, too, holds. Without both they are the logs that the store's own manifest asks for. Labels
+    in the paths of logs that are named, or in the store, go before others that these have.
+
+    What of the store is damaged is removed; for a `dry` run, which removes nothing, it is a StoreError. `say`
+    is told so, and how many paths do not fit the labels. It is a ReadError if wildcards match nothing, a
+    folder holds no log, or there is no store to ask; a ManifestError if the manifest is wrong, or a label.
+    """
+    store = FleetStore(settings.store)
+    if not settings.fresh:
+        if dry:
+            store.refuse_damage()
+        for part in store.mend():
+            say(f"{part}: is damaged; what it held is done again")
+    asked = {log.path: log for log in (read_manifest(manifest) if manifest else ())}
+    named = (LogTask(place=name) for name in find_logs(names))
+    unlike = 0
+    for log in named if names or manifest else _stored_logs(store.manifest()):
+        own = labels_in(log.path, settings.labels)
+        unlike += not own
+        first = asked.setdefault(log.path, replace(log, labels={**log.labels, **own}))
+        if first.place != log.place != log.path:
+            msg = f"{log.path}: two URLs that differ behind the question mark alone; expected one"
+            raise ManifestError(msg)
+    if settings.labels and unlike:
+        say(f"{unlike} of {len(asked)} logs do not fit {settings.labels}")
+    return plan_fleet(asked.values(), settings)
+
+
+def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
+    """Yield the logs of a store's manifest."""
+    for row in manifest.drop("copy_of").iter_rows(named=True):
+        path, reading = row.pop("path"), json.loads(row.pop("options") or "{}")
+        labels = {name: value for name, value in row.items() if value is not None}
+        yield LogTask(place=path, labels=labels, reading=reading)
+
+
 def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan:
     """Return what is to be done of the logs asked for, each path once; the store need not be there yet.
 
-    Which logs are a shard's does not change with what is done, so that shards may start at any time.
-
-    Raises
-    ------
-    StoreError
-        If the store is damaged.
+    Which logs are a shard's does not change with what is done, so that shards may start at any time. A
+    damaged store is a StoreError.
     """
     known = [] if settings.fresh else FleetStore(settings.store).logs().select(_KNOWN).rows(named=True)
     settled = {log["key"]: log["path"] for log in known if log["content"] and log["status"] in _SETTLED}
@@ -313,13 +381,10 @@ def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan
         # A log whose content is like no other's has a key of its path.
         key = settings.key(contents.get(path, f"path:{path}"), reading)
         other = settled.get(key) or first.setdefault(key, path)
-        size = stamps[path].size if path in stamps else 0
-        state: State = "again" if path in failed else "run"
-        if key in settled:
-            state = "done"
-        elif other != path:
-            state = "copy"
-        copy_of, own = None if other == path else other, (number - part) % parts == 0
+        size, copy_of = stamps[path].size if path in stamps else 0, None if other == path else other
+        to_do: State = "again" if path in failed else "run"
+        state: State = "done" if key in settled else "copy" if copy_of else to_do
+        own = (number - part) % parts == 0
         logs.append(replace(log, reading=reading, size=size, state=state, copy_of=copy_of, own=own))
     return FleetPlan(logs=tuple(logs))
 

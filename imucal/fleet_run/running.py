@@ -1,4 +1,6 @@
-"""A plan -> its logs done and committed, by processes of this machine or the workers of a cluster.
+"""A fleet run: a plan -> its logs done and committed, by processes of this machine or a cluster's workers.
+
+`run_fleet` does what `imucal fleet run` does, without its lines.
 
 Each log is read and characterised in a child process with its time and memory. What hangs, dies or takes too
 much memory is the child: who started it stays, and knows which log it was. On this machine the children are
@@ -9,30 +11,45 @@ one; the logs of a batch that such a worker did not bring back are tried by them
 import math
 import signal
 import time
+import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, cast
 
 from imucal._version import __version__
-from imucal.errors import DataError, ImucalError, WriteError
+from imucal.errors import ArgumentError, DataError, ImucalError, WriteError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
+from imucal.fleet_report import Fleet, load_fleet
 from imucal.fleet_report.answers import Ask, Question, answer_texts
 from imucal.fleet_run.logs import content_at, edge_at, stamp_of
-from imucal.fleet_run.on_dask import Lost, dask_workers
-from imucal.fleet_run.plan import PATIENCE, FleetPlan, FleetSettings, LogTask, batches, has_failed
+from imucal.fleet_run.on_dask import Lost, R, T, dask_workers, unprotected
+from imucal.fleet_run.plan import (
+    ASKED,
+    PATIENCE,
+    FleetPlan,
+    FleetSettings,
+    LogTask,
+    batches,
+    fleet_settings,
+    has_failed,
+    planned,
+)
 from imucal.processes import ChildProcess
 from imucal.readers.remote_logs import LocalLogs, local_logs
 from imucal.recording import Recording
-from imucal.remote import identify, is_url
+from imucal.remote import is_url
+from imucal.remote.stores import identify
 from imucal.resources import MEMORY, POOLS, THREADS
 
 #: Seconds of work that a batch of a cluster has, so that handing it out costs little; and one done here.
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
+#: Seconds between two looks at whether a user interrupts.
+_LOOK_S = 0.1
 #: Questions that are handed out at a time.
 _QUESTIONS = 4
 #: How often a log is tried whose process ends: another one may have ended it.
@@ -44,8 +61,6 @@ _SHARE = 4
 #: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
-T = TypeVar("T")
-R = TypeVar("R")
 #: What is committed of a log: its row in the store's table of logs, and under ``results`` and ``bins`` those
 #: that it has there.
 LogRow: TypeAlias = dict[str, Any]
@@ -66,17 +81,117 @@ class RunCount:
     done_size: int = 0
 
 
+def run_fleet(
+    logs: str | Path | Iterable[str | Path] | None = None,
+    folder: str | Path = "fleet",
+    *,
+    labels: str | None = None,
+    manifest: str | Path | None = None,
+    model: str | None = None,
+    level: float | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] | None = None,
+    memory: int | str | None = None,
+    timeout_s: float | None = None,
+    reports: str = "failed",
+    fresh: bool = False,
+    reading: Mapping[str, object] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fleet:
+    """Fit the same noise model to every one of many logs, and keep the results in a folder.
+
+    It does what ``imucal fleet run`` does, to the same folder with the same results: what is done is kept,
+    the same call again does what is left. The fleet is as
+    `imucal.load_fleet` returns it. Logs that fail are in `Fleet.failures`; they raise nothing.
+
+    Logs are done in processes of their own, which load imucal and not the script that calls: so a script
+    needs no ``if __name__ == "__main__"``, and a notebook may call this.
+
+    Parameters
+    ----------
+    logs
+        Files, folders of any depth, names with wildcards, URLs: one, or several. None, where `manifest` is
+        None too: the logs that the folder's manifest asks for.
+    folder
+        Of the fleet; made where it is missing.
+    labels
+        Where labels stand in the paths, such as ``{model}/{unit}/*.mcap``.
+    manifest
+        A table of logs (CSV) with a column ``path``.
+    model, level
+        Terms, and confidence level of every interval: by default those that the folder has, else
+        ``N + B + K`` and 0.95.
+    jobs
+        How many logs are done at a time, each in a process of its own; by default one a processor.
+    scheduler
+        Address of a Dask scheduler, whose workers are taken instead; a warning says where others may
+        reach it.
+    shard
+        ``(i, n)``: do part i of n, from 1, log by log; ``(1, 1)`` is all of it.
+    memory
+        Bytes that a log may take, or a text such as ``2GB``; by default 80 % of the machine's, shared by
+        the workers.
+    timeout_s
+        Seconds that a log may take; by default 300 and 3 for each MB.
+    reports
+        Which logs get a report of their own: ``none``, ``failed`` or ``all``.
+    fresh
+        Forget what the folder has.
+    reading
+        Arguments of `imucal.read`, and ``skip_s`` and ``take_s``, for every log.
+    progress
+        Called with the number of logs done, and of all to do.
+
+    Raises
+    ------
+    ValueError
+        If an argument can't be meant, or the folder holds fits of another model or level.
+    ReadError
+        If no log has such a name.
+    ManifestError
+        If the manifest, or a label in a path, is wrong.
+    StoreError, WriteError
+        If what the folder has to be done, its manifest or its settings, is damaged; if it can't be written.
+    EngineError
+        If the workers of a `scheduler` can't be reached or are gone; what is done is kept.
+    DataError
+        If no log was done.
+    """
+    asked = locals()
+    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
+    if not names and logs is not None and manifest is None:
+        # A pattern that matched nothing, say: it must not become all that the folder has.
+        raise ArgumentError(f"logs {logs!r}, expected some; leave them out to go on with those of the folder")
+    settings = fleet_settings(folder, {name: asked[name] for name in ASKED})
+    plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
+    prepare(plan, settings)
+    if said := unprotected(scheduler):
+        warnings.warn(said, stacklevel=2)
+    tell = progress or (lambda _, __: None)
+    run_plan(plan, settings, tell=lambda count: tell(count.done, count.logs))
+    return load_fleet(folder, ask=asking(settings))
+
+
+def prepare(plan: FleetPlan, settings: FleetSettings) -> None:
+    """Make the store, and write down what is asked for; a WriteError says that this can't be done."""
+    store, kept = FleetStore(settings.store), {"model": settings.model, "level": settings.level}
+    if settings.fresh and store.exists:
+        # They tell whose folder it is, once it has no manifest.
+        store.keep_settings(kept)
+        store.clear()
+    store.create()
+    store.keep_settings(kept)
+    store.add_to_manifest(plan.manifest())
+
+
 def run_plan(
     plan: FleetPlan, settings: FleetSettings, *, tell: Callable[[RunCount], object] = lambda _: None
 ) -> RunCount:
     """Do what a plan has to do, and commit it to the store; `tell` gets the count whenever it changes.
 
-    Raises
-    ------
-    WriteError
-        If the store can't be written.
-    EngineError
-        If the workers of a cluster can't be reached, or are gone.
+    It is a WriteError if the store can't be written, and an EngineError if the workers of a cluster can't be
+    reached, or are gone.
     """
     tasks = plan.tasks
     count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))
@@ -143,12 +258,8 @@ def outcomes(
     """Yield batches with what `work` makes of each with a child process, as they are done.
 
     `take` returns the next batch, or None where there is none now; more may come of those that were lost.
-    `work` is a function of a module, which may be a `functools.partial`.
-
-    Raises
-    ------
-    EngineError
-        If the workers of a cluster can't be reached, or are gone.
+    `work` is a function of a module, which may be a `functools.partial`. It is an EngineError if the workers
+    of a cluster can't be reached, or are gone.
     """
     if settings.scheduler:
         with dask_workers(settings.scheduler, partial(_on_worker, work, settings)) as workers:
@@ -175,7 +286,8 @@ def _here(
                     hands[pool.submit(work, batch, child)] = batch, child
                 if not hands:
                     return
-                for future in wait(hands, return_when=FIRST_COMPLETED).done:
+                # Polars has a wait go on after an interrupt: it is seen at the next look.
+                for future in wait(hands, timeout=_LOOK_S, return_when=FIRST_COMPLETED).done:
                     batch, child = hands.pop(future)
                     free.append(child)
                     yield batch, future.result()
@@ -200,10 +312,7 @@ def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, ba
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
     """Do some logs in a child process and commit them, all or none; return how many failed.
 
-    Raises
-    ------
-    WriteError
-        If the store can't be written: then these logs are not done.
+    Where the store can't be written, which is a WriteError, these logs are not done.
     """
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
@@ -319,8 +428,15 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize
+    from imucal.readers import read
 
-    recording = logs.named(_read(logs.paths[0], **task.reading))
+    # Arguments of `imucal.read`, and what is left out of what it reads.
+    reading = dict(task.reading)
+    skip_s, take_s = reading.pop("skip_s", 0.0), reading.pop("take_s", math.inf)
+    recording: Recording = read(logs.paths[0], **reading)
+    if skip_s or take_s < math.inf:
+        recording = recording.between(skip_s, skip_s + take_s)
+    recording = logs.named(recording)
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
@@ -352,14 +468,6 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
         "results": results,
         "bins": bins,
     }
-
-
-def _read(path: Path, *, skip_s: float = 0.0, take_s: float = math.inf, **reading: Any) -> Recording:  # noqa: ANN401
-    """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
-    from imucal.readers import read
-
-    recording: Recording = read(path, **reading)
-    return recording.between(skip_s, skip_s + take_s) if skip_s or take_s < math.inf else recording
 
 
 def _started(recording: Recording) -> str | None:

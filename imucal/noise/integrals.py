@@ -19,15 +19,17 @@ does not grow with m; towards 0 (and infinity) until what is left is a geometric
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from imucal.arrays import FloatArray
+from imucal.frozen import frozen_alone
 
 #: A psd of frequencies in Hz, shape (k,); or frequencies that rise, and the psd there.
 Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
@@ -39,15 +41,12 @@ def _function_of_points(
     """Return the function that runs straight on logarithmic axes between points, and the points."""
     f, s = np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)
     if f.ndim != 1 or f.shape != s.shape or not f.size:
-        msg = f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}"
-        raise ValueError(msg)
+        raise ValueError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
     if not (f[0] > 0 and np.all(np.diff(f) > 0) and np.all(np.isfinite(f))):
-        msg = "frequencies of a psd must rise, and be positive and finite"
-        raise ValueError(msg)
+        raise ValueError("frequencies of a psd must rise, and be positive and finite")
     if not (np.all(s > 0) and np.all(np.isfinite(s))):
         at = int(np.argmin((s > 0) & np.isfinite(s)))
-        msg = f"psd given by points must be positive and finite, got {s[at]:g} at {f[at]:.6g} Hz"
-        raise ValueError(msg)
+        raise ValueError(f"psd given by points must be positive and finite, got {s[at]:g} at {f[at]:.6g} Hz")
     x, y = np.log(f), np.log(s)
     return (lambda at: np.exp(np.interp(np.log(at), x, y))), f
 
@@ -72,7 +71,7 @@ class _InfiniteError(ValueError):
     """The psd is infinite at some frequency."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class _PsdIntegral:
     """2 * integral of density * kernel at one m, in cycles a sample.
 
@@ -144,10 +143,8 @@ class _PsdIntegral:
         size: float = 0.0,
     ) -> float:
         """Return the integral of a function, times a cosine where `omega`; its error is beside `size`."""
-        from scipy.integrate import quad
-
         weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _WANTED}
-        value, error, *_ = quad(
+        value, error, *_ = scipy.integrate.quad(
             function, low, high, epsabs=_WANTED * size, limit=_HALVINGS, full_output=1, **weight
         )
         self.errors.append((error, low))
@@ -214,8 +211,7 @@ def avar_from_psd(
     """
     factors = _factors(m)
     if not (math.isfinite(tau0) and tau0 > 0):
-        msg = f"tau0 must be positive and finite, got {tau0}"
-        raise ValueError(msg)
+        raise ValueError(f"tau0 must be positive and finite, got {tau0}")
     function, kinks = (psd, np.zeros(0)) if callable(psd) else _function_of_points(*psd)
     # What peaks at a break is looked at ever more closely towards it.
     near = np.outer(np.asarray(breaks, dtype=np.float64), 1 + np.outer([-1.0, 0.0, 1.0], _CLOSER))
@@ -228,14 +224,11 @@ def avar_from_psd(
         with np.errstate(over="ignore", divide="ignore"):
             values = np.asarray(function(np.array([f / tau0])), dtype=np.float64)
         if values.shape != (1,):
-            msg = f"psd must return shape (1,) for frequencies of that shape, got {values.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"psd must return shape (1,) for frequencies of that shape, got {values.shape}")
         if not values[0] >= 0:
-            msg = f"psd must be 0 or more everywhere, got {values[0]:g} at {f / tau0:.6g} Hz"
-            raise ValueError(msg)
+            raise ValueError(f"psd must be 0 or more everywhere, got {values[0]:g} at {f / tau0:.6g} Hz")
         if math.isinf(values[0]):
-            msg = f"psd must be finite, got inf at {f / tau0:.6g} Hz"
-            raise _InfiniteError(msg)
+            raise _InfiniteError(f"psd must be finite, got inf at {f / tau0:.6g} Hz")
         return float(values[0]) / tau0
 
     total = [
@@ -291,8 +284,7 @@ def _factors(m: ArrayLike) -> FloatArray:
     factors = np.asarray(m, dtype=np.float64).ravel()
     wrong = factors[~(np.isfinite(factors) & (factors >= 1) & (factors == np.round(factors)))]
     if wrong.size:
-        msg = f"averaging factors must be whole numbers from 1, got {wrong[0]:g}"
-        raise ValueError(msg)
+        raise ValueError(f"averaging factors must be whole numbers from 1, got {wrong[0]:g}")
     return factors
 
 
@@ -307,8 +299,7 @@ def _falls(acvf: Acvf, greatest: int) -> tuple[float, FloatArray]:
     else:
         given = np.asarray(acvf, dtype=np.float64)
         if given.ndim != 1 or not given.size:
-            msg = f"acvf must have shape (k,) with at least lag 0, got {given.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"acvf must have shape (k,) with at least lag 0, got {given.shape}")
         values = np.zeros(max(lags.size, given.size))
         values[: given.size] = given
     finite = np.isfinite(values)

@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, in_order, symbol_of
 from imucal.recording import Sensor
@@ -18,7 +18,7 @@ _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NoiseModel:
     """A sum of independent terms.
 
@@ -94,12 +94,8 @@ class NoiseModel:
 def parse_structure(text: str) -> tuple[str, ...]:
     """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
 
-    Abbreviations that others use are taken too: ``ARW + BI + RRW`` is ``N + B + K``.
-
-    Raises
-    ------
-    ValueError
-        If a term is unknown, or a term but GM stands twice.
+    Abbreviations that others use are taken too: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or one
+    but GM that stands twice, is a ValueError.
     """
     symbols: list[str] = []
     for part in text.split("+"):
@@ -128,16 +124,14 @@ def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
             what = f"{term.symbol}, the {term.name(sensor)} of the {sensor}"
             coefficient = _number(found[0], what, term.coefficient_units(sensor))
             return term.of(coefficient, *(_number(text, f"a time of {what}", _TIMES) for text in found[1:]))
-    msg = f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}"
-    raise ValueError(msg)
+    raise ValueError(f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}")
 
 
 def _number(text: str, what: str, units: Mapping[str, float]) -> float:
     """Return a number in SI, of a number alone or with a unit."""
     match = _VALUE.fullmatch(text)
     if match is None:
-        msg = f"{text!r} is not a number; write a sum {_EXAMPLE}"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not a number; write a sum {_EXAMPLE}")
     if not match["unit"]:
         return float(match["number"])
     unit = find_unit(match["unit"], units)
@@ -151,5 +145,4 @@ def _refuse_repeats(symbols: tuple[str, ...]) -> None:
     for symbol in set(symbols):
         if symbols.count(symbol) > 1 and not TERMS[symbol].repeatable:
             only = " and ".join(name for name, term in TERMS.items() if term.repeatable)
-            msg = f"{symbol} stands more than once; only {only} may"
-            raise ValueError(msg)
+            raise ValueError(f"{symbol} stands more than once; only {only} may")

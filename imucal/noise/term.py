@@ -10,8 +10,10 @@ from dataclasses import dataclass, fields, replace
 from typing import ClassVar, Self
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw, odd_harmonic
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, DatasheetUnit, datasheet_unit
@@ -40,7 +42,7 @@ class Words:
     other_names: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NoiseTerm(ABC):
     """One term of a noise model. A subclass and its line in `TERMS` are all that a new term needs.
 
@@ -66,6 +68,8 @@ class NoiseTerm(ABC):
         How pictures and page show it.
     slope
         Of the Allan deviation, on logarithmic axes; None without one of its own.
+    read_at
+        Where the curve shows the coefficient: tau in s (None without one), and the deviation there over it.
     fitted_by
         Methods of `imucal.fit` that can fit it; the others refuse it.
     always
@@ -83,6 +87,7 @@ class NoiseTerm(ABC):
     words: ClassVar[Words]
     divisors: ClassVar[dict[str, float]] = {}
     slope: ClassVar[float | None] = None
+    read_at: ClassVar[tuple[float | None, float]] = (None, 1.0)
     fitted_by: ClassVar[frozenset[str]] = frozenset()
     always: ClassVar[bool] = False
     repeatable: ClassVar[bool] = False
@@ -163,7 +168,7 @@ class NoiseTerm(ABC):
 
     def read_off(self) -> tuple[float | None, float]:
         """Return where its curve shows the coefficient: tau in s (None without one) and the deviation."""
-        return None, abs(self.coefficient)
+        return self.read_at[0], self.read_at[1] * abs(self.coefficient)
 
     @abstractmethod
     def structure(self, k: FloatArray, tau0: float) -> FloatArray:
@@ -189,8 +194,7 @@ class NoiseTerm(ABC):
         total = np.concatenate([[0.0, 0.0], np.cumsum(D)])
         moment = np.concatenate([[0.0, 0.0], np.cumsum(k * D)])
         at = n.astype(np.int64)
-        summed: FloatArray = moment[at] - n * total[at]
-        return summed
+        return np.asarray(moment[at] - n * total[at])
 
     def avar(self, m: FloatArray, tau0: float) -> FloatArray:
         """Return the Allan variance at averaging factors `m`, shape (k,), in U²."""
@@ -202,16 +206,9 @@ class NoiseTerm(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return what the term adds to squared DCT-II ordinates of `n` samples, and its slopes.
 
-        Parameters
-        ----------
-        first, count
-            First ordinate and number of ordinates of each bin, shape (b,).
-
-        Returns
-        -------
-        expectation, slopes
-            Shapes (b,) and (p, b): the mean of E[X_k²] over each bin, and its derivative in the
-            logarithm of each parameter. By the psd here, which is the limit of a long record.
+        Of bins with a `first` ordinate and a `count` of them, shape (b,): the mean of E[X_k²] over each,
+        shape (b,), and its derivative in the logarithm of each parameter, shape (p, b). By the psd here,
+        which is the limit of a long record.
         """
         frequency = (first + (count - 1) / 2) / (2 * n * tau0)
         expectation = self.psd(frequency, tau0) / tau0
@@ -228,22 +225,11 @@ class NoiseTerm(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return `dct_slopes` of many terms of unit deviation per sample at once, for the fits.
 
-        Parameters
-        ----------
-        log_time
-            Logs of the times in samples, shape (c, 1); of no matter to a term without one.
-        lam
-            4 sin²(theta_k / 2), averaged over each bin, shape (b,).
-        length
-            Number of samples of the series each bin belongs to, shape (b,).
-        sign
-            (-1)^k for bins of a single ordinate, 0 for wider ones, shape (b,).
-
-        Returns
-        -------
-        expectation, slope
-            Shapes (c, b): the mean of E[X_k²], and its derivative in the log of the time. Term by term
-            here; where that is too slow, overridden.
+        `log_time`, shape (c, 1), are logs of the times in samples, of no matter to a term without one. Of
+        each bin, shape (b,), `lam` is the mean of 4 sin²(theta_k / 2), `length` the number of samples of the
+        series it belongs to, and `sign` (-1)^k if it is of a single ordinate, 0 for wider ones. The mean of
+        E[X_k²] and its derivative in the log of the time have shapes (c, b). Term by term here; where that is
+        too slow, overridden.
         """
         omega = 2 * np.arcsin(np.sqrt(np.minimum(lam, 4.0)) / 2)
         # A bin's middle is what matters of a wide one, and which ordinate it is of a single one.
@@ -261,7 +247,7 @@ class NoiseTerm(ABC):
         return expectation, slope
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PowerLawTerm(NoiseTerm):
     """A term whose spectrum is a power law; `value` is its coefficient."""
 
@@ -304,8 +290,7 @@ class PowerLawTerm(NoiseTerm):
 def require_non_negative(name: str, value: float) -> None:
     """Refuse a parameter that is negative or not finite, by ValueError."""
     if not (np.isfinite(value) and value >= 0):
-        msg = f"{name} must be finite and not negative, got {value}"
-        raise ValueError(msg)
+        raise ValueError(f"{name} must be finite and not negative, got {value}")
 
 
 def gauss_markov_sum(n: FloatArray, a: float) -> FloatArray:
@@ -329,11 +314,9 @@ def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     The first differences are stationary; their circulant autocovariance has a non-negative
     spectrum, so the draw is exact. Source: Davies & Harte (1987).
     """
-    from scipy.fft import irfft, next_fast_len, rfft
-
     if n == 0:
         return np.zeros(0)
-    size = next_fast_len(2 * n, real=True)
+    size = scipy.fft.next_fast_len(2 * n, real=True)
     half = size // 2
     structure = 4 / np.pi * odd_harmonic(np.arange(half + 2, dtype=np.float64))
     covariance = np.empty(half + 1)
@@ -341,13 +324,13 @@ def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     covariance[1:] = 0.5 * (structure[2:] + structure[:-2]) - structure[1:-1]
     circulant = np.concatenate([covariance, covariance[1 : size - half][::-1]])
     del structure, covariance
-    spectrum = np.sqrt(np.maximum(rfft(circulant).real, 0.0))
+    spectrum = np.sqrt(np.maximum(scipy.fft.rfft(circulant).real, 0.0))
     del circulant
     # In place: of a day these arrays are what a simulation holds at most.
-    drawn = rfft(rng.standard_normal(size), overwrite_x=True)
+    drawn = scipy.fft.rfft(rng.standard_normal(size), overwrite_x=True)
     drawn *= spectrum
     del spectrum
-    steps = irfft(drawn, size, overwrite_x=True)[:n]
+    steps = scipy.fft.irfft(drawn, size, overwrite_x=True)[:n]
     return np.cumsum(steps)
 
 

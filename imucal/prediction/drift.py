@@ -9,7 +9,7 @@ through tilt swings with a period of 84 minutes: it is less by 0.7 % at 300 s, b
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import field
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
@@ -18,8 +18,8 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS
 from imucal.prediction.propagation import (
     ANGLE,
     POSITION,
@@ -44,25 +44,16 @@ _MOST_UNLIKE = 2e4
 _NEAR_G, _UPRIGHT = 0.1, 0.94
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DriftPoint:
-    """One standard deviation of an error after a time.
+    """One standard deviation of an error after a time `time_s`, in s, in which nothing has aided.
 
-    Attributes
-    ----------
-    time_s
-        How long nothing has aided, in s.
-    axis
-        ``gyro_z``, the one with the largest value of several; ``accel_x gyro_y`` where two parts make it.
-    value
-        Of the fitted model; None where the record shows no term.
-    low, high
-        Limits at the fit's level, bounded terms included; 0 and infinity where a term's are not known.
-    term, share
-        The term that makes most of the value's square, such as ``B``, and its share; empty without a value.
-    seen
-        Whether the record holds `STRETCHES` such rests and coasts: if not, the model is taken to go on as it
-        does; None without a record.
+    `axis` is such as ``gyro_z``, the one with the largest value of several; ``accel_x gyro_y`` where two
+    parts make it. `value` is that of the fitted model, None where the record shows no term; `low` and `high`
+    are limits at the fit's level, bounded terms included, 0 and infinity where a term's are not known.
+    `term`, such as ``B``, makes most of the value's square, by a share of `share`; empty without a value.
+    `seen` says whether the record holds `STRETCHES` such rests and coasts: if not, the model is taken to go
+    on as it does; None without a record.
     """
 
     time_s: float
@@ -75,7 +66,7 @@ class DriftPoint:
     seen: bool | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DriftOf:
     """The drift of one quantity: ``heading``, ``tilt``, ``angle``, ``velocity through tilt``, …, in SI."""
 
@@ -84,7 +75,7 @@ class DriftOf:
     points: tuple[DriftPoint, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Drift:
     """How far dead reckoning drifts after a rest of `rest_s`, with limits of the fits' level.
 
@@ -141,17 +132,15 @@ def drift(
     given = [_Axis("", 0.0, source)] if isinstance(source, NoiseFit) else source.axes
     axes = [_Axis(axis.axis, axis.mean, axis.fit) for axis in given if axis.fit.sensor is not None]
     if not axes:
-        msg = "no axis whose sensor is known, expected a gyroscope's or an accelerometer's"
-        raise DataError(msg)
+        raise DataError("no axis whose sensor is known, expected a gyroscope's or an accelerometer's")
     sample_s = max(1 / axis.fit.rate_hz for axis in axes)
     for time in times_s:
         short, long = min(time, rest_s), max(time, rest_s)
         if not (sample_s < short * (1 + 1e-9) and long <= _MOST_UNLIKE * short < math.inf):
             found = f"rest {rest_s:g} s and time {time:g} s"
             ratio = f"at most {_MOST_UNLIKE:.0f} times the other"
-            msg = f"{found}, expected each a sample ({sample_s:.3g} s) at least and {ratio}"
-            raise ValueError(msg)
-    vertical, whole = _vertical(axes), _Coasts(times_s=tuple(times_s), rest_s=rest_s, units={})
+            raise ValueError(f"{found}, expected each a sample ({sample_s:.3g} s) at least and {ratio}")
+    vertical, whole = _vertical(axes), _Coasts(times_s=tuple(times_s), rest_s=rest_s)
     groups = [[axis] for axis in axes] if each_axis else [axes]
     quantities = tuple(found for group in groups for found in _quantities(group, vertical, whole))
     return Drift(rest_s=rest_s, level=axes[0].fit.level, vertical=vertical, quantities=quantities)
@@ -190,26 +179,22 @@ def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iter
             together[unit] = part
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Coasts:
     """Rest and coasts; and the variances of terms whose coefficient is 1, which all axes share."""
 
     times_s: tuple[float, ...]
     rest_s: float
-    units: dict[tuple[object, ...], FloatArray]
+    units: dict[tuple[NoiseTerm, float, int], FloatArray] = field(default_factory=dict)
 
     def variance(self, axis: _Axis, integrals: int, term: NoiseTerm) -> FloatArray:
         """Return the variance of a term at all times, shape (t,), through a tilt in m/s or m."""
         scale = G0 if axis.fit.sensor is Sensor.GYROSCOPE and integrals > ANGLE else 1.0
-        rate_hz, shape = axis.fit.rate_hz, term.values[1:]
-        key = (term.symbol, shape, rate_hz, integrals)
+        unit = term.of(1.0, *term.values[1:])
+        key = unit, axis.fit.rate_hz, integrals
         if key not in self.units:
             self.units[key] = coasting_variance(
-                TERMS[term.symbol].of(1.0, *shape),
-                np.array(self.times_s),
-                rest_s=self.rest_s,
-                rate_hz=rate_hz,
-                integrals=integrals,
+                unit, np.array(self.times_s), rest_s=self.rest_s, rate_hz=key[1], integrals=integrals
             )
         return (scale * term.coefficient) ** 2 * self.units[key]
 

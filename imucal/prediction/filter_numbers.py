@@ -14,7 +14,6 @@ Kalman filtering", NAVIGATION 68, 259 (the idea; abstract); the rule is measured
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov, RateRamp
 from imucal.prediction.propagation import MEAN, Caution, Quantity, modelled, upper_limit
@@ -56,7 +56,7 @@ _ROUNDING = 0.01
 _LONG = 10.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FilterNumbers:
     """White noise and a slow bias that cover the spectrum of one axis or several.
 
@@ -147,8 +147,7 @@ def filter_numbers(
     else:
         goal = _of_spectra(fits, bias, (step_s, horizon_s), join, caution)
     if not np.max(goal.wanted) > 0:
-        msg = "found neither a term nor a bound on one, expected noise to cover; record for longer"
-        raise DataError(msg)
+        raise DataError("found neither a term nor a bound on one, expected noise to cover; record for longer")
     if not np.all(np.isfinite(goal.wanted)):
         msg = "found a term without an upper limit, expected noise that can be covered; record for longer"
         raise DataError(msg)

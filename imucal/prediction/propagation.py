@@ -38,12 +38,7 @@ ANGLE, POSITION, TILT = 1, 2, 3
 class Caution(NamedTuple):
     """How far towards its limit a term counts, as a share of the way in power.
 
-    Attributes
-    ----------
-    bounded
-        Of a term that the data do not show, whose value is 0.
-    shown
-        Of a term that they show.
+    `bounded` is that of a term that the data do not show, whose value is 0, `shown` of one that they show.
     """
 
     bounded: float
@@ -66,11 +61,8 @@ LIMITS = Caution(1.0, 1.0)
 MEAN = Caution(math.sqrt(2 / math.pi) / NormalDist().inv_cdf(0.975), 0.0)
 
 
-class _Excursion(NamedTuple):
-    """How far a quantity moves when one parameter goes to its limit; the parameter's name in the fit."""
-
-    name: str | None
-    by: FloatArray
+#: A parameter's name in the fit, empty of none; how far a quantity moves when that goes to its limit.
+_Excursion: TypeAlias = tuple[str, FloatArray]
 
 
 def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
@@ -85,23 +77,16 @@ def shares(fit: NoiseFit, of: Quantity) -> dict[str, FloatArray]:
 
 
 def upper_limit(fit: NoiseFit, of: Quantity, caution: Caution = LIMITS) -> FloatArray:
-    """Return the upper limit of a quantity, shape as `of` gives it.
+    """Return the upper limit of a quantity by a fit and its limits, shape as `of` gives it for one term.
 
-    Parameters
-    ----------
-    fit
-        The model with its limits.
-    of
-        The quantity of one term.
-    caution
-        How far towards the limits each term counts; by default wholly, which is the fit's level.
+    `caution` says how far towards the limits each term counts: by default wholly, which is the fit's level.
     """
-    return modelled(fit, of) + _joint(fit, _raised(fit, of, caution))
+    return modelled(fit, of) + _joint(fit, _excursions(fit, of, caution, up=True))
 
 
 def lower_limit(fit: NoiseFit, of: Quantity) -> FloatArray:
     """Return the lower limit of a quantity at the fit's level, at least 0, shape as `of` gives it."""
-    return np.maximum(modelled(fit, of) - _joint(fit, _lowered(fit, of)), 0.0)
+    return np.maximum(modelled(fit, of) - _joint(fit, _excursions(fit, of, LIMITS, up=False)), 0.0)
 
 
 def coasting_variance(
@@ -109,36 +94,18 @@ def coasting_variance(
 ) -> FloatArray:
     """Return the variance of the error after coasting, shape (t,), in (U s^integrals)².
 
-    The bias is the mean of a rest; then the samples less the bias are integrated so many times:
-    once for the angle of a gyroscope or the velocity of an accelerometer, twice for a position, three times
-    for the position that a tilt makes, per unit of gravity.
+    The bias is the mean of a rest of `rest_s`; then the samples of a term, at `rate_hz`, less the bias are
+    integrated so many times, for `times_s`, shape (t,): once for the angle of a gyroscope or the velocity of
+    an accelerometer, twice for a position, three times for the position that a tilt makes, per unit of
+    gravity. Times that are not positive are a ValueError.
 
-    The error is a sum of samples with weights that add up to zero, -w/2' D w with the mean square
-    differences D, whose second sums V(n) each term knows; blocks of samples make the sum short. Right to
-    1e-3 where a block is a hundredth of the rest and of the coast.
-
-    Parameters
-    ----------
-    term
-        Of a model.
-    times_s
-        How long it coasts, shape (t,).
-    rest_s
-        How long it rests before.
-    rate_hz
-        Sampling rate.
-    integrals
-        1, 2 or 3.
-
-    Raises
-    ------
-    ValueError
-        If a time is not positive.
+    The error is a sum of samples with weights that add up to zero, -w/2' D w with the mean square differences
+    D, whose second sums V(n) each term knows; blocks of samples make the sum short. Right to 1e-3 where a
+    block is a hundredth of the rest and of the coast.
     """
     times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
     if not (np.all(times > 0) and rest_s > 0):
-        msg = f"times of coasting and resting must be positive, got {times_s} and {rest_s}"
-        raise ValueError(msg)
+        raise ValueError(f"times of coasting and resting must be positive, got {times_s} and {rest_s}")
     return np.array([_coasting(term, float(t), rest_s, rate_hz, integrals) for t in times])
 
 
@@ -191,56 +158,31 @@ def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> 
     return TERMS[symbol].of(coefficient)
 
 
-def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursion]:
-    """Yield how far each term moves a quantity up."""
+def _excursions(fit: NoiseFit, of: Quantity, caution: Caution, *, up: bool) -> Iterator[_Excursion]:
+    """Yield how far each term moves a quantity up, or down; a time signed by the limit that does."""
     for estimate, held in _held(fit):
-        if estimate.value is None:
-            if caution.bounded and 0 < estimate.high < math.inf:
-                yield _Excursion(None, caution.bounded * of(_term(estimate, estimate.high)))
+        value, time, sign = estimate.value, estimate.correlation_time, 1.0 if up else -1.0
+        if value is None:
+            if up and caution.bounded and 0 < estimate.high < math.inf:
+                yield "", caution.bounded * of(_term(estimate, estimate.high))
             continue
-        if not caution.shown:
+        if not (caution.shown and (held or up)):
             continue
         if not held:
             beyond = of(_term(estimate, estimate.high)) - modelled(fit, of)
-            yield _Excursion(None, caution.shown * np.maximum(beyond, 0.0))
+            yield "", caution.shown * np.maximum(beyond, 0.0)
             continue
-        value = of(_term(estimate, estimate.value))
-        name, time_name = _names(estimate)
+        own, end = of(_term(estimate, value)), estimate.high if up else estimate.low
         # Nobody knows how large a term without an upper limit may be, nor what it does.
-        known = math.isfinite(estimate.high)
-        top = of(_term(estimate, estimate.high)) if known else np.full_like(value, math.inf)
-        yield _Excursion(name, caution.shown * (top - value))
-        for by in _of_time(estimate, of, value, 1.0):
-            yield _Excursion(time_name, caution.shown * by)
-
-
-def _lowered(fit: NoiseFit, of: Quantity) -> Iterator[_Excursion]:
-    """Yield how far each term moves a quantity down."""
-    for estimate, held in _held(fit):
-        if estimate.value is None or not held:
-            continue
-        value = of(_term(estimate, estimate.value))
-        name, time_name = _names(estimate)
-        yield _Excursion(name, value - of(_term(estimate, estimate.low)))
-        for by in _of_time(estimate, of, value, -1.0):
-            yield _Excursion(time_name, by)
-
-
-def _names(estimate: Estimate) -> tuple[str, str]:
-    """Return the names of a term's coefficient and time in its fit."""
-    names = TERMS[estimate.symbol].parameter_names(estimate.key)
-    return names[0], names[-1]
-
-
-def _of_time(estimate: Estimate, of: Quantity, value: FloatArray, up: float) -> Iterator[FloatArray]:
-    """Yield how far a term's time moves a quantity up (1) or down (-1): signed by the limit that does."""
-    time = estimate.correlation_time
-    if time is None or estimate.value is None:
-        return
-    high = min(max(time.high, time.value), time.value / _SHORTEST_TIME)
-    low = max(min(time.low, time.value), time.value * _SHORTEST_TIME)
-    longer, shorter = (up * (of(_term(estimate, estimate.value, t)) - value) for t in (high, low))
-    yield np.where(longer > 0, longer, np.where(shorter > 0, -shorter, 0.0))
+        beyond = sign * (of(_term(estimate, end)) - own) if end < math.inf else np.full_like(own, math.inf)
+        names = TERMS[estimate.symbol].parameter_names(estimate.key)
+        yield names[0], caution.shown * beyond
+        if time is not None:
+            high = min(max(time.high, time.value), time.value / _SHORTEST_TIME)
+            low = max(min(time.low, time.value), time.value * _SHORTEST_TIME)
+            longer, shorter = (sign * (of(_term(estimate, value, t)) - own) for t in (high, low))
+            by = np.where(longer > 0, longer, np.where(shorter > 0, -shorter, 0.0))
+            yield names[-1], caution.shown * by
 
 
 def _joint(fit: NoiseFit, excursions: Iterator[_Excursion]) -> FloatArray:
@@ -249,12 +191,12 @@ def _joint(fit: NoiseFit, excursions: Iterator[_Excursion]) -> FloatArray:
     if not found:
         return np.zeros(())
     place = {name: i for i, name in enumerate(fit.parameters)}
-    at = [place.get(each.name or "", -1) for each in found]
+    at = [place.get(name, -1) for name, _ in found]
     form = np.eye(len(found))
     if fit.parameters:
         known = np.nan_to_num(fit.correlation)
         form += [[known[i, j] * (i >= 0 <= j and i != j) for j in at] for i in at]
-    by = np.stack(np.broadcast_arrays(*(each.by for each in found)))
+    by = np.stack(np.broadcast_arrays(*(by for _, by in found)))
     unknown = np.isinf(by).any(axis=0)
     by = np.where(unknown, 0.0, by)
     square: FloatArray = np.einsum("i...,ij,j...->...", by, form, by)

@@ -18,10 +18,11 @@ Source: Rutman & Walls (1991), Proc. IEEE 79, 952 (the Allan variance as an inte
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
+import scipy
 
 from imucal.allan import Spectrum, spectrum
 from imucal.arrays import FloatArray
@@ -29,6 +30,7 @@ from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.fitting.cross_checks import without_disturbances
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
@@ -49,20 +51,13 @@ _LEAST = 0.05
 _OF_LINE = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Prediction:
-    """What one half of a record says of the other, at one averaging time.
+    """What one half of a record says of the other, at one averaging time `time_s`.
 
-    Attributes
-    ----------
-    half
-        The half that was looked at: 1 or 2; the other one predicts.
-    time_s
-        Averaging time.
-    predicted, observed
-        Allan deviations, in U.
-    score
-        Standard-normal score of observed over predicted variance: above 0 where more is observed.
+    `half`, 1 or 2, is the one that was looked at; the other predicts. `predicted` and `observed` are Allan
+    deviations in U, `score` is the standard-normal score of observed over predicted variance: above 0 where
+    more is observed.
     """
 
     half: int
@@ -75,17 +70,9 @@ class Prediction:
 def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...]:
     """Return how well each half of a record predicts the other; nothing of a record too short.
 
-    Parameters
-    ----------
-    series
-        Finite samples, gaps allowed, less what the fit took out of them.
-    fit
-        Of these samples, by maximum likelihood.
-
-    Notes
-    -----
-    Terms, correlation times and lines are those of the fit; the squared coefficients of its terms and of N, B
-    and K are each half's own. Some 4 ms for 1e6 samples.
+    Samples are finite, gaps allowed, less what their `fit` by maximum likelihood took out of them. Terms,
+    correlation times and lines are those of the fit; the squared coefficients of its terms and of N, B and K
+    are each half's own. Some 4 ms for 1e6 samples.
     """
     highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
     if fit.response is not None:
@@ -99,7 +86,10 @@ def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...
     if not times or not fit.model.terms:
         return ()
     if any(term.symbol == "R" for term in fit.model.terms):
-        halves = [_without_ramp(half) for half in halves]
+        for i, half in enumerate(halves):
+            time = half.clock.grid() - half.clock.grid().mean()
+            slope = float(time @ half.samples) / float(time @ time)
+            halves[i] = replace(half, samples=half.samples - slope * time)
     seen = [_Half(spectrum(half), fit, np.array(times), half.tau0, highest) for half in halves]
     return tuple(
         Prediction(half=number, time_s=t, predicted=math.sqrt(p), observed=math.sqrt(o), score=float(z))
@@ -113,14 +103,8 @@ def self_check(
 ) -> tuple[Finding, ...]:
     """Return a warning where one half of a record predicts the other badly.
 
-    Parameters
-    ----------
-    series
-        Finite samples, spikes replaced, gaps allowed.
-    fit
-        Of these samples, by maximum likelihood.
-    temperature
-        In degrees Celsius at the samples, shape (n,), or None.
+    Samples are finite, spikes replaced, gaps allowed; their `fit` is by maximum likelihood. `temperature`,
+    shape (n,), is in degrees Celsius at the samples, or None.
     """
     if fit.taken_out:
         series = without_disturbances(series, fit, temperature)
@@ -140,7 +124,7 @@ def self_check(
         "The noise changes with time, or is of another kind than the model's: look at temperature and "
         "vibration, and give a filter more than these numbers, as what comes next may differ as much."
     )
-    return (Finding(level="warning", code="predicts-badly", axis=series.name, text=text, advice=advice),)
+    return (Finding("warning", "predicts-badly", text, advice, axis=series.name),)
 
 
 def _reach(series: AxisSeries) -> float:
@@ -163,18 +147,10 @@ def _blocks(series: AxisSeries, size: int) -> AxisSeries:
     return replace(series, samples=means, clock=even).keeping(keep)
 
 
-def _without_ramp(series: AxisSeries) -> AxisSeries:
-    time = series.clock.grid() - series.clock.grid().mean()
-    slope = float(time @ series.samples) / float(time @ time)
-    return replace(series, samples=series.samples - slope * time)
-
-
 class _Half:
     """The binned psd of a half, the weights of its Allan variances, and the fit's terms at its bins."""
 
     def __init__(self, own: Spectrum, fit: NoiseFit, times: FloatArray, tau0: float, highest: float) -> None:
-        from scipy.special import sici
-
         keep = own.frequency <= highest
         for line in fit.goodness.lines:
             if line.frequency_hz <= highest:
@@ -185,7 +161,9 @@ class _Half:
 
         def integral(f: FloatArray) -> FloatArray:
             x = np.pi * np.outer(times, f)
-            result: FloatArray = sici(2 * x)[0] - sici(4 * x)[0] / 2 - np.sin(x) ** 4 / x
+            result: FloatArray = (
+                scipy.special.sici(2 * x)[0] - scipy.special.sici(4 * x)[0] / 2 - np.sin(x) ** 4 / x
+            )
             return result
 
         self.weights = 4 / (np.pi * times[:, None]) * np.diff(integral(edges))[:, keep]
@@ -206,8 +184,6 @@ class _Half:
 
 def _held(one: _Half, other: _Half) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return predicted and observed Allan variances and their scores, shape (t,) each."""
-    from scipy.special import fdtr, fdtrc, ndtri
-
     found, covariance = one.coefficients()
     shares = other.weights @ other.columns
     model = other.weights @ other.fitted
@@ -216,5 +192,7 @@ def _held(one: _Half, other: _Half) -> tuple[FloatArray, FloatArray, FloatArray]
     edf = model**2 / np.sum((other.weights * other.fitted) ** 2 / other.count, axis=1)
     observed = other.weights @ other.psd
     ratio = observed / predicted
-    below, above = (ndtri(law(edf, freedom, ratio)) for law in (fdtr, fdtrc))
+    below, above = (
+        scipy.special.ndtri(law(edf, freedom, ratio)) for law in (scipy.special.fdtr, scipy.special.fdtrc)
+    )
     return predicted, observed, np.where(below < 0, below, -above)

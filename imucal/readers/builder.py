@@ -19,27 +19,18 @@ from imucal.units import SAMPLE_UNITS
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class RecordingBuilder:
-    """A recording in the making; sensors stand in it in the order in which they are added.
+    """A recording in the making; sensors stand in it in the order in which they are added."""
 
-    Attributes
-    ----------
-    path, format
-        The log as the user named it, and what it is.
-    options
-        What the caller says of it.
-    rate_hz
-        Sampling rate that it states beside its stamps, in Hz; None where it states none.
-    decisions
-        What was decided, and why, in order.
-    findings
-        What was seen, in order; what is said twice is kept once.
-    """
-
+    #: The log as the user named it, and what it is.
     path: str
     format: str
+    #: What the caller says of it.
     options: ReadOptions = field(default_factory=ReadOptions)
+    #: Sampling rate that it states beside its stamps, in Hz; None where it states none.
     rate_hz: float | None = None
+    #: What was decided, and why, in order.
     decisions: list[tuple[str, str]] = field(default_factory=list)
+    #: What was seen, in order; what is said twice is kept once.
     findings: list[Finding] = field(default_factory=list)
     series: list[AxisSeries] = field(default_factory=list)
     temperature: Temperature | None = None
@@ -61,23 +52,19 @@ class RecordingBuilder:
         none of an IMU's and nobody gave it.
         """
         for entry in samples:
-            self._refuse_rate(entry.clock, where or self.path)
+            clock, given = entry.clock, self.options.rate_hz is not None or self.options.time_unit is not None
+            usual = RATES[0] * 0.98 <= clock.rate_hz <= RATES[1] * 1.02
+            if not given and clock.jitter_s is not None and not usual:
+                raise ChoiceError(
+                    f"{where or self.path}: {clock.source} gives {clock.rate_hz:.6g} Hz; expected a rate of "
+                    f"an IMU, {RATES[0]:g} Hz to {RATES[1]:g} Hz; give the sampling rate"
+                )
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:
             sensor, unit = entry.sensor, units[entry.sensor]
             self.decide(f"{sensor} unit", f"{unit.unit}, {unit.reason}")
             scale = SAMPLE_UNITS[sensor][unit.unit or ""] if unit.scale is None else unit.scale
             self.add_sensor(entry, scale)
-
-    def _refuse_rate(self, clock: Clock, where: str) -> None:
-        given = self.options.rate_hz is not None or self.options.time_unit is not None
-        if given or clock.jitter_s is None or RATES[0] * 0.98 <= clock.rate_hz <= RATES[1] * 1.02:
-            return
-        msg = (
-            f"{where}: {clock.source} gives {clock.rate_hz:.6g} Hz; expected a rate of an IMU, "
-            f"{RATES[0]:g} Hz to {RATES[1]:g} Hz; give the sampling rate"
-        )
-        raise ChoiceError(msg)
 
     def add_sensor(self, entry: Unscaled, scale: float) -> None:
         """Add the axes of a sensor, `scale` SI a unit; scaled in place where the memory is this package's."""

@@ -64,13 +64,12 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     damaged_if(
         kind not in _UNPACK,
         f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2",
-        code="compression",
+        "compression",
     )
     try:
         raw = _UNPACK[kind](data, size)
     except _damage() as error:
-        msg = f"{'an' if kind == 'lz4' else 'a'} {kind} chunk is damaged: {error}"
-        raise DamagedError(msg) from error
+        raise DamagedError(f"{'an' if kind == 'lz4' else 'a'} {kind} chunk is damaged: {error}") from error
     damaged_if(len(raw) != size, f"a chunk holds {len(raw)} bytes instead of the {size} it claims")
     return memoryview(raw)
 
@@ -82,7 +81,16 @@ def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
         return bytes(data[:size])
     with suppress(*_damage()):
         if kind == "zstd":
-            return _unpack_zstd_prefix(data, size)
+            import zstandard
+
+            joined = bytearray()
+            # Blocks until the stream breaks off.
+            with suppress(zstandard.ZstdError):
+                for part in zstandard.ZstdDecompressor().read_to_iter(bytes(data)):
+                    joined += part
+                    if len(joined) >= size:
+                        break
+            return bytes(joined[:size])
         if kind == "lz4":
             import lz4.frame
 
@@ -101,9 +109,7 @@ def _damage() -> tuple[type[Exception], ...]:
 
 def check_crc(raw: memoryview, expected: int) -> None:
     """Compare a CRC-32; 0 means that none was stored."""
-    damaged_if(
-        expected and crc32(raw) != expected, "a chunk's checksum does not match its content", code="crc"
-    )
+    damaged_if(expected and crc32(raw) != expected, "a chunk's checksum does not match its content", "crc")
 
 
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
@@ -119,21 +125,7 @@ def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]
                 target.write(block)
                 progress(file.tell())
         except zstandard.ZstdError as error:
-            msg = f"the zstd stream is damaged: {error}"
-            raise DamagedError(msg) from error
-
-
-def _unpack_zstd_prefix(data: memoryview, size: int) -> bytes:
-    """Join blocks until the stream breaks off."""
-    import zstandard
-
-    joined = bytearray()
-    with suppress(zstandard.ZstdError):
-        for part in zstandard.ZstdDecompressor().read_to_iter(bytes(data)):
-            joined += part
-            if len(joined) >= size:
-                break
-    return bytes(joined[:size])
+            raise DamagedError(f"the zstd stream is damaged: {error}") from error
 
 
 def _unpack_zstd(data: memoryview, size: int) -> bytes:

@@ -3,22 +3,31 @@
 import os
 import threading
 from pathlib import Path
+from typing import TypeVar
 
-from imucal.errors import ReadError
+from imucal.errors import ImucalError, ReadError
+from imucal.findings import Finding
+
+Refusal = TypeVar("Refusal", bound=ImucalError)
+
+
+def refused(where: object, text: str, kind: type[Refusal] = ReadError) -> Refusal:  # type: ignore[assignment]
+    """Return the error of a log that is not read: `where`, and what was found, expected and to be done."""
+    return kind(f"{where}: {text}")
 
 
 class DamagedError(Exception):
     """A part of a log can't be decoded; `code` is the finding it leads to. Never leaves the readers."""
 
-    def __init__(self, text: str, *, code: str = "damaged") -> None:
+    def __init__(self, text: str, code: str = "damaged") -> None:
         super().__init__(text)
         self.code = code
 
 
-def damaged_if(wrong: object, text: str, *, code: str = "damaged") -> None:
+def damaged_if(wrong: object, text: str, code: str = "damaged") -> None:
     """Raise a DamagedError where something is wrong."""
     if wrong:
-        raise DamagedError(text, code=code)
+        raise DamagedError(text, code)
 
 
 def first_bytes(path: Path, size: int) -> bytes:
@@ -27,8 +36,7 @@ def first_bytes(path: Path, size: int) -> bytes:
         with path.open("rb") as file:
             return file.read(size)
     except OSError as error:
-        msg = f"{path}: can't be opened: {error.strerror or error}"
-        raise ReadError(msg) from error
+        raise refused(path, f"can't be opened: {error.strerror or error}") from error
 
 
 class LogFile:
@@ -43,8 +51,7 @@ class LogFile:
             self._file = path.open("rb", buffering=0)
             self.size = path.stat().st_size
         except OSError as error:
-            msg = f"{path}: can't be opened: {error.strerror or error}"
-            raise ReadError(msg) from error
+            raise refused(path, f"can't be opened: {error.strerror or error}") from error
         self.path = path
         self._lock = threading.Lock()
 
@@ -52,34 +59,37 @@ class LogFile:
         """Close the file."""
         self._file.close()
 
+    def scan_finding(self, reason: DamagedError, end: int) -> Finding:
+        """Return the finding of a file whose records were scanned up to `end`, as its index has damage."""
+        text = f"The index can't be used ({reason}); all records were scanned instead."
+        if end < self.size:
+            text += f" The last {self.size - end} of {self.size} bytes are cut or damaged."
+        code = "truncated" if end < self.size else reason.code
+        return Finding("warning", code, text)
+
     def into(self, position: int, view: memoryview) -> None:
         """Fill `view` with the bytes from `position` on.
 
-        Raises
-        ------
-        DamagedError
-            If the file ends before.
+        Raises DamagedError if the file ends before.
         """
-        if position < 0 or position + len(view) > self.size:
-            msg = f"bytes {position} to {position + len(view)} lie beyond the end of the file"
-            raise DamagedError(msg, code="truncated")
+        damaged_if(
+            position < 0 or position + len(view) > self.size,
+            f"bytes {position} to {position + len(view)} lie beyond the end of the file",
+            "truncated",
+        )
         self._fill(position, view)
 
     def _fill(self, position: int, view: memoryview) -> None:
         done = 0
         while done < len(view):
             count = self._read_some(position + done, view[done:])
-            damaged_if(
-                not count, f"the file ended at byte {position + done} while it was read", code="truncated"
-            )
+            damaged_if(not count, f"the file ended at byte {position + done} while it was read", "truncated")
             done += count
 
     def read(self, position: int, size: int) -> bytearray:
         """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
         beyond = size < 0 or position + size > self.size
-        damaged_if(
-            beyond, f"{size} bytes at byte {position} lie beyond the end of the file", code="truncated"
-        )
+        damaged_if(beyond, f"{size} bytes at byte {position} lie beyond the end of the file", "truncated")
         data = bytearray(size)
         self.into(position, memoryview(data))
         return data

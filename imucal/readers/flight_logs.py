@@ -18,7 +18,8 @@ SI; the package finds the records and says what each kind holds, and they are ta
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,13 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
+from imucal.frozen import frozen, frozen_alone
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.containers.container import gather
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.files import first_bytes
+from imucal.readers.files import first_bytes, refused
 from imucal.readers.isolation import isolated, require
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
@@ -47,7 +49,7 @@ _TOO_SLOW = 0.2
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Message:
     """What a message measures: the fields of each sensor's x, y, z, and those of its stamps, best first.
 
@@ -61,29 +63,26 @@ class Message:
         default_factory=lambda: {sensor: sensor.unit for sensor in Sensor}
     )
 
-    @classmethod
-    def of_px4(cls, **names: str) -> "Message":
-        """Return a message of PX4 with the arrays of some sensors; in messages of one they are x, y and z."""
-        owners = {"gyro": _GYRO, "accel": _ACCEL}
-        of = {owners[k]: tuple(f"{v}[{i}]" for i in range(3)) if v else AXES for k, v in names.items()}
-        return cls(fields=of)
+
+def _both(gyro: str, accel: str) -> Message:
+    """Return a message with an array of each sensor."""
+    arrays = {_GYRO: gyro, _ACCEL: accel}
+    return Message(fields={of: tuple(f"{name}[{i}]" for i in range(3)) for of, name in arrays.items()})
 
 
 #: Message of PX4 -> what it measures.
 PX4 = {
-    "sensor_combined": Message.of_px4(gyro="gyro_rad", accel="accelerometer_m_s2"),
-    "sensor_gyro": Message.of_px4(gyro=""),
-    "sensor_accel": Message.of_px4(accel=""),
-    "sensor_gyro_fifo": Message.of_px4(gyro=""),
-    "sensor_accel_fifo": Message.of_px4(accel=""),
-    "vehicle_imu": Message.of_px4(gyro="delta_angle", accel="delta_velocity"),
+    "sensor_combined": _both("gyro_rad", "accelerometer_m_s2"),
+    **dict.fromkeys(("sensor_gyro", "sensor_gyro_fifo"), Message(fields={_GYRO: AXES})),
+    **dict.fromkeys(("sensor_accel", "sensor_accel_fifo"), Message(fields={_ACCEL: AXES})),
+    "vehicle_imu": _both("delta_angle", "delta_velocity"),
 }
 
 #: No board runs longer, in microseconds: a stamp beyond it is damaged. About 140 years.
 _LATEST_US = 1 << 52
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Samples:
     """What one message instance gives for one sensor: stamps in ns, samples (n, 3), their unit, temperature.
 
@@ -96,7 +95,7 @@ class Samples:
     temperature: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Instance:
     """One instance of a message in the log, which may hold `several`: its fields, shape (n,) each."""
 
@@ -109,9 +108,9 @@ class Instance:
     @property
     def is_whole(self) -> bool:
         """Whether it has stamps, and the fields of its sensors where they have names of their own."""
-        fields = [field for fields in self.kind.fields.values() for field in fields]
-        fields = ["samples", "dt", "scale"] if self.message.endswith("_fifo") else fields
-        return self.data.keys() >= {*fields} and any(name in self.data for name in self.kind.times)
+        fifo = self.message.endswith("_fifo")
+        fields = {"samples", "dt", "scale"} if fifo else {*chain(*self.kind.fields.values())}
+        return self.data.keys() >= fields and any(name in self.data for name in self.kind.times)
 
     @property
     def name(self) -> str:
@@ -127,7 +126,7 @@ class Instance:
         """Samples: of a fifo message all that it carries."""
         samples = self.data.get("samples")
         if self.message.endswith("_fifo") and samples is not None:
-            return int(np.asarray(samples, dtype=np.int64).sum())
+            return int(np.asarray(samples, np.int64).sum())
         return int(self.times().size)
 
     @property
@@ -146,7 +145,7 @@ class Instance:
 
     def columns(self, names: Sequence[str]) -> FloatArray:
         """Return some fields side by side, shape (n, fields)."""
-        return np.stack([np.asarray(self.data[name], dtype=np.float64) for name in names], axis=1)
+        return np.stack([np.asarray(self.data[name], np.float64) for name in names], axis=1)
 
     def times(self) -> IntArray:
         """Return when samples were taken, in ns; -1 where the stamp is damaged."""
@@ -167,25 +166,25 @@ def samples_of(instance: Instance, sensor: Sensor) -> Samples:
     vectors = instance.columns(fields)
     if instance.message == "vehicle_imu":
         # Integrals over a time; those over no time have no rate.
-        over = np.asarray(data[fields[0].replace("[0]", "_dt")], dtype=np.float64) * 1e-6
+        over = np.asarray(data[fields[0].replace("[0]", "_dt")], np.float64) * 1e-6
         keep &= over > 0
         return Samples(stamps=stamps[keep], vectors=vectors[keep] / over[keep, None], unit=unit)
     warmth = data.get("temperature")
-    temperature = np.asarray(warmth, dtype=np.float64)[keep] if warmth is not None else None
+    temperature = np.asarray(warmth, np.float64)[keep] if warmth is not None else None
     return Samples(stamps=stamps[keep], vectors=vectors[keep], unit=unit, temperature=temperature)
 
 
 def _of_fifo(instance: Instance, unit: str | None) -> Samples:
     """Return every sample of a sensor's buffer: the stamp is the last one's, the others go before it."""
     data, last = instance.data, instance.times()
-    count = np.asarray(data["samples"], dtype=np.int64)
+    count = np.asarray(data["samples"], np.int64)
     index = np.arange(sum(1 for name in data if name.startswith("x[")))
-    step = np.asarray(data["dt"], dtype=np.float64) * 1e3
+    step = np.asarray(data["dt"], np.float64) * 1e3
     good = (last >= 0) & np.isfinite(step) & (count > 0) & (count <= index.size)
     filled = (index < count[:, None]) & good[:, None]
     before = (count[:, None] - 1 - index) * np.where(good, step, 0.0)[:, None]
     stamps = (last[:, None] - np.round(before).astype(np.int64))[filled]
-    scale = np.asarray(data["scale"], dtype=np.float64)[:, None]
+    scale = np.asarray(data["scale"], np.float64)[:, None]
     axes = [(instance.columns([f"{axis}[{i}]" for i in index]) * scale)[filled] for axis in AXES]
     return Samples(stamps=stamps, vectors=np.stack(axes, axis=1), unit=unit)
 
@@ -251,13 +250,8 @@ _SENT = Message(
     times=("time_usec", "time_boot_ms"),
 )
 _MILLI = replace(_SENT, units={_GYRO: "mrad/s", _ACCEL: "mg"})
-_TELEMETRY = {
-    "HIGHRES_IMU": _SENT,
-    "SCALED_IMU": _MILLI,
-    "SCALED_IMU2": _MILLI,
-    "SCALED_IMU3": _MILLI,
-    "RAW_IMU": _MILLI,
-}
+_IN_MILLI = ("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "RAW_IMU")
+_TELEMETRY = {"HIGHRES_IMU": _SENT, **dict.fromkeys(_IN_MILLI, _MILLI)}
 #: MAV_AUTOPILOT_ARDUPILOTMEGA: only this autopilot's RAW_IMU has units.
 _ARDUPILOT = 3
 
@@ -274,7 +268,7 @@ def dataflash_content(path: Path) -> FlightLog:
     found: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
     spans: list[NDArray[np.int64]] = []
     for number, form in log.formats.items():
-        starts = np.asarray(log.offsets[number], dtype=np.int64)
+        starts = np.asarray(log.offsets[number], np.int64)
         starts = starts[starts + form.len <= log.data_len]
         spans.append(np.stack([starts, starts + form.len]))
         # Old logs have a message for each IMU: IMU2, IMU3.
@@ -316,34 +310,25 @@ def telemetry_content(path: Path) -> FlightLog:
     kinds = dict(_TELEMETRY)
     if _ARDUPILOT not in makers.values():
         kinds["RAW_IMU"] = replace(_SENT, units=dict.fromkeys(Sensor))
-    found = {key: _fields(messages, kinds[key[0]]) for key, messages in rows.items()}
+    found: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
+    for key, sent in rows.items():
+        kind = kinds[key[0]]
+        names = [*chain(*kind.fields.values()), *(name for name in kind.times if hasattr(sent[0], name))]
+        found[key] = {name: np.array([getattr(one, name) for one in sent]) for name in names}
     return flight_log("tlog", found, kinds, damaged=bool(log.mav.total_receive_errors))
-
-
-def _fields(messages: Sequence[Any], kind: Message) -> dict[str, NDArray[Any]]:
-    names = [name for fields in kind.fields.values() for name in fields]
-    names += [name for name in kind.times if hasattr(messages[0], name)]
-    return {name: np.array([getattr(message, name) for message in messages]) for name in names}
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the IMU of a flight controller's log.
 
-    Raises
-    ------
-    ReadError
-        If it can't be read, or the package that reads it is not installed.
-    ChoiceError
-        If several message instances could be meant, or none fits.
-    DataError
-        If there are no samples.
+    Raises ReadError if it can't be read, or the package that reads it is not installed; ChoiceError if
+    several message instances could be meant, or none fits; DataError if there are no samples.
     """
     log = _load(path)
     _refuse_options(path, options, log.instances)
     findings = _log_findings(log)
     if options.strict and any(finding.level == "warning" for finding in findings):
-        msg = f"{path}: {findings[0].text} Expected an undamaged log"
-        raise ReadError(msg)
+        raise refused(path, f"{findings[0].text} Expected an undamaged log")
     chosen = _choose(path, log.instances, options)
     work = RecordingBuilder(path=str(path), format=log.format, options=options, findings=findings)
     how = "as asked" if options.topics else "the only ones logged at the full rate"
@@ -450,13 +435,12 @@ def _log_findings(log: FlightLog) -> list[Finding]:
     findings = []
     if log.damaged:
         text = "Parts of the log are damaged; what could be read around them was read."
-        findings.append(Finding(level="warning", code="damaged", text=text))
+        findings.append(Finding("warning", "damaged", text))
     if log.dropouts:
         lost = sum(log.dropouts) / 1000
         count = "a dropout" if len(log.dropouts) == 1 else f"{len(log.dropouts)} dropouts"
         text = f"The logger reports {count} of {lost:.3g} s in all: its card was too slow."
-        advice = "Use a faster card or log fewer topics."
-        findings.append(Finding(level="info", code="dropouts", text=text, advice=advice))
+        findings.append(Finding("info", "dropouts", text, "Use a faster card or log fewer topics."))
     return findings
 
 
@@ -477,8 +461,7 @@ def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> 
     pair = {instance.sensors: instance for instance in fast}
     if len(fast) == 2 and pair.keys() == {(Sensor.GYROSCOPE,), (Sensor.ACCELEROMETER,)}:
         return [pair[Sensor.GYROSCOPE,], pair[Sensor.ACCELEROMETER,]]
-    msg = f"{path}: several IMU messages: {_listed(fast)}; name one, or one for each sensor"
-    raise ChoiceError(msg)
+    raise ChoiceError(f"{path}: several IMU messages: {_listed(fast)}; name one, or one for each sensor")
 
 
 def _asked(path: Path, instances: Sequence[Instance], topics: Sequence[str]) -> list[Instance]:

@@ -1,10 +1,9 @@
 """Logs of messages -> Recording: choose topics, decode them in order, and give each sensor its clock."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
@@ -13,8 +12,9 @@ from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, repeats
-from imucal.readers.containers import Container, Loss
+from imucal.readers.containers.container import Container, Loss, OpenFiles
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.files import refused
 from imucal.readers.messages import (
     Choice,
     Topic,
@@ -30,13 +30,10 @@ from imucal.readers.messages.loader import Stream
 from imucal.readers.messages.message_types import EACH, ImuFields, parse_fields_text
 from imucal.readers.messages.topic_streams import first_frames
 from imucal.readers.messages.trees import TreeDecoder, spread_times
-from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
 from imucal.readers.store import Columns, Room, is_constant
 from imucal.recording import Recording, Sensor
-
-#: Opens the files of a log; also returns the name of its format.
-OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
 
 #: Codes of findings that say a log is damaged.
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
@@ -55,10 +52,7 @@ class MessageReader:
     def read(self, path: Path, options: ReadOptions) -> Recording:
         """Read the IMU topic of a log.
 
-        Raises
-        ------
-        ReadError
-            If the log can't be read; `ChoiceError` if several topics fit or none does.
+        Raises ReadError if the log can't be read; ChoiceError if several topics fit or none does.
         """
         containers, form = self.open_files(path, options.progress)
         with _closing(containers):
@@ -78,8 +72,7 @@ def _naming(path: Path) -> Iterator[None]:
     except ReadError as error:
         if str(error).startswith(str(path)):
             raise
-        msg = f"{path}: {error}"
-        raise type(error)(msg) from error
+        raise type(error)(f"{path}: {error}") from error
 
 
 def _closing(containers: Sequence[Container]) -> ExitStack:
@@ -160,8 +153,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         if not decoding.columns.n:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
             why = next(iter(seen), "the log holds none")
-            msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
-            raise ReadError(msg)
+            raise refused(path, f"no message of topic {choice.topic.name} could be read: {why}")
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
     beside = None
     if work.temperature is None:
@@ -180,12 +172,10 @@ def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -
     """Refuse a damaged log where that is asked for, and one in which nothing changes."""
     damage = [finding for finding in work.findings if finding.code in DAMAGE]
     if options.strict and damage:
-        msg = f"{path}: the log is damaged, and recovery was not wanted: {damage[0].text}"
-        raise ReadError(msg)
+        raise refused(path, f"the log is damaged, and recovery was not wanted: {damage[0].text}")
     if not work.series:
         texts = "; ".join(finding.text for finding in work.findings) or "no data"
-        msg = f"{path}: no sensor has samples that change: {texts}"
-        raise DataError(msg)
+        raise refused(path, f"no sensor has samples that change: {texts}", DataError)
 
 
 def _refuse_options(path: Path, options: ReadOptions) -> None:
@@ -197,8 +187,7 @@ def _refuse_options(path: Path, options: ReadOptions) -> None:
         )
         raise ChoiceError(msg)
     if options.time not in {None, "header", "log"}:
-        msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
-        raise ChoiceError(msg)
+        raise ChoiceError(f"{path}: messages have no time called {options.time!r}; expected header or log")
     if options.columns is not None:
         msg = (
             f"{path}: messages have no columns, but {options.columns!r} was asked for; "
@@ -216,7 +205,7 @@ def _loss_findings(losses: Sequence[Loss]) -> list[Finding]:
         where = f"{len(same)} places" if len(same) > 1 else "one place"
         text = f"The log is damaged in {where}: {same[0].text}"
         text += f"; about {lost} messages are lost." if lost else "; no message is lost by it."
-        findings.append(Finding(level="warning", code=code, text=text))
+        findings.append(Finding("warning", code, text))
     return findings
 
 
@@ -244,13 +233,13 @@ def _add_topic(
         if is_constant(rows):
             value = ", ".join(f"{row[0]:g}" for row in rows)
             text = f"The {sensor} of topic {topic.name} is always ({value}): it has no data."
-            work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
+            work.findings.append(Finding("warning", "no-data", text, axis=sensor.short))
             continue
         vector = vectors[sensor]
-        stated: UnitGuess | None = UnitGuess(unit=sensor.unit, reason=usual)
+        stated: UnitGuess | None = UnitGuess(usual, sensor.unit, assumed=not imu.standard)
         if imu.asked:
             # Nothing is known of fields that a user named but what stands in their names.
-            own = UnitGuess(unit=vector.unit, reason="from the column header")
+            own = UnitGuess("from the column header", vector.unit)
             stated = own if vector.unit else None
         unscaled.append(
             Unscaled(sensor=sensor, rows=rows, clock=clock, order=order, axes=vector.axes, stated=stated)
@@ -264,7 +253,7 @@ def _other_vectors(topic: Topic, imu: ImuFields) -> Iterator[Finding]:
     if imu.others:
         read = " and ".join(vector.field for vector in imu.vectors)
         text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
-        yield Finding(level="warning", code="other-vectors", text=text)
+        yield Finding("warning", "other-vectors", text)
 
 
 def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
@@ -278,7 +267,7 @@ def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
         for name, count in lengths.items()
         if count > 1
     ]
-    return [Finding(level="warning", code="other-vectors", text=text) for text in texts]
+    return [Finding("warning", "other-vectors", text) for text in texts]
 
 
 def steps_back(times: IntArray) -> int:
@@ -341,7 +330,7 @@ def in_time_order(columns: Columns, room: Room) -> list[Finding]:
         for first, order in orders:
             columns.reorder(first, order)
         text = f"{late} messages stand in the file before earlier ones; they were put in order of log time."
-    return [Finding(level="info", code="log-out-of-order", text=text)]
+    return [Finding("info", "log-out-of-order", text)]
 
 
 def _clock(work: RecordingBuilder, topic: Topic, columns: Columns, options: ReadOptions) -> ClockReading:

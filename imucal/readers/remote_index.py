@@ -14,9 +14,9 @@ from imucal.readers.formats import detect_head
 from imucal.readers.message_logs import describe_logs
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.remote_logs import LocalLogs, RangedFile, TooMuchError
-from imucal.remote import LocalCopy, RemoteLog
+from imucal.remote import RemoteLog
 from imucal.remote.addresses import ChangedError, RemoteFile
-from imucal.remote.copies import entry_of
+from imucal.remote.copies import LocalCopy, entry_of
 
 #: Below this many bytes a log is downloaded for its description too: its parts would take no less time.
 _SMALL = 1 << 20
@@ -43,7 +43,7 @@ def index_of(log: RemoteLog, options: ReadOptions) -> LogContents | None:
             if opened is None:
                 return None
             containers, form = opened
-            return named.described(describe_logs(containers, path, options, form=form))
+            return named.said(describe_logs(containers, path, options, form=form))
     except (TooMuchError, ChangedError):
         return None
 

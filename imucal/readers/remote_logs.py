@@ -3,19 +3,23 @@
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from imucal.errors import ImucalError
-from imucal.findings import Finding
-from imucal.readers.contents import LogContents
 from imucal.readers.files import LogFile
 from imucal.readers.read_options import Progress
 from imucal.recording import LogFileInfo, Recording
-from imucal.remote import LocalCopy, RemoteLog, fetched, is_url, logs_at
+from imucal.remote import RemoteLog, is_url
 from imucal.remote.addresses import RemoteFile
-from imucal.remote.stores import store_of
+
+if TYPE_CHECKING:
+    from imucal.remote.copies import LocalCopy
+
+Value = TypeVar("Value")
 
 #: Bytes of a block: small reads are rounded to these, as an answer takes as long as some of its bytes.
 _BLOCK = 1 << 17
@@ -30,34 +34,28 @@ class LocalLogs:
     #: What the readers read.
     paths: tuple[Path, ...]
     #: The copies among them.
-    copies: tuple[LocalCopy, ...] = ()
+    copies: tuple["LocalCopy", ...] = ()
 
-    def said(self, text: str) -> str:
-        """Return a text with URLs in the place of the copies' paths; without what is secret in them."""
-        for copy in self.copies:
-            text = text.replace(str(copy.path), copy.log.shown)
-        return text
+    def said(self, value: Value) -> Value:
+        """Return a value whose texts have URLs in the place of the copies' paths, and no secret of them."""
+        said: Any = value
+        if type(value) is str:
+            for copy in self.copies:
+                said = said.replace(str(copy.path), copy.log.shown)
+        elif isinstance(value, tuple):
+            said = tuple(map(self.said, value))
+        elif is_dataclass(value):
+            said = replace(
+                said, **{part.name: self.said(getattr(value, part.name)) for part in fields(value)}
+            )
+        return cast("Value", said)
 
     def named(self, recording: Recording) -> Recording:
         """Return a recording that names URLs."""
         if not self.copies:
             return recording
-        source = recording.source
-        decisions = tuple((question, self.said(answer)) for question, answer in source.decisions)
-        files = self.named_files(source.files)
-        return replace(
-            recording,
-            source=replace(source, path=self.said(source.path), decisions=decisions, files=files),
-            findings=self._findings(recording.findings),
-        )
-
-    def described(self, contents: LogContents) -> LogContents:
-        """Return contents that name URLs."""
-        if not self.copies:
-            return contents
-        topics = tuple(replace(topic, note=self.said(topic.note)) for topic in contents.topics)
-        findings = self._findings(contents.findings)
-        return replace(contents, path=self.said(contents.path), topics=topics, findings=findings)
+        source = replace(self.said(recording.source), files=self.named_files(recording.source.files))
+        return replace(recording, source=source, findings=self.said(recording.findings))
 
     def named_files(self, files: Sequence[LogFileInfo]) -> tuple[LogFileInfo, ...]:
         """Return files with their URLs and ETags."""
@@ -68,12 +66,6 @@ class LocalLogs:
         }
         return tuple(
             replace(file, path=self.said(file.path), etag=tags.get(file.path) or file.etag) for file in files
-        )
-
-    def _findings(self, findings: Sequence[Finding]) -> tuple[Finding, ...]:
-        return tuple(
-            replace(finding, text=self.said(finding.text), advice=self.said(finding.advice))
-            for finding in findings
         )
 
     @contextmanager
@@ -96,14 +88,14 @@ def local_logs(
 
     Wildcards and folders of URLs become their logs, as a shell and `imucal.readers.logs_of` do it with files.
 
-    Raises
-    ------
-    ReadError
-        If a URL can't be fetched.
+    Raises ReadError if a URL can't be fetched.
     """
     if not any(isinstance(log, RemoteLog) or is_url(log) for log in logs):
         yield LocalLogs(tuple(Path(str(log)) for log in logs))
         return
+    from imucal.remote.copies import fetched
+    from imucal.remote.stores import logs_at
+
     found: list[Path | RemoteLog] = []
     for log in logs:
         if isinstance(log, RemoteLog):
@@ -118,7 +110,7 @@ def local_logs(
             if isinstance(one, Path):
                 paths.append(one)
                 continue
-            tell = _as_part(progress, before, total) if progress else None
+            tell = partial(_tell_part, progress, before, total) if progress else None
             before += one.size or 0
             copies.append(stack.enter_context(fetched(one, progress=tell, exact=one in logs)))
             paths.append(copies[-1].path)
@@ -127,9 +119,9 @@ def local_logs(
             yield local
 
 
-def _as_part(progress: Progress, before: int, total: int) -> Progress:
-    """Return what tells of one log as a part of all, behind those `before` it."""
-    return lambda done, _: progress(before + done, total)
+def _tell_part(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    """Tell of one log as a part of all, behind those `before` it."""
+    progress(before + done, total)
 
 
 class TooMuchError(Exception):
@@ -143,6 +135,8 @@ class RangedFile(LogFile):
     """
 
     def __init__(self, remote: RemoteFile, path: Path) -> None:
+        from imucal.remote.stores import store_of
+
         if remote.size is None or not remote.ranges:
             raise TooMuchError
         self.path, self.size = path, remote.size

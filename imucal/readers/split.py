@@ -18,7 +18,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import converter_step, median_size, sample_rows
 from imucal.readers.store import join_rows
 from imucal.readers.tables import read_many
-from imucal.recording import AxisSeries, Recording, Sensor, Temperature
+from imucal.recording import AxisSeries, Recording, Sensor, Temperature, span_ns
 from imucal.resources import column_limit
 
 #: A part goes on within this time of the end of the one before, in s.
@@ -51,14 +51,6 @@ _NO_DATE = 315_532_800_000_000_000
 _COMMON = ("frame", "layout", "gyroscope unit", "accelerometer unit")
 
 
-def span_ns(recording: Recording) -> tuple[int, int] | None:
-    """Return when a recording's first sample was taken and its last one ends, in ns; None without stamps."""
-    clocks = [series.clock for series in recording.series]
-    starts = [clock.start_ns for clock in clocks if clock.start_ns is not None]
-    ends = [clock.start_ns + round(clock.duration_s * 1e9) for clock in clocks if clock.start_ns is not None]
-    return (min(starts), max(ends)) if starts else None
-
-
 def why_not_one(paths: Sequence[Path], parts: Sequence[Recording]) -> str:
     """Return why recordings, in the order of their times, are not parts of one; empty where they are.
 
@@ -66,25 +58,17 @@ def why_not_one(paths: Sequence[Path], parts: Sequence[Recording]) -> str:
     on where the one before ends.
     """
     names = [path.name for path in paths]
-    return (
-        overlap(names, parts)
-        or _differences(parts)
-        or _scales(names, parts)
-        or _names(paths)
-        or _pauses(names, parts)
-    )
+    alike = overlap(names, parts) or _differences(parts) or _scales(names, parts)
+    return alike or _names(names) or _pauses(names, parts)
 
 
 def overlap(names: Sequence[str], parts: Sequence[Recording]) -> str:
     """Return which recordings, in the order of their times, overlap; empty where none do."""
-    for (i, first), (j, second) in pairwise(enumerate(parts)):
-        before, after = span_ns(first), span_ns(second)
-        if before is None or after is None:
-            continue
-        over = (min(before[1], after[1]) - after[0]) / 1e9
-        tau0 = max(series.tau0 for series in (*first.series, *second.series))
-        if over > max(_SAMPLES_OVER * tau0, _TIME_OVER):
-            return f"{names[i]} and {names[j]} overlap in time by {over:.4g} s"
+    for (first, one), (second, other) in pairwise(zip(names, (part.series for part in parts), strict=True)):
+        if (before := span_ns(one)) and (after := span_ns(other)):
+            over = (min(before[1], after[1]) - after[0]) / 1e9
+            if over > max(_SAMPLES_OVER * max(series.tau0 for series in one + other), _TIME_OVER):
+                return f"{first} and {second} overlap in time by {over:.4g} s"
     return ""
 
 
@@ -150,12 +134,11 @@ def _apart(a: float, b: float) -> float:
     return max(a, b) / min(a, b) if min(a, b) > 0 else float("inf")
 
 
-def _names(paths: Sequence[Path]) -> str:
+def _names(names: Sequence[str]) -> str:
     """Return that names are no series of parts: they differ in more than numbers, or number devices."""
-    names = [path.name.lower() for path in paths]
-    if len(set(map(series_of, names))) > 1:
+    if len({series_of(name.lower()) for name in names}) > 1:
         return "their names are no series: they differ in more than a number"
-    if all(_DEVICE.search(_ENDINGS.sub("", name)) for name in names):
+    if all(_DEVICE.search(_ENDINGS.sub("", name.lower())) for name in names):
         return "their names number devices, not parts"
     return ""
 
@@ -167,27 +150,22 @@ def series_of(name: str) -> str:
 
 def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
     """Return between which recordings there is a pause, or none that is known."""
-    for (i, first), (j, second) in pairwise(enumerate(parts)):
-        before, after = span_ns(first), span_ns(second)
+    spans = zip(names, (span_ns(part.series) for part in parts), strict=True)
+    for (first, before), (second, after) in pairwise(spans):
         if before is None or after is None:
-            return f"{names[i if before is None else j]} has no stamps that say when it was recorded"
+            return f"{second if before else first} has no stamps that say when it was recorded"
         pause = (after[0] - before[1]) / 1e9
         if pause > _PAUSE:
-            return f"{names[j]} starts {pause:.4g} s after the end of {names[i]}"
+            return f"{second} starts {pause:.4g} s after the end of {first}"
     return ""
 
 
 def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     """Read several logs as one recording, in the order of their times.
 
-    Raises
-    ------
-    ReadError
-        If a log can't be read.
-    ChoiceError
-        If the logs are not parts of one recording: they overlap in time, differ in topic, frame or scale,
-        or nothing says that one goes on where another ends. With `ReadOptions.join` only logs of other
-        axes or rates are refused.
+    Raises ReadError if a log can't be read; ChoiceError if the logs are not parts of one recording:
+    they overlap in time, differ in topic, frame or scale, or nothing says that one goes on where another
+    ends. With `ReadOptions.join` only logs of other axes or rates are refused.
     """
     ordered = sorted(paths, key=natural)
     formats = [detect(path) for path in ordered]
@@ -198,7 +176,7 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     limit = options.memory_limit or column_limit()
     part_options = replace(options, memory_limit=max(1, limit // (2 * len(ordered))))
     parts = [load(f).read(path, part_options) for path, f in zip(ordered, formats, strict=True)]
-    spans = [span for part in parts if (span := span_ns(part))]
+    spans = [span for part in parts if (span := span_ns(part.series))]
     if len(spans) == len(parts):
         # In the order of their first samples, else in that of their names.
         order = sorted(range(len(parts)), key=lambda i: spans[i][0])
@@ -229,7 +207,7 @@ def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) ->
 
 def _row(path: Path, part: Recording) -> tuple[str, str, str, str]:
     """Return a log as its name, when it was recorded, how much of it there is, and what was read."""
-    span, series = span_ns(part), part.series[0]
+    span, series = span_ns(part.series), part.series[0]
     frame = dict(part.source.decisions).get("frame")
     topics = ", ".join(part.source.topics) if part.source.message_types else part.source.format
     amount = f"{series.duration_s:.4g} s at {series.rate_hz:.4g} Hz"
@@ -288,7 +266,7 @@ def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, lim
         series=tuple(series),
         temperature=_temperature(parts, clocks, in_order=in_order),
         findings=(
-            Finding(level="warning" if problem else "info", code="joined", text=text),
+            Finding("warning" if problem else "info", "joined", text),
             *dict.fromkeys(finding for part in parts for finding in part.findings),
         ),
     )
@@ -328,7 +306,7 @@ def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
                 # It goes on without a gap.
                 segments[-1] = replace(last, stop=part.stop + count)
             else:
-                segments.append(Segment(start=part.start + count, stop=part.stop + count, offset=offset))
+                segments.append(Segment(part.start + count, part.stop + count, offset))
         count += clock.n
         place += clock.grid_size
         # The next sample is due here.

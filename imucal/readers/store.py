@@ -32,14 +32,11 @@ _FIRST = 1 << 16
 def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
     """Return an array of n values that are not set, in a temporary file if it has more than `most` bytes.
 
-    Raises
-    ------
-    ReadError
-        If there is no room for the file: what is missing later would end the process.
+    Raises ReadError if there is no room for the file: what is missing later would end the process.
     """
     size = n * np.dtype(dtype).itemsize
     if size <= most or not size:
-        return np.empty(n, dtype=dtype)
+        return np.empty(n, dtype)
     try:
         with tempfile.TemporaryFile(prefix="imucal-") as file:
             if hasattr(os, "posix_fallocate"):
@@ -56,11 +53,8 @@ def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
 class Room:
     """Where arrays are made, block by block.
 
-    Parameters
-    ----------
-    limit
-        Bytes that may be held; an array of more than a sixteenth of them lies in a temporary file. None for
-        `imucal.resources.column_limit`.
+    An array of more than a sixteenth of the `limit`, in bytes, lies in a temporary file; None for
+    `imucal.resources.column_limit`.
     """
 
     def __init__(self, limit: int | None = None) -> None:
@@ -131,14 +125,8 @@ def equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
 class Columns:
     """Stamps and samples of one topic, one contiguous row a quantity.
 
-    Attributes
-    ----------
-    stamps, log
-        Shape (n,), int64, in ns.
-    vectors
-        Sensor -> shape (3, n), float64; of a sensor with fewer axes a row for each.
-    temperature
-        Shape (n,), or None.
+    `stamps` and `log` are in ns, int64, shape (n,); `vectors` has for each sensor float64 of shape (3, n), or
+    a row for each of fewer axes; `temperature` has shape (n,), or is None.
     """
 
     def __init__(
@@ -248,14 +236,8 @@ def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = Non
 class GrowingColumn:
     """Values of one column, appended block by block.
 
-    Parameters
-    ----------
-    dtype
-        ``int64`` or ``float64``.
-    limit
-        Bytes to hold in memory; beyond them the values go to a temporary file.
-    expected
-        Values to make room for; memory that is never filled is never taken.
+    Values, int64 or float64, go to a temporary file beyond `limit` bytes. There is room for as many as are
+    `expected`; memory that is never filled is never taken.
     """
 
     def __init__(self, dtype: type[np.generic], *, limit: int, expected: int = 0) -> None:

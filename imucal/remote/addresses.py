@@ -8,12 +8,13 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 from urllib.parse import unquote, urlsplit, urlunsplit
 
 from imucal.errors import ImucalError, ReadError, SettingError
+from imucal.frozen import frozen
 
 #: A scheme has two letters or more: C: is a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
@@ -38,16 +39,12 @@ _GLOB = frozenset("*?[")
 def is_url(log: object) -> bool:
     """Return whether a text is a URL and not the path of a file.
 
-    Raises
-    ------
-    ReadError
-        If it is a URL that was made a `Path`.
+    Raises ReadError if it is a URL that was made a `Path`.
     """
     if isinstance(log, Path):
         if (match := _COLLAPSED.match(str(log))) and not log.exists():
-            url = shown(str(log).replace(":/", "://", 1))
-            msg = f"{url}: a URL that went through a Path; expected {match[1]}://… as text"
-            raise ReadError(msg)
+            url = str(log).replace(":/", "://", 1)
+            raise refused(url, f"a URL that went through a Path; expected {match[1]}://… as text")
         return False
     return isinstance(log, str) and _URL.match(log) is not None
 
@@ -74,6 +71,11 @@ def shown(url: str) -> str:
     user, _, place = host.rpartition("@")
     # Azure writes container@account, which is no secret.
     return f"{scheme}://{place if ':' in user else host}{slash}{path}"
+
+
+def refused(url: str, text: str) -> ReadError:
+    """Return the error of a URL that is not read; the text says what was found, and what to do."""
+    return ReadError(f"{shown(url)}: {text}")
 
 
 def path_of(url: str) -> str:
@@ -111,7 +113,7 @@ def without_secrets(text: str, url: str) -> str:
     return re.sub(r"(\w://[^\s?'\"]*)\?[^\s'\")]*", r"\1", text)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RemoteFile:
     """One object of a store."""
 
@@ -136,25 +138,17 @@ class RemoteFile:
         return _digest(f"{url}\n{self.etag}\n{self.size}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RemoteLog:
-    """A log behind a URL: one object, or the folder of a bag.
+    """A log behind a URL: one object, or the folder of a bag."""
 
-    Attributes
-    ----------
-    url
-        Where it is: a secret where it is signed; `shown` is for people and files.
-    files
-        Its objects.
-    folder
-        Whether it is a folder, which may hold one file.
-    keep
-        Whether the copy stays in the cache after use.
-    """
-
+    #: Where it is: a secret where it is signed; `shown` is for people and files.
     url: str = field(repr=False)
+    #: Its objects.
     files: tuple[RemoteFile, ...]
+    #: Whether it is a folder, which may hold one file.
     folder: bool = False
+    #: Whether the copy stays in the cache after use.
     keep: bool = True
 
     @property
@@ -247,8 +241,7 @@ def timeout() -> float:
     except ValueError:
         seconds = 0.0
     if not 0 < seconds < 1e6:
-        msg = f"{TIMEOUT}: found {text!r}, expected seconds such as 60; set some, or unset it"
-        raise SettingError(msg)
+        raise SettingError(f"{TIMEOUT}: found {text!r}, expected seconds such as 60; set some, or unset it")
     return seconds
 
 
@@ -270,8 +263,7 @@ class Attempts:
         self._failed += 1
         if self._failed > len(self._waits):
             often = f" ({self._failed} attempts)" if self._waits else ""
-            msg = f"{shown(self._url)}: {error}{often}; try again later"
-            raise ReadError(msg) from error
+            raise refused(self._url, f"{error}{often}; try again later") from error
         time.sleep(self._waits[self._failed - 1])
 
 
@@ -287,7 +279,7 @@ def retried(url: str, work: Callable[[], Result]) -> Result:
 
 def missing(url: str, what: str = "object") -> ReadError:
     """Return the error of what is not there."""
-    return ReadError(f"{shown(url)}: there is no such {what} (404); look at the address")
+    return refused(url, f"there is no such {what} (404); look at the address")
 
 
 def forbidden(url: str, code: int = 403) -> ReadError:
@@ -295,8 +287,8 @@ def forbidden(url: str, code: int = 403) -> ReadError:
     scheme = scheme_of(url)
     if scheme not in _LOG_IN:
         hint = "a signed address may have run out; make a new one, or give name and password in ~/.netrc"
-        return ReadError(f"{shown(url)}: access is denied ({code}); {hint}")
-    return ReadError(f"{shown(url)}: access is denied ({code}) to these credentials; {_LOG_IN[scheme]}")
+        return refused(url, f"access is denied ({code}); {hint}")
+    return refused(url, f"access is denied ({code}) to these credentials; {_LOG_IN[scheme]}")
 
 
 def explained(error: Exception, url: str) -> Exception:
@@ -317,7 +309,7 @@ def explained(error: Exception, url: str) -> Exception:
         what = f"no credentials were found, or they are wrong; {_LOG_IN.get(scheme_of(url), 'log in')}"
     elif "SSLCertVerificationError" in names:
         what = f"the server's certificate is not trusted: {text}"
-    return ReadError(f"{shown(url)}: {what}")
+    return refused(url, what)
 
 
 def _passing(names: set[str], text: str) -> str:

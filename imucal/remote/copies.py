@@ -21,7 +21,16 @@ from typing import IO, TypeAlias
 from uuid import uuid4
 
 from imucal.errors import ReadError
-from imucal.remote.addresses import Attempts, ChangedError, PassingError, RemoteFile, RemoteLog, name_of
+from imucal.frozen import frozen
+from imucal.remote.addresses import (
+    Attempts,
+    ChangedError,
+    PassingError,
+    RemoteFile,
+    RemoteLog,
+    name_of,
+    refused,
+)
 from imucal.remote.stores import identify, store_of
 from imucal.resources import size_setting
 
@@ -47,20 +56,15 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
                     fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
                 except BlockingIOError:
                     had = False
-            if not had or _is_at(file, path):
+            # Whether the open file is still the one of that name.
+            same = not had
+            with suppress(OSError):
+                same = same or os.path.samestat(os.fstat(file), path.stat())
+            if same:
                 yield had
                 return
         finally:
             os.close(file)
-
-
-def _is_at(file: int, path: Path) -> bool:
-    """Return whether an open file is still the one of that name."""
-    try:
-        there = path.stat()
-    except OSError:
-        return False
-    return os.path.samestat(os.fstat(file), there)
 
 
 FOLDER, SIZE = "IMUCAL_CACHE", "IMUCAL_CACHE_SIZE"
@@ -177,12 +181,13 @@ def make_room(root: Path, wanted: int, *, most: int) -> None:
 
     Until all together take `most` bytes, and `wanted` bytes are free on the disk.
 
-    Raises
-    ------
-    ReadError
-        If the disk has not so many bytes even then.
+    Raises ReadError if the disk has not so many bytes even then.
     """
-    entries = list(_by_last_use(root))
+    used: list[tuple[float, str]] = []
+    for path in root.glob("*.lock"):
+        with suppress(OSError):
+            used.append((path.stat().st_mtime, path.stem))
+    entries = [Entry(root, key) for _, key in sorted(used)]
     sizes = [entry.size() for entry in entries]
     total = sum(sizes)
     for entry, size in zip(entries, sizes, strict=True):
@@ -202,14 +207,6 @@ def _lacks(root: Path, wanted: int) -> bool:
     return wanted > 0 and shutil.disk_usage(root).free < wanted + _MARGIN
 
 
-def _by_last_use(root: Path) -> Iterator[Entry]:
-    used: list[tuple[float, str]] = []
-    for path in root.glob("*.lock"):
-        with suppress(OSError):
-            used.append((path.stat().st_mtime, path.stem))
-    return (Entry(root, key) for _, key in sorted(used))
-
-
 #: Called with bytes done and bytes in all (0 where nobody knows).
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -217,22 +214,15 @@ Progress: TypeAlias = Callable[[int, int], None]
 _MOST_CHANGES = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LocalCopy:
-    """The copy of a remote log.
+    """The copy of a remote log."""
 
-    Attributes
-    ----------
-    log
-        What it is a copy of.
-    path
-        The file, or the folder of a bag; valid inside the ``with`` block.
-    files
-        Its files, in the order of `log.files`.
-    """
-
+    #: What it is a copy of.
     log: RemoteLog
+    #: The file, or the folder of a bag; valid inside the ``with`` block.
     path: Path
+    #: Its files, in the order of `log.files`.
     files: tuple[Path, ...]
 
 
@@ -246,10 +236,8 @@ def fetched(
     tells whether the object has changed. With `exact` a `RemoteLog` that changed is refused, as its results
     would go under the name of another; without it the new one is taken.
 
-    Raises
-    ------
-    ReadError
-        If there is no such log, it can't be fetched, the disk is full, or it is another than `log` by now.
+    Raises ReadError if there is no such log, it can't be fetched, the disk is full, or it is another than
+    `log` by now.
     """
     asked = identify(log) if isinstance(log, str) else log
     for _ in range(_MOST_CHANGES):
@@ -259,8 +247,7 @@ def fetched(
                 yield copy
         except ChangedError:
             if exact and not isinstance(log, str):
-                msg = f"{asked.shown}: it has changed since it was looked at; look again"
-                raise ReadError(msg) from None
+                raise refused(asked.shown, "it has changed since it was looked at; look again") from None
             asked = identify(asked.url, keep=asked.keep)
         else:
             return
@@ -269,8 +256,7 @@ def fetched(
                 make_room(entry.root, 0, most=cache_size())
             else:
                 entry.remove()
-    msg = f"{asked.shown}: it changes while it is read; wait until it is written"
-    raise ReadError(msg)
+    raise refused(asked.shown, "it changes while it is read; wait until it is written")
 
 
 @contextmanager

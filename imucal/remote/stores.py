@@ -41,6 +41,7 @@ from imucal.remote.addresses import (
     is_folder_name,
     missing,
     name_of,
+    refused,
     retried,
     scheme_of,
     shown,
@@ -55,11 +56,8 @@ def store_of(url: str) -> "Store":
         return HttpStore()
     if scheme not in OBJECT_STORES:
         hint = "; leave file:// out" if scheme == "file" else ""
-        msg = (
-            f"{shown(url)}: {scheme}:// is not read; expected s3://, gs://, az://, abfs://, https:// or "
-            f"http://{hint}"
-        )
-        raise ReadError(msg)
+        text = f"{scheme}:// is not read; expected s3://, gs://, az://, abfs://, https:// or http://"
+        raise refused(url, text + hint)
     return ObjectStore(url)
 
 
@@ -81,16 +79,23 @@ class HttpStore:
         """Return what is known of an object; None where it is a folder."""
         if is_folder_name(url):
             return None
-        return retried(url, lambda: self._looked_at(url))
 
-    def _looked_at(self, url: str) -> RemoteFile:
-        with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
-            _refuse_page(url, headers, body.read(_HEAD))
-        match = _RANGE.match(headers.get("Content-Range", ""))
-        length = headers.get("Content-Length", "")
-        size = int(match[1]) if match else int(length) if length.isdigit() and status == 200 else None
-        ranges = status != 200 and match is not None
-        return RemoteFile(url=url, etag=_tag(headers), size=size, ranges=ranges)
+        def looked_at() -> RemoteFile:
+            with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
+                if body.read(_HEAD).lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
+                    # No log begins so.
+                    kind = headers.get_content_type()
+                    expected = "expected the address of the file itself, signed where it needs to be"
+                    why = f"the answer is a web page ({kind}), perhaps to log in, and no log; {expected}"
+                    raise refused(url, why)
+            match = _RANGE.match(headers.get("Content-Range", ""))
+            length = headers.get("Content-Length", "")
+            size = int(match[1]) if match else int(length) if length.isdigit() and status == 200 else None
+            return RemoteFile(
+                url=url, etag=_tag(headers), size=size, ranges=status != 200 and match is not None
+            )
+
+        return retried(url, looked_at)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
         """Return bytes `start` to `stop` of an object; raises ChangedError where it is another by now."""
@@ -98,8 +103,7 @@ class HttpStore:
         def part() -> bytes:
             data = b"".join(self.blocks(file, start, stop))
             if len(data) != stop - start:
-                msg = "the connection ended early"
-                raise PassingError(msg)
+                raise PassingError("the connection ended early")
             return data
 
         return retried(file.url, part)
@@ -123,8 +127,7 @@ class HttpStore:
         parts = urlsplit(url)
         path, _, pattern = parts.path.rpartition("/")
         if "*" in path:
-            msg = f"{shown(url)}: a web address may have * in its last part only, such as …/logs/*.mcap"
-            raise ReadError(msg)
+            raise refused(url, "a web address may have * in its last part only, such as …/logs/*.mcap")
         folder = urlunsplit((parts.scheme, parts.netloc, f"{path}/", parts.query, ""))
         names = {link: unquote(urlsplit(link).path.rpartition("/")[2]) for link in _links(folder)}
         return [link for link, name in names.items() if fnmatchcase(name, unquote(pattern))]
@@ -144,7 +147,7 @@ class _WebRedirects(HTTPRedirectHandler):
 
 
 def _led_astray(url: str, where: str) -> ReadError:
-    return ReadError(f"{shown(url)}: the server leads on {where}, expected a file behind https:// or http://")
+    return refused(url, f"the server leads on {where}, expected a file behind https:// or http://")
 
 
 @contextlib.contextmanager
@@ -180,7 +183,7 @@ def _refusal(url: str, code: int) -> Exception:
     if code in {301, 302, 303, 307, 308}:
         return _led_astray(url, "without end")
     what = http.client.responses.get(code, "no such code is known")
-    return ReadError(f"{shown(url)}: the server answers {code} ({what}); expected the file")
+    return refused(url, f"the server answers {code} ({what}); expected the file")
 
 
 def _request(url: str, part: str | None) -> Request:
@@ -210,17 +213,6 @@ def _from_netrc(host: str) -> str:
 
 def _tag(headers: Message) -> str:
     return headers.get("ETag") or headers.get("Last-Modified") or ""
-
-
-def _refuse_page(url: str, headers: Message, head: bytes) -> None:
-    """Raise where the answer is a web page: no log begins so."""
-    if head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
-        kind = headers.get_content_type()
-        msg = (
-            f"{shown(url)}: the answer is a web page ({kind}), perhaps to log in, and no log; "
-            "expected the address of the file itself, signed where it needs to be"
-        )
-        raise ReadError(msg)
 
 
 def _links(folder: str) -> list[str]:
@@ -254,8 +246,7 @@ class ObjectStore:
         protocol, package, extra = OBJECT_STORES[self._scheme]
         if any(importlib.util.find_spec(name) is None for name in ("fsspec", package)):
             typed = shlex.quote(f"imucal-noise[{extra}]")
-            msg = f"{shown(url)}: {self._scheme}:// needs the package {package}; type: pip install {typed}"
-            raise ReadError(msg)
+            raise refused(url, f"{self._scheme}:// needs the package {package}; type: pip install {typed}")
         self._url = url
         self._files = self._asked(url, lambda: _file_system(protocol))
 
@@ -264,8 +255,7 @@ class ObjectStore:
         if info.get("type") == "directory":
             return None
         if info.get("size") is None:
-            msg = f"{shown(url)}: its store does not say how large it is; expected an object of known size"
-            raise ReadError(msg)
+            raise refused(url, "its store does not say how large it is; expected an object of known size")
         return RemoteFile(url=url, etag=_entity_tag(info), size=int(info["size"]))
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
@@ -358,10 +348,7 @@ def expand(url: str) -> list[str]:
     A folder with ``metadata.yaml`` is one log, the bag of ROS 2; so is one that holds only tables, as
     they may be an app's set. Of any other, each log stands for itself.
 
-    Raises
-    ------
-    ReadError
-        If there is none, or it can't be asked.
+    Raises ReadError if there is none, or it can't be asked.
     """
     store = store_of(url)
     return [url] if _object_at(store, url) else _expanded(store, url)
@@ -388,8 +375,7 @@ def _expanded(store: Store, url: str) -> list[str]:
             # Such signs may stand in a name.
             if store.look_at(url) is not None:
                 return [url]
-        msg = f"{shown(url)}: no log has such a name; expected one with an ending such as .mcap, .bag or .csv"
-        raise ReadError(msg)
+        raise refused(url, "no log has such a name; expected one with an ending such as .mcap, .bag or .csv")
     logs = _logs_in(store, url)
     names = [name_of(log) for log in logs]
     if _METADATA in names or not any(name.endswith(_MESSAGES) for name in names):
@@ -400,10 +386,7 @@ def _expanded(store: Store, url: str) -> list[str]:
 def identify(url: str, *, keep: bool = True) -> RemoteLog:
     """Return name, ETag and size of a log without reading it; `keep` says whether its copy stays after use.
 
-    Raises
-    ------
-    ReadError
-        If there is none, it may not be read, or the store can't be asked.
+    Raises ReadError if there is none, it may not be read, or the store can't be asked.
     """
     store = store_of(url)
     file = None if is_folder_name(url) else store.look_at(url)
@@ -415,8 +398,7 @@ def identify(url: str, *, keep: bool = True) -> RemoteLog:
 
 def _of_one(url: str, file: RemoteFile, *, keep: bool = True) -> RemoteLog:
     if file.size == 0:
-        msg = f"{shown(url)}: the file is empty; expected a log"
-        raise ReadError(msg)
+        raise refused(url, "the file is empty; expected a log")
     return RemoteLog(url=url, files=(file,), keep=keep)
 
 
@@ -426,6 +408,5 @@ def _logs_in(store: Store, url: str) -> list[str]:
     logs = [file for file in files if name_of(file) == _METADATA or name_of(file).endswith(_LOGS)]
     if not any(name_of(log) != _METADATA for log in logs):
         inside = ", ".join(name_of(file) for file in files[:10]) or "nothing"
-        msg = f"{shown(url)}: a folder that holds {inside}; expected logs, such as .mcap, .bag or .csv files"
-        raise ReadError(msg)
+        raise refused(url, f"a folder that holds {inside}; expected logs, such as .mcap, .bag or .csv files")
     return logs

@@ -17,12 +17,12 @@ import base64
 import io
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,15 +30,16 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Line, NoiseFit
+from imucal.frozen import frozen_alone
 from imucal.noise.term import NoiseTerm, Stroke
 from imucal.noise.terms import TERMS
 from imucal.printable import printable
 from imucal.processes import side_by_side, try_side_work
-from imucal.recording import Sensor
+from imucal.recording import Axis, Sensor
 from imucal.report import numbers
 from imucal.report.labels import Label, place_labels
+from imucal.report.numbers import SheetUnits, sheet_units
 from imucal.report.result import AxisReport, Report
-from imucal.report.sheet_units import SheetUnits, sheet_units
 from imucal.report.view import Row, View, views
 from imucal.resources import threads
 from imucal.units import duration, pretty
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
 _FIRST, _LEAST = 6.0, 12.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class SmoothSpectrum:
     """Roots of a two-sided density with their limits, in U/√Hz, shape (k,); `frequency` in Hz."""
 
@@ -65,31 +66,25 @@ class SmoothSpectrum:
 def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
     """Return an axis's spectrum with neighbouring bins merged until each point averages 12 ordinates.
 
-    The ratio to the model is averaged, not the density: within a merged bin the slope is the model's, and
-    a steep density is not read too high. Limits are chi-squared, at the level of the fit, one degree of
-    freedom an ordinate.
-
-    Notes
-    -----
-    Prewhitening by a model: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18.
+    The ratio to the model is averaged, not the density: within a merged bin the slope is the model's, and a
+    steep density is not read too high. Limits are chi-squared, at the level of the fit, one degree of
+    freedom an ordinate. Source: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18, for
+    prewhitening by a model.
     """
     from scipy.special import chdtri
 
     spectrum, fit = axis.spectrum, axis.fit
     if not spectrum.frequency.size:
-        return SmoothSpectrum(frequency=np.zeros(0), root=np.zeros(0), low=np.zeros(0), high=np.zeros(0))
+        none = np.zeros(0)
+        return SmoothSpectrum(frequency=none, root=none, low=none, high=none)
     first = _firsts(spectrum.count)
     count = np.add.reduceat(spectrum.count, first)
     frequency = np.exp(np.add.reduceat(np.log(spectrum.frequency) * spectrum.count, first) / count)
     ratio = np.add.reduceat(spectrum.psd / _shape(axis, spectrum.frequency) * spectrum.count, first) / count
     root = np.sqrt(ratio * _shape(axis, frequency))
     tail = (1 - fit.level) / 2
-    return SmoothSpectrum(
-        frequency=frequency,
-        root=root,
-        low=root * np.sqrt(count / chdtri(count, tail)),
-        high=root * np.sqrt(count / chdtri(count, 1 - tail)),
-    )
+    low, high = (root * np.sqrt(count / chdtri(count, beyond)) for beyond in (tail, 1 - tail))
+    return SmoothSpectrum(frequency=frequency, root=root, low=low, high=high)
 
 
 def _shape(axis: AxisReport, frequency: FloatArray) -> FloatArray:
@@ -195,24 +190,28 @@ def tick_label(value: float) -> str:
 
 #: Text sizes in points, for a figure 10 inches wide.
 TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
-LABEL_STYLE: dict[str, Any] = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
-LEGEND_STYLE: dict[str, Any] = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
+#: What an artist of matplotlib's looks like, by the names of its arguments.
+Style: TypeAlias = dict[str, Any]
+LABEL_STYLE: Style = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
+LEGEND_STYLE: Style = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
+#: The points of a curve, and the band of an interval.
+DOTS: Style = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
+_BAND: Style = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """A term as a line: the estimate it draws, the term with its value or its bound.
-
-    `tau_s` is where its coefficient is read off, in s; None for a floor.
-    """
+class Drawn(NamedTuple):
+    """A term as a line: the estimate it draws, the term with its value or its bound."""
 
     estimate: Estimate
     term: NoiseTerm
-    tau_s: float | None
-    height: float
+
+    @property
+    def bounded(self) -> bool:
+        """Whether only its bound is known."""
+        return self.estimate.value is None
 
 
-def new_figure(width: float, height: float, dpi: float) -> "Figure":
+def new_figure(width: float, height: float, dpi: float = 160) -> "Figure":
     """Return an empty white figure with its own Agg canvas; sizes in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -246,7 +245,7 @@ def quiet_frame(axes: "Axes") -> None:
 def write_head(figure: "Figure", title: str, subtitle: str, *, below: float = 0.38) -> None:
     """Write the title at the top left, and a line so many inches below the edge."""
     height = figure.get_figheight()
-    style: dict[str, Any] = {"color": INK, "va": "top"}
+    style: Style = {"color": INK, "va": "top"}
     figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
     figure.text(0.012, 1 - below / height, subtitle, fontsize=LEGEND_SIZE, **style)
 
@@ -256,7 +255,7 @@ def write_foot(figure: "Figure", source: str, version: str) -> None:
     name = printable(source)
     shown = name if len(name) <= 90 else f"…{name[-89:]}"
     # A dollar sign in a name starts no formula.
-    style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
+    style: Style = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
     y = 0.07 / figure.get_figheight()
     figure.text(0.012, y, shown, **style)
     figure.text(0.988, y, f"imucal {version}", ha="right", **style)
@@ -270,45 +269,51 @@ def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, fl
     return float(positive.min() / below), float(positive.max() * above)
 
 
-def dashes(stroke: Stroke) -> dict[str, Any]:
-    """Return the line style of a stroke."""
-    return {"dashes": stroke.dashes} if stroke.dashes else {}
+def stroked(stroke: Stroke, **style: object) -> Style:
+    """Return colour and dashes of a stroke, and what else makes up the style of a line."""
+    return {"color": stroke.light, **style, **({"dashes": stroke.dashes} if stroke.dashes else {})}
+
+
+def marked(axis: Axis, **style: object) -> Style:
+    """Return the style of an axis's line in an overview, with its marker."""
+    return stroked(AXES[axis], marker=MARKERS[axis], markerfacecolor="white", **style)
+
+
+def name_axes(axes: "Axes", reports: list[AxisReport], **style: object) -> None:
+    """Add a legend of which line of an overview is which axis."""
+    for axis in reports:
+        axes.plot([], [], label=axis.axis, **marked(axis.axis, **style))
+    axes.legend(loc="upper right", **LEGEND_STYLE)
 
 
 def term_entries(fit: NoiseFit, terms: list[Drawn]) -> list[Any]:
     """Return the legend's entries of the terms' lines, one for each symbol."""
     from matplotlib.lines import Line2D
 
-    entries: dict[str, Any] = {}
+    entries: Style = {}
     for drawn in terms:
-        symbol, bounded = drawn.estimate.symbol, drawn.estimate.value is None
-        stroke = TERMS[symbol].stroke
-        name = f"{symbol}{' bound:' if bounded else ''} {numbers.term_name(symbol, fit.sensor)}"
-        line: dict[str, Any] = {"color": stroke.light, "linewidth": 1.3, "label": name}
-        entries[symbol] = Line2D([], [], **line, **_read_off_mark(stroke, bounded=bounded), **dashes(stroke))
+        symbol = drawn.term.symbol
+        name = f"{symbol}{' bound:' if drawn.bounded else ''} {numbers.term_name(symbol, fit.sensor)}"
+        line = stroked(drawn.term.stroke, linewidth=1.3, label=name, **_read_off_mark(drawn))
+        entries[symbol] = Line2D([], [], **line)
     return list(entries.values())
 
 
-def _read_off_mark(stroke: Stroke, *, bounded: bool) -> dict[str, Any]:
-    face = "white" if bounded else stroke.light
-    return {"marker": "v" if bounded else "D", "markersize": 5.5, "markerfacecolor": face}
+def _read_off_mark(drawn: Drawn) -> Style:
+    marker, face = ("v", "white") if drawn.bounded else ("D", drawn.term.stroke.light)
+    return {"marker": marker, "markersize": 5.5, "markerfacecolor": face}
 
 
 def drawn_terms(fit: NoiseFit) -> list[Drawn]:
     """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
-    found = []
-    by_symbol = {term.symbol: term for term in fit.model.terms}
+    found, terms = [], fit.drawn
     for estimate in fit.estimates:
-        if TERMS[estimate.symbol].repeatable:
-            term: NoiseTerm | None = numbers.gauss_markov_term(fit, estimate)
-        elif estimate.value is not None:
-            term = by_symbol.get(estimate.symbol)
-        else:
-            known = math.isfinite(estimate.high) and estimate.high > 0
-            term = TERMS[estimate.symbol].of(estimate.high) if known else None
+        term = terms.get(estimate.key)
+        if estimate.value is None:
+            known = 0 < estimate.high < math.inf and not TERMS[estimate.symbol].repeatable
+            term = estimate.term(estimate.high) if known else None
         if term is not None:
-            tau_s, height = term.read_off()
-            found.append(Drawn(estimate=estimate, term=term, tau_s=tau_s, height=height))
+            found.append(Drawn(estimate, term))
     return found
 
 
@@ -330,21 +335,25 @@ MARKERS = {"x": "o", "y": "s", "z": "^"}
 def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
     """Draw one axis's curve, model and terms in data-sheet units; return the entries of the legend."""
     curve, rate, factor = fit.curve, fit.rate_hz, units.level.factor
-    shown, terms, m = shown_points(curve), drawn_terms(fit), _dense(curve)
-    y_limits = _y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms])
-    _style_allan(axes, units, curve.tau[shown], y_limits)
+    shown, terms = shown_points(curve), drawn_terms(fit)
+    y_limits = _y_limits(curve.adev[shown] * factor, [each.term.read_off()[1] * factor for each in terms])
+    style_allan(axes, pretty(units.level.name), curve.tau[shown], y_limits)
     entries = _points(axes, fit, shown, factor)
-    total = np.sqrt(fit.model.avar(m, rate_hz=rate)) * factor
+    m, total = smooth_adev(fit, curve.m)
+    tau, total = m / rate, total * factor
     if fit.model.terms:
         name = f"model {fit.model}"
-        entries += axes.plot(m / rate, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
-    obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (m / rate, total, 2.0)]
+        entries += axes.plot(tau, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
+    obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (tau, total, 2.0)]
     labels = []
     for drawn in terms:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
-        obstacles.append((m / rate, line, 0.7))
-        labels += _term(axes, fit, drawn, units, m / rate, line, total)
-    labels.append(_minimum(axes, fit, units))
+        obstacles.append((tau, line, 0.7))
+        labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
+    # The lowest point of the curve has a ring.
+    (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
+    axes.plot([at], [lowest * factor], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
+    labels.append(Label(text, at, lowest * factor, INK))
     place_labels(axes, labels, obstacles=obstacles, fontsize=LEGEND_SIZE)
     return entries + term_entries(fit, terms)
 
@@ -353,29 +362,30 @@ def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUni
     """Draw the curves and models of a sensor's axes."""
     values, times, factor = [], [], units.level.factor
     for axis in reports:
-        curve, colour = axis.fit.curve, AXES[axis.axis].light
+        curve, stroke = axis.fit.curve, AXES[axis.axis]
         shown = shown_points(curve)
         tau, adev = curve.tau[shown], curve.adev[shown] * factor
-        low, high = curve.confidence_interval(axis.fit.level)
-        axes.fill_between(
-            tau, low[shown] * factor, high[shown] * factor, color=colour, alpha=0.13, linewidth=0
-        )
-        marker: dict[str, Any] = {"marker": MARKERS[axis.axis], "markersize": 3.8, "markerfacecolor": "white"}
-        axes.plot(tau, adev, color=colour, linestyle="none", zorder=4, **marker)
-        m = _dense(curve)
-        total = np.sqrt(axis.fit.model.avar(m, rate_hz=axis.fit.rate_hz)) * factor
-        line: dict[str, Any] = {"color": colour, "linewidth": 1.5, **dashes(AXES[axis.axis])}
-        axes.plot(m / axis.fit.rate_hz, total, **line)
+        low, high = (limit[shown] * factor for limit in curve.confidence_interval(axis.fit.level))
+        axes.fill_between(tau, low, high, color=stroke.light, alpha=0.13, linewidth=0)
+        points = DOTS | {"marker": MARKERS[axis.axis], "markersize": 3.8, "markerfacecolor": "white"}
+        axes.plot(tau, adev, color=stroke.light, zorder=4, **points)
+        m, total = smooth_adev(axis.fit, curve.m)
+        axes.plot(m / axis.fit.rate_hz, total * factor, **stroked(stroke, linewidth=1.5))
         values.append(adev)
         times.append(tau)
     y_limits = limits(np.concatenate(values), below=2.0, above=2.0)
-    _style_allan(axes, units, np.concatenate(times), y_limits)
+    style_allan(axes, pretty(units.level.name), np.concatenate(times), y_limits)
 
 
-def _style_allan(axes: "Axes", units: SheetUnits, tau: FloatArray, y_limits: tuple[float, float]) -> None:
-    name = f"Allan deviation ({pretty(units.level.name)})"
-    x_limits = limits(tau, below=1.6, above=1.9)
-    style_axes(axes, x="averaging time τ (s)", y=name, x_limits=x_limits, y_limits=y_limits)
+def style_allan(axes: "Axes", unit: str, tau: FloatArray, y_limits: tuple[float, float]) -> None:
+    """Style the axes of Allan deviations in a unit, at averaging times in s, shape (k,)."""
+    style_axes(
+        axes,
+        x="averaging time τ (s)",
+        y=f"Allan deviation ({unit})",
+        x_limits=limits(tau, below=1.6, above=1.9),
+        y_limits=y_limits,
+    )
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
@@ -385,9 +395,17 @@ def shown_points(curve: AllanCurve) -> IntArray:
     return np.flatnonzero(sure if np.count_nonzero(sure) >= 2 else positive).astype(np.int64)
 
 
-def _dense(curve: AllanCurve) -> FloatArray:
-    """Return whole averaging factors that make a smooth line over the curve."""
-    return np.unique(np.geomspace(float(curve.m.min()), float(curve.m.max()), 200).round())
+def smooth_adev(fit: NoiseFit, m: IntArray, points: int = 200) -> tuple[FloatArray, FloatArray]:
+    """Return whole averaging factors as dense as a smooth line over `m`, and the model's deviations there."""
+    dense = np.unique(np.geomspace(m.min(), m.max(), points).round())
+    return dense, np.sqrt(fit.model.avar(dense, rate_hz=fit.rate_hz))
+
+
+def smooth_root(axis: AxisReport, points: int = 200) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies over a spectrum, in Hz, and the root of the model's density there, in U/√Hz."""
+    found = axis.spectrum.frequency
+    grid = np.geomspace(found[0], found[-1], points) if found.size else found
+    return grid, np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz))
 
 
 def _y_limits(adev: FloatArray, heights: list[float]) -> tuple[float, float]:
@@ -406,62 +424,46 @@ def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list
     adev = curve.adev * factor
     known = shown[np.isfinite(low[shown]) & np.isfinite(high[shown])]
     entries: list[Any] = []
-    dots: dict[str, Any] = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
     used, unused = np.intersect1d(shown, fit.used), np.setdiff1d(shown, fit.used)
     if used.size:
         name = f"Allan deviation ({curve.estimator})"
         # Above the labels' white boxes: no label hides a part of a point.
-        entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **dots)
+        entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **DOTS)
     if known.size:
         name = f"its {100 * fit.level:.4g} % interval"
-        band: dict[str, Any] = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2, "label": name}
-        entries.append(axes.fill_between(curve.tau[known], low[known], high[known], **band))
+        entries.append(axes.fill_between(curve.tau[known], low[known], high[known], label=name, **_BAND))
     if unused.size:
         name = "not used by the fit"
-        entries += axes.plot(curve.tau[unused], adev[unused], color=UNUSED, zorder=5, label=name, **dots)
+        entries += axes.plot(curve.tau[unused], adev[unused], color=UNUSED, zorder=5, label=name, **DOTS)
     return entries
 
 
-def _term(  # noqa: PLR0917 - drawing takes what is drawn
-    axes: "Axes",
-    fit: NoiseFit,
-    drawn: Drawn,
-    units: SheetUnits,
-    tau: FloatArray,
-    line: FloatArray,
-    total: FloatArray,
-) -> list[Label]:
-    """Draw a term's line and read-off; return its label, or nothing where no part of it is in view."""
-    stroke, bounded = TERMS[drawn.estimate.symbol].stroke, drawn.estimate.value is None
-    style: dict[str, Any] = {"linewidth": 1.0 if bounded else 1.3, "alpha": 0.65 if bounded else 1.0}
-    axes.plot(tau, line, color=stroke.light, zorder=3, **style, **dashes(stroke))
+def _term(
+    axes: "Axes", fit: NoiseFit, drawn: Drawn, units: SheetUnits, lines: tuple[FloatArray, ...]
+) -> Label:
+    """Draw a term's line and read-off, of `lines` tau, the term's and the model's; return its label."""
+    stroke, (tau, line, total) = drawn.term.stroke, lines
+    width, alpha = (1.0, 0.65) if drawn.bounded else (1.3, 1.0)
+    axes.plot(tau, line, zorder=3, **stroked(stroke, linewidth=width, alpha=alpha))
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    at, height = drawn.tau_s, drawn.height * units.level.factor
-    if at is None and not bounded:
+    at, height = drawn.term.read_off()
+    height *= units.level.factor
+    if at is None and not drawn.bounded:
         # A floor is read where it makes up most of the curve.
         at = float(tau[np.argmax(np.where((tau > left * 2) & (tau < right / 2), line / total, 0))])
     text = estimate_text(drawn.estimate, fit.sensor, units)
     if at is not None and left < at < right and bottom < height < top:
-        mark = _read_off_mark(stroke, bounded=bounded)
-        axes.plot([at], [height], color=stroke.light, linestyle="none", zorder=8, **mark)
-        return [_mark_label(text, at, height, stroke.light)]
+        axes.plot([at], [height], color=stroke.light, linestyle="none", zorder=8, **_read_off_mark(drawn))
+        return Label(text, at, height, stroke.light)
     in_view = (line > bottom * 1.1) & (line < top / 1.1) & (tau > left) & (tau < right)
     inside = np.flatnonzero(in_view)
     if not inside.size:
         # Too small to matter anywhere in view; the reader still wants the number.
         places = np.geomspace(left, right, 12)[1:-1]
         edge = np.full(places.size, bottom * (top / bottom) ** 0.01)
-        return [Label(text=f"{text} (below)", x=places, y=edge, colour=stroke.light)]
+        return Label(f"{text} (below)", places, edge, stroke.light)
     some = inside[:: max(1, inside.size // 12)]
-    return [Label(text=text, x=tau[some], y=line[some], colour=stroke.light)]
-
-
-def _minimum(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> Label:
-    """Ring the lowest point of the curve; return its label."""
-    adev, tau = fit.curve.minimum
-    adev *= units.level.factor
-    axes.plot([tau], [adev], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
-    return _mark_label(f"minimum {numbers.with_interval(units.minimum(fit))}", tau, adev, INK)
+    return Label(text, tau[some], line[some], stroke.light)
 
 
 #: At most this many lines are named, the strongest first; all are marked.
@@ -476,18 +478,15 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     if not frequency.size:
         axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
         return []
-    band: dict[str, Any] = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
-    axes.fill_between(frequency, smooth.low * factor, smooth.high * factor, **band)
+    axes.fill_between(frequency, smooth.low * factor, smooth.high * factor, **_BAND)
     axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
-    grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
+    grid, model = smooth_root(axis)
     for drawn in drawn_terms(axis.fit):
         density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz)) * factor
-        stroke = TERMS[drawn.estimate.symbol].stroke
-        if drawn.estimate.value is not None and np.any(density > 0):
-            axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
+        if not drawn.bounded and np.any(density > 0):
+            axes.plot(grid, density, zorder=3, **stroked(drawn.term.stroke, linewidth=1.1))
     if axis.fit.model.terms:
-        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
-        axes.plot(grid, model, color=MODEL.light, linewidth=1.8, zorder=6)
+        axes.plot(grid, model * factor, color=MODEL.light, linewidth=1.8, zorder=6)
     entries = _unused_band(axes, axis)
     labels = _lines(axes, axis, entries, factor) + _response(axes, axis)
     place_labels(axes, labels, obstacles=[(frequency, root, 2.0)], fontsize=LEGEND_SIZE)
@@ -503,9 +502,8 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits
         if not frequency.size:
             continue
         axes.plot(frequency, root, color=stroke.light, linewidth=0.8, alpha=0.55)
-        grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
-        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
-        axes.plot(grid, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
+        grid, model = smooth_root(axis)
+        axes.plot(grid, model * factor, **stroked(stroke, linewidth=1.6))
         values.append(root)
         places.append(grid)
     _style_psd(axes, units, np.concatenate(places), np.concatenate(values))
@@ -531,7 +529,7 @@ def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
     spans = [(left, band[0])] if spectrum[0] < band[0] else []
     if spectrum[-1] > band[1] * 1.01:
         spans.append((band[1], right))
-    style: dict[str, Any] = {"color": UNUSED, "alpha": 0.3, "linewidth": 0, "zorder": 1}
+    style: Style = {"color": UNUSED, "alpha": 0.3, "linewidth": 0, "zorder": 1}
     made = [axes.axvspan(*span, label="band not used by the fit", **style) for span in spans]
     return made[:1]
 
@@ -543,17 +541,13 @@ def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) ->
         return []
     at = [line.frequency_hz for line in lines]
     heights = [_height(axis, line) * factor for line in lines]
-    mark: dict[str, Any] = {"marker": "v", "markersize": 6, "color": LEFT_OUT, "linestyle": "none"}
+    mark: Style = {"marker": "v", "markersize": 6, "color": LEFT_OUT, "linestyle": "none"}
     entries += axes.plot(at, heights, zorder=9, label="line left out of the fit", **mark)
     strongest = sorted(zip(lines, heights, strict=True), key=lambda pair: -pair[0].amplitude)[:_NAMED_LINES]
     return [
-        _mark_label(f"{line.frequency_hz:.4g} Hz", line.frequency_hz, height, LEFT_OUT)
+        Label(f"{line.frequency_hz:.4g} Hz", line.frequency_hz, height, LEFT_OUT)
         for line, height in strongest
     ]
-
-
-def _mark_label(text: str, x: float, y: float, colour: str) -> Label:
-    return Label(text=text, x=np.array([x]), y=np.array([y]), colour=colour)
 
 
 def _height(axis: AxisReport, line: Line) -> float:
@@ -573,30 +567,33 @@ def _response(axes: "Axes", axis: AxisReport) -> list[Label]:
     bottom, top = axes.get_ylim()
     text = f"output filter\n{response.kind}\n{response.cutoff_hz:.3g} Hz"
     heights = np.geomspace(bottom, top, 8)[1:-1]
-    return [Label(text=text, x=np.full(heights.size, response.cutoff_hz), y=heights, colour=INK)]
+    return [Label(text, np.full(heights.size, response.cutoff_hz), heights, INK)]
 
 
 #: What `render` can make.
 FORMATS = ("png", "svg", "pdf")
 
 #: Inches.
-_WIDTH = 10.0
+WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
-_DPI = 160
 #: Grade -> colour of the verdict.
 _GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
 #: Left edge and width of the two plots, in parts of the figure.
 _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
 
+def check_format(form: str) -> None:
+    """Raise a ValueError if no picture has such a format."""
+    if form not in FORMATS:
+        raise ValueError(f"format {form!r} is not one of {', '.join(FORMATS)}")
+
+
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
     figure, left, right = _figure(report, rows=4)
-    fit, units = axis.fit, _units(report, axis.sensor)
-    structure = str(fit.model) or "no term shown"
-    write_head(
-        figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})"
-    )
+    fit, units = axis.fit, units_of(report, axis.sensor)
+    recorded, structure = _recorded(axis), str(fit.model) or "no term shown"
+    write_head(figure, axis_title(axis), f"{recorded}   ·   model {structure} ({fit.method.upper()})")
     entries = draw_allan(left, fit, units)
     names = {str(entry.get_label()) for entry in entries}
     entries += [entry for entry in draw_psd(right, axis, units) if str(entry.get_label()) not in names]
@@ -613,21 +610,14 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
 
 
 def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
-    """Return the Allan deviations and psds of a sensor's axes in one picture.
-
-    Raises
-    ------
-    ValueError
-        If the report has no axis of `sensor`.
-    """
+    """Return the curves and psds of a sensor's axes in one picture; a ValueError where it has none."""
     axes = report.by_sensor.get(sensor)
     if not axes:
-        msg = f"the report has no {sensor} axis"
-        raise ValueError(msg)
+        raise ValueError(f"the report has no {sensor} axis")
     seen = next(each for each in views(report) if each.sensor is sensor)
     units, rows = seen.units, _table_rows(seen)
     figure, left, right = _figure(report, rows=len(rows) + 2)
-    write_head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
+    write_head(figure, str(sensor).capitalize(), _recorded(axes[0]))
     draw_allan_overview(left, axes, units)
     draw_psd_overview(right, axes, units)
     _write_table(figure, axes, rows)
@@ -642,36 +632,25 @@ def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
     """Return Allan deviations for one column of a paper: no title, no foot, text of 8 points."""
     from matplotlib.text import Text
 
-    figure = new_figure(_COLUMN, _COLUMN_HEIGHT, _DPI)
+    figure = new_figure(_COLUMN, _COLUMN_HEIGHT)
     axes = figure.add_axes((0.17, 0.15, 0.81, 0.83))
     if isinstance(item, Sensor):
-        own = report.by_sensor[item]
-        draw_allan_overview(axes, own, _units(report, item))
-        for axis in own:
-            stroke, mark = AXES[axis.axis], MARKERS[axis.axis]
-            style: dict[str, Any] = {"marker": mark, "markersize": 3.8, "markerfacecolor": "white"}
-            axes.plot([], [], color=stroke.light, label=axis.axis, **style, **dashes(stroke))
-        axes.legend(loc="upper right", **LEGEND_STYLE)
+        draw_allan_overview(axes, report.by_sensor[item], units_of(report, item))
+        name_axes(axes, report.by_sensor[item], markersize=3.8)
     else:
-        draw_allan(axes, item.fit, _units(report, item.sensor))
+        draw_allan(axes, item.fit, units_of(report, item.sensor))
     for text in figure.findobj(Text):
         text.set_fontsize(_COLUMN_SIZE)
     return figure
 
 
 def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
-    """Return the picture's file: png, svg or pdf; the same report always gives the same png.
+    """Return the picture's file: png, svg or pdf, else a ValueError.
 
-    A png has a palette of 256 colours, which is enough for lines on white and makes it a third as large.
-
-    Raises
-    ------
-    ValueError
-        If `form` is none of `FORMATS`.
+    The same report always gives the same png. It has a palette of 256 colours, which is enough for lines on
+    white and makes it a third as large.
     """
-    if form not in FORMATS:
-        msg = f"format {form!r} is not one of {', '.join(FORMATS)}"
-        raise ValueError(msg)
+    check_format(form)
     maker = f"imucal {version}".strip()
     stream = io.BytesIO()
     if form == "png":
@@ -682,26 +661,33 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     return stream.getvalue()
 
 
+#: A pixel of it, as four bytes in one.
+_WHITE = np.uint32(0xFFFFFFFF)
+
+
 def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-    image = Image.fromarray(pixels).convert("RGB")
-    image = image.quantize(method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    palette, paper = image.getpalette() or [], 3 * int(image.getpixel((0, 0)))  # type: ignore[arg-type]
-    # The mean of what is nearly white is not white.
-    palette[paper : paper + 3] = 255, 255, 255
-    image.putpalette(palette)
+    canvas: Any = figure.canvas
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba()).view(np.uint32)[..., 0]
+    # Nine tenths are white, and need no search for a palette: white is its last colour.
+    inked = np.flatnonzero(pixels != _WHITE)
+    ink = Image.fromarray(pixels.ravel()[inked].view(np.uint8).reshape(1, -1, 4), "RGBA").convert("RGB")
+    ink = ink.quantize(255, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    indices = np.full(pixels.shape, 255, dtype=np.uint8)
+    indices.ravel()[inked] = np.asarray(ink)[0]
+    image = Image.fromarray(indices, "P")
+    palette = (ink.getpalette() or [])[: 3 * 255]
+    image.putpalette(palette + [0] * (3 * 255 - len(palette)) + [255] * 3)
     info = PngInfo()
     info.add_text("Software", maker)
     image.save(stream, "png", pnginfo=info, dpi=(figure.dpi, figure.dpi))
 
 
-def _units(report: Report, sensor: Sensor) -> SheetUnits:
+def units_of(report: Report, sensor: Sensor) -> SheetUnits:
+    """Return the data-sheet units of a sensor's numbers."""
     return sheet_units([axis.fit for axis in report.by_sensor[sensor]])
 
 
@@ -714,7 +700,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
     """Return a figure with verdict and foot, two plots, and room for `rows` lines of text under them."""
     bottom = _AXIS_ROOM + _ROW * rows + 0.1
     height = bottom + _PLOT_HEIGHT + _HEAD
-    figure = new_figure(_WIDTH, height, _DPI)
+    figure = new_figure(WIDTH, height)
     plots = [
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
         for place, width in (_LEFT, _RIGHT)
@@ -722,14 +708,19 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
     write_foot(figure, report.source.name, report.version)
     # The verdict at the top right: a picture is passed on without its page.
     lines = "\n".join(textwrap.wrap(report.verdict.sentence, 110))
-    style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
+    style: Style = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
     figure.text(0.988, 1 - 0.12 / height, lines, ha="right", va="top", **style)
     return figure, plots[0], plots[1]
 
 
-def _recording_text(axis: AxisReport) -> str:
-    count = f"{axis.samples:,}".replace(",", " ")
-    return f"{duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz   ·   {count} samples"
+def recording_text(duration_s: float, rate_hz: float, samples: int) -> str:
+    """Return ``3 h at 200 Hz   ·   2 160 000 samples``."""
+    count = f"{samples:,}".replace(",", " ")
+    return f"{duration(duration_s)} at {rate_hz:.6g} Hz   ·   {count} samples"
+
+
+def _recorded(axis: AxisReport) -> str:
+    return recording_text(axis.duration_s, axis.rate_hz, axis.samples)
 
 
 def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
@@ -759,12 +750,10 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
     height = figure.get_figheight()
     columns = [0.1, 0.4, 0.7]
     y = (0.42 + _ROW * len(rows)) / height
-    style: dict[str, Any] = {"fontsize": LEGEND_SIZE, "color": INK, "va": "baseline"}
+    style: Style = {"fontsize": LEGEND_SIZE, "color": INK, "va": "baseline"}
     for axis, x in zip(axes, columns, strict=False):
-        stroke, middle = AXES[axis.axis], y + 0.045 / height
-        marker = {"marker": MARKERS[axis.axis], "markersize": 4, "markerfacecolor": "white"}
-        line = {"color": stroke.light, "linewidth": 1.8, **marker, **dashes(stroke)}
-        figure.add_artist(Line2D([x, x + 0.02, x + 0.04], [middle] * 3, **line))
+        line = marked(axis.axis, linewidth=1.8, markersize=4)
+        figure.add_artist(Line2D([x, x + 0.02, x + 0.04], [y + 0.045 / height] * 3, **line))
         figure.text(x + 0.048, y, axis.axis, **(style | {"fontweight": "bold"}))
     for key, texts in rows:
         y -= _ROW / height
@@ -779,15 +768,7 @@ _SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
 
 @dataclass(slots=True)
 class Drawings:
-    """What was drawn, and what could not be.
-
-    Attributes
-    ----------
-    files
-        Contents by the name of the file.
-    failures
-        Why a file is missing, in the order of the files.
-    """
+    """What was drawn, by the name of the file, and why files are missing, in their order."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     failures: list[Finding] = field(default_factory=list)
@@ -795,26 +776,34 @@ class Drawings:
     @property
     def addresses(self) -> dict[str, str]:
         """The pictures as addresses that hold them, for a page; by the names of files, less the ending."""
-        found: dict[str, str] = {}
-        for form, kind in _SHOWN_BY_PAGES.items():
-            for name, content in self.files.items():
-                stem, _, ending = name.partition(".")
-                if ending == form and stem not in found:
-                    found[stem] = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
-        return found
+        return {
+            name.removesuffix(f".{form}"): f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+            for form, kind in reversed(_SHOWN_BY_PAGES.items())
+            for name, content in self.files.items()
+            if name.endswith(f".{form}")
+        }
 
 
 def picture_names(report: Report, formats: Sequence[str], *, paper: bool = False) -> tuple[str, ...]:
     """Return the names of the files that are drawn of a report."""
-    names = [f"{_stem(item)}.{form}" for item in _items(report) for form in formats]
-    if paper:
-        names += [f"{_stem(item)}-paper.{form}" for item in _items(report) for form in _vectors(formats)]
-    return tuple(names)
+    return tuple(name for item in _items(report) for name in _files(item, formats, paper=paper))
 
 
-def _vectors(formats: Sequence[str]) -> Sequence[str]:
-    """Return the formats of pictures for papers: those asked for that scale, else pdf."""
-    return [form for form in formats if form != "png"] or ["pdf"]
+def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
+    """Return what has a picture: each axis, and each sensor."""
+    return (*report.axes, *report.by_sensor)
+
+
+def _files(
+    item: AxisReport | Sensor, formats: Sequence[str], *, paper: bool
+) -> dict[str, Callable[[Report, Any], "Figure"]]:
+    """Return the files of an item, and what draws each; for papers in formats that scale, else as pdf."""
+    stem, whole = (item.short, sensor_figure) if isinstance(item, Sensor) else (item.name, axis_figure)
+    scaling = [form for form in formats if form != "png"] or ["pdf"]
+    return {
+        **{f"{stem}.{form}": whole for form in formats},
+        **{f"{stem}-paper.{form}": paper_figure for form in scaling if paper},
+    }
 
 
 def draw(
@@ -825,18 +814,10 @@ def draw(
     paper: bool = False,
     workers: int | None = None,
 ) -> Drawings:
-    """Draw the pictures of a report, each once.
+    """Draw the pictures of a report in some formats, each once.
 
-    Parameters
-    ----------
-    formats
-        Of the files: ``png``, ``svg``, ``pdf``.
-    page
-        Whether a page shows them: then there is a png where no other format would do.
-    paper
-        Whether to draw them for a paper too, as ``gyro-paper.pdf``.
-    workers
-        Most at a time; by default as many as the machine has processors.
+    There are at most `workers` at a time, by default as many as the machine has processors. For a `page`
+    there is a png where no other format would do. For a `paper` there are more, such as ``gyro-paper.pdf``.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
@@ -854,41 +835,24 @@ def draw(
     return drawn
 
 
-def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
-    """Return what has a picture: each axis, and each sensor."""
-    return (*report.axes, *report.by_sensor)
-
-
-def _stem(item: AxisReport | Sensor) -> str:
-    return item.short if isinstance(item, Sensor) else item.name
-
-
 def _draw_one(
     report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], paper: bool
 ) -> Drawings:
-    """Build one figure once, and make all of its files."""
+    """Build each figure of an item once, and make all of its files."""
+    from matplotlib import rc_context
 
-    @cache
-    def made() -> "Figure":
-        if isinstance(item, Sensor):
-            return sensor_figure(report, item)
-        return axis_figure(report, item)
-
-    @cache
-    def column() -> "Figure":
-        return paper_figure(report, item)
-
+    made = cache(lambda figure: figure(report, item))
     result = Drawings()
-    wanted = [(f"{_stem(item)}.{form}", made) for form in formats]
-    wanted += [(f"{_stem(item)}-paper.{form}", column) for form in _vectors(formats) if paper]
-    for name, figure in wanted:
+    for name, figure in _files(item, formats, paper=paper).items():
         form = name.rpartition(".")[2]
-        content, failed = try_side_work(
-            lambda figure=figure, form=form: render(figure(), form, version=report.version),  # type: ignore[misc]
-            None,
-            what=f"{name} was left out",
-            code="not-drawn",
-        )
+        # At this size letters need no fitting to the pixels, which takes a tenth of the drawing.
+        with rc_context({"text.hinting": "none"}):
+            content, failed = try_side_work(
+                lambda figure=figure, form=form: render(made(figure), form, version=report.version),  # type: ignore[misc]
+                None,
+                what=f"{name} was left out",
+                code="not-drawn",
+            )
         if content is not None:
             result.files[name] = content
         result.failures += failed

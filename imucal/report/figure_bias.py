@@ -19,33 +19,19 @@ from imucal.errors import WriteError
 from imucal.fitting.decomposition import Component, Decomposition
 from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
+from imucal.report import figure as drawing
 from imucal.report import numbers
-from imucal.report.figure import (
-    FADED,
-    GRID,
-    INK,
-    LABEL_STYLE,
-    LEGEND_SIZE,
-    LEGEND_STYLE,
-    MODEL,
-    SMALL_SIZE,
-    new_figure,
-    quiet_frame,
-    render,
-    write_foot,
-    write_head,
-)
-from imucal.report.sheet_units import level_unit
-from imucal.units import duration, pretty, time_unit
+from imucal.report.json_file import JsonObject, picked
+from imucal.report.writer import held_by, home_of
+from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 #: Inches.
-_WIDTH, _TOP, _PART, _SPACE, _HEAD, _FOOT = 10.0, 3.4, 1.3, 0.36, 0.74, 0.78
+_TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
 _LEFT, _RIGHT = 0.095, 0.985
-_DPI = 160
 #: Points of a line, and averages of the samples.
 _POINTS, _AVERAGES = 1500, 1000
 #: Half the width of the band, in standard errors.
@@ -58,10 +44,11 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
     # A single part is the bias itself, but for a level.
     shown = shown if len(shown) > 1 else []
     height = _HEAD + _TOP + len(shown) * (_PART + _SPACE) + _FOOT
-    figure = new_figure(_WIDTH, height, _DPI)
-    scale, unit = _unit(parts)
+    figure = drawing.new_figure(drawing.WIDTH, height)
+    size = float(np.ptp(parts.bias.value)) + float(parts.bias.error.max())
+    level = numbers.level_unit(parts.series.sensor, size)
     divisor, time_name = time_unit(float(parts.time_s[-1]))
-    view = _View(parts, scale, divisor)
+    view, unit = _View(parts, level.factor, divisor), pretty(level.name)
     bottom = height - _HEAD - _TOP
     axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _TOP / height))
     entries = _draw_bias(axes, view, f"bias less its mean ({unit})")
@@ -70,12 +57,12 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
         bottom -= _PART + _SPACE
         axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _PART / height))
         _draw_part(axes, view, part, unit)
-    axes.set_xlabel(f"time ({time_name})", **LABEL_STYLE)
-    series, count = parts.series, f"{int(np.isfinite(parts.samples).sum()):,}".replace(",", " ")
-    recorded = f"{duration(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples"
+    axes.set_xlabel(f"time ({time_name})", **drawing.LABEL_STYLE)
+    series, count = parts.series, int(np.isfinite(parts.samples).sum())
+    recorded = drawing.recording_text(parts.n * series.tau0, series.rate_hz, count)
     title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
-    write_head(figure, title, f"{recorded}   ·   model {parts.model}", below=0.42)
-    write_foot(figure, source, __version__)
+    drawing.write_head(figure, title, f"{recorded}   ·   model {parts.model}", below=0.42)
+    drawing.write_foot(figure, source, __version__)
     figure.legend(
         handles=entries,
         loc="upper right",
@@ -84,7 +71,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
         handlelength=2.4,
         columnspacing=1.4,
         markerscale=1.8,
-        **LEGEND_STYLE,
+        **drawing.LEGEND_STYLE,
     )
     return figure
 
@@ -112,61 +99,47 @@ class _View:
         self.time = parts.time_s[self.place] / divisor
         self.mean = float(parts.bias.value.mean())
 
-    def line(self, part: Component, *, centred: bool) -> tuple[FloatArray, FloatArray]:
-        """Return a part's values and standard errors at the drawn places."""
-        off = float(part.value.mean()) if centred else 0.0
-        return (part.value[self.place] - off) * self.scale, part.error[self.place] * self.scale
-
-
-def _unit(parts: Decomposition) -> tuple[float, str]:
-    """Return what samples are multiplied with, and the unit they have then."""
-    size = float(np.ptp(parts.bias.value)) + float(parts.bias.error.max())
-    unit = level_unit(parts.series.sensor, size)
-    return unit.factor, pretty(unit.name)
-
 
 def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
     """Draw averages of the samples and the bias with its band; return the entries of the legend."""
     parts = view.parts
     width = max(1, round(parts.n / _AVERAGES))
     time, mean, count = averages(parts, width)
-    mean = np.where(count >= width / 2, mean, np.nan)
+    heights = (np.where(count >= width / 2, mean, np.nan) - view.mean) * view.scale
     seconds = width * parts.series.tau0
     name = f"samples, mean of {numbers.seconds(seconds)}" if width > 1 else "samples"
-    dot: dict[str, Any] = {"marker": "o", "markersize": 2.2, "markeredgewidth": 0, "linestyle": "none"}
-    dot |= {"color": FADED, "alpha": 0.75}
-    heights = (mean - view.mean) * view.scale
+    dot: drawing.Style = {"marker": "o", "markersize": 2.2, "markeredgewidth": 0, "linestyle": "none"}
+    dot |= {"color": drawing.FADED, "alpha": 0.75}
     (grey,) = axes.plot(time / view.divisor, heights, zorder=3.5, label=name, **dot)
-    value, error = view.line(parts.bias, centred=True)
-    band = _band(axes, view.time, value, error, MODEL)
-    (line,) = axes.plot(
-        view.time, value, color=MODEL.light, linewidth=1.5, zorder=4, label="bias, given all samples"
-    )
-    points = [(mean - view.mean) * view.scale, value - _BAND * error, value + _BAND * error]
-    _style(axes, view, label, points)
+    line, band, ends = _draw_line(axes, view, parts.bias, drawing.MODEL, 1.5, centred=True)
+    line.set_label("bias, given all samples")
+    _style(axes, view, label, [heights, *ends])
     return [grey, line, band]
 
 
 def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
     """Draw one part with its band, and name it."""
-    symbol = part.key.rstrip("0123456789")
-    stroke = TERMS[symbol].stroke
-    holds_level = symbol == "K"
-    value, error = view.line(part, centred=holds_level)
-    _band(axes, view.time, value, error, stroke)
-    axes.plot(view.time, value, color=stroke.light, linewidth=1.3, zorder=4)
-    _style(axes, view, unit, [value - _BAND * error, value + _BAND * error])
-    name = TERMS[symbol].name(view.parts.series.sensor)
+    term = TERMS[part.key.rstrip("0123456789")]
+    holds_level = term.symbol == "K"
+    _, _, ends = _draw_line(axes, view, part, term.stroke, 1.3, centred=holds_level)
+    _style(axes, view, unit, ends)
+    name = term.name(view.parts.series.sensor)
     text = f"{part.key}  {name}{', less its mean' if holds_level else ''}"
-    place: dict[str, Any] = {"transform": axes.transAxes, "va": "bottom"}
-    axes.text(0.0, 1.04, text, fontsize=LEGEND_SIZE, color=stroke.light, fontweight="bold", **place)
+    place: drawing.Style = {"transform": axes.transAxes, "va": "bottom", "fontweight": "bold"}
+    axes.text(0.0, 1.04, text, fontsize=drawing.LEGEND_SIZE, color=term.stroke.light, **place)
 
 
-def _band(axes: "Axes", time: FloatArray, value: FloatArray, error: FloatArray, stroke: Stroke) -> Any:  # noqa: ANN401
-    return axes.fill_between(
-        time, value - _BAND * error, value + _BAND * error,
-        color=stroke.light, alpha=0.18, linewidth=0, zorder=3, label="± 2 standard errors",
-    )  # fmt: skip
+def _draw_line(
+    axes: "Axes", view: _View, part: Component, stroke: Stroke, width: float, *, centred: bool
+) -> tuple[Any, Any, list[FloatArray]]:
+    """Draw a part, `centred` where it is less its mean, with its band; return both, and the band's ends."""
+    off = float(part.value.mean()) if centred else 0.0
+    value, error = (part.value[view.place] - off) * view.scale, part.error[view.place] * view.scale
+    low, high = value - _BAND * error, value + _BAND * error
+    style: drawing.Style = {"alpha": 0.18, "linewidth": 0, "zorder": 3, "label": "± 2 standard errors"}
+    band = axes.fill_between(view.time, low, high, color=stroke.light, **style)
+    (line,) = axes.plot(view.time, value, color=stroke.light, linewidth=width, zorder=4)
+    return line, band, [low, high]
 
 
 def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> None:
@@ -176,10 +149,10 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     room = 0.06 * (high - low) or 1.0
     axes.set_ylim(low - room, high + room)
     axes.set_xlim(view.time[0], max(float(view.time[-1]), view.time[0] + 1e-9))
-    quiet_frame(axes)
-    axes.grid(visible=True, color=GRID, linewidth=0.8)
-    axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
-    axes.set_ylabel(label, **LABEL_STYLE)
+    drawing.quiet_frame(axes)
+    axes.grid(visible=True, color=drawing.GRID, linewidth=0.8)
+    axes.tick_params(labelsize=drawing.SMALL_SIZE, colors=drawing.INK, length=3)
+    axes.set_ylabel(label, **drawing.LABEL_STYLE)
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 
@@ -190,72 +163,41 @@ _ROWS = 10_000
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that holds something else, or can't be made, before hours of data are looked at.
-
-    Raises
-    ------
-    WriteError
-        Naming what stands there.
-    """
+    """Refuse a folder that holds something else, or can't be made, by a WriteError, before hours of work."""
     try:
-        if not out.is_dir():
-            if os.path.lexists(out):
-                msg = f"{out}: is a file, expected a folder or nothing; move it away or choose another folder"
-                raise WriteError(msg)
-            home = next(folder for folder in out.absolute().parents if folder.exists())
-            if not (home.is_dir() and os.access(home, os.W_OK | os.X_OK)):
-                msg = f"{out}: can't be made: {home} takes no new folder; choose another place"
-                raise WriteError(msg)
-            return
-        entries = sorted(path.name for path in out.iterdir())
+        held, home = held_by(out), home_of(out)
     except OSError as error:
         msg = f"{out}: can't be looked at: {error.strerror or error}; choose another folder"
         raise WriteError(msg) from error
-    if entries and DOCUMENT not in entries:
-        shown = ", ".join(entries[:3]) + (", …" if len(entries) > 3 else "")
-        msg = f"{out}: holds {shown} but no decomposition of imucal's; choose another folder"
-        raise WriteError(msg)
-    if not os.access(out, os.W_OK | os.X_OK):
-        msg = f"{out}: is not yours to write to; choose another folder"
-        raise WriteError(msg)
+    if held and not (out / DOCUMENT).exists():
+        raise WriteError(f"{out}: holds {held} but no decomposition of imucal's; choose another folder")
+    if not (home.is_dir() and os.access(home, os.W_OK | os.X_OK)):
+        said = f"can't be made: {home} takes no new folder; choose another place"
+        if home is out:
+            said = "is not yours to write to; choose another folder"
+        raise WriteError(f"{out}: {said}")
 
 
 def write_decomposition(
     parts: Decomposition, out: Path, *, formats: Sequence[str] = ("png",), every_s: float | None = None,
     arrays: bool = False, source: str = "",
 ) -> tuple[Path, ...]:  # fmt: skip
-    """Write the files of one axis into a folder, each whole or not at all.
+    """Write the files of one axis into a folder, each whole or not at all; return their paths.
 
-    Parameters
-    ----------
-    formats
-        Of the picture: ``png``, ``svg``, ``pdf``.
-    every_s
-        Seconds between the rows of the table; by default as many as give at most 10 000 rows.
-    arrays
-        Write everything at the rate of the samples too, as NumPy's npz.
-    source
-        The log's name, for the picture.
-
-    Returns
-    -------
-    The paths: NAME.csv, NAME.png …, NAME.npz, with the name of the axis.
-
-    Raises
-    ------
-    WriteError
-        If a file can't be written.
+    They are NAME.csv, NAME.png … for each format (png, svg, pdf) and, with `arrays`, NAME.npz with
+    everything at the rate of the samples. The table has a row every so many seconds, by default 10 000 rows
+    at most; `source` is the log's name, for the picture. A WriteError says that a file can't be written.
     """
     name = parts.series.name
     made: dict[str, Callable[[], bytes]] = {f"{name}.csv": lambda: table(parts, every_s=every_s).encode()}
     for form in formats:
-        made[f"{name}.{form}"] = lambda form=form: render(bias_figure(parts, source=source), form)  # type: ignore[misc]
+        made[f"{name}.{form}"] = lambda form=form: drawing.render(bias_figure(parts, source=source), form)  # type: ignore[misc]
     if arrays:
         made[f"{name}.npz"] = lambda: _arrays(parts)
     return tuple(_write(out / file, content()) for file, content in made.items())
 
 
-def write_document(document: dict[str, object], out: Path) -> Path:
+def write_document(document: JsonObject, out: Path) -> Path:
     """Write the document about all axes, which marks the folder; its path."""
     return _write(out / DOCUMENT, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
@@ -302,15 +244,12 @@ def _arrays(parts: Decomposition) -> bytes:
     return stream.getvalue()
 
 
-def axis_document(parts: Decomposition, files: Sequence[Path]) -> dict[str, object]:
+def axis_document(parts: Decomposition, files: Sequence[Path]) -> JsonObject:
     """Return what is to say about one axis, as JSON values in SI."""
     series, seen = parts.series, np.isfinite(parts.samples)
     residual = parts.residual[seen]
     return {
-        "name": series.name,
-        "sensor": str(series.sensor),
-        "axis": series.axis,
-        "unit": series.unit,
+        **picked(series, "name sensor axis unit"),
         "model": parts.model.text(),
         "rate_hz": series.rate_hz,
         "samples": int(seen.sum()),
@@ -322,13 +261,8 @@ def axis_document(parts: Decomposition, files: Sequence[Path]) -> dict[str, obje
     }
 
 
-def _component(part: Component) -> dict[str, object]:
+def _component(part: Component) -> JsonObject:
     """Return where a part moved, and how well that is known."""
-    return {
-        "key": part.key,
-        "mean": float(part.value.mean()),
-        "std": float(part.value.std()),
-        "least": float(part.value.min()),
-        "greatest": float(part.value.max()),
-        "standard_error": float(np.median(part.error)),
-    }
+    moved = zip(("mean", "std", "least", "greatest"), ("mean", "std", "min", "max"), strict=True)
+    found = {name: float(getattr(part.value, method)()) for name, method in moved}
+    return {"key": part.key, **found, "standard_error": float(np.median(part.error))}

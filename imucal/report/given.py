@@ -55,7 +55,7 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
         axes=tuple(axes),
         settings={"models": {str(sensor): text for sensor, text in models.items()}, "rate_hz": rate_hz},
         version=__version__,
-        findings=(Finding(level="info", code="rate-given", text=f"The rate, {rate_hz:g} Hz, was given."),),
+        findings=(Finding("info", "rate-given", f"The rate, {rate_hz:g} Hz, was given."),),
     )
 
 

@@ -19,33 +19,11 @@ from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report import numbers
-from imucal.report.figure import (
-    DATA,
-    LEFT_OUT,
-    MODEL,
-    UNUSED,
-    Drawings,
-    axis_title,
-    draw,
-    drawn_terms,
-    estimate_text,
-    shown_points,
-    smooth_spectrum,
-)
-from imucal.report.json_file import plain
+from imucal.report import figure, numbers, page_parts
+from imucal.report.json_file import JsonObject, plain
 from imucal.report.markup import Markup, render
-from imucal.report.page_parts import (
-    axis_section,
-    downstream_section,
-    drift_section,
-    findings_section,
-    glossary_section,
-    method_section,
-    summary_section,
-)
+from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
-from imucal.report.sheet_units import SheetUnits, sheet_units
 from imucal.units import duration, pretty
 
 #: Points of a smooth line, per plot.
@@ -59,19 +37,15 @@ _NEIGHBOURS = 25
 
 def page_data(report: Report) -> str:
     """Return the JSON text of all plots; safe inside a script element."""
-    strokes = {symbol: [term.stroke.light, term.stroke.dark] for symbol, term in TERMS.items()}
+    strokes = {symbol: term.stroke for symbol, term in TERMS.items()}
+    strokes |= {"data": figure.DATA, "model": figure.MODEL}
     document = {
         "colours": {
-            **strokes,
-            "data": [DATA.light, DATA.dark],
-            "model": [MODEL.light, MODEL.dark],
-            "unused": [UNUSED, "#5d6873"],
-            "line": [LEFT_OUT, "#ff7b86"],
+            **{name: [stroke.light, stroke.dark] for name, stroke in strokes.items()},
+            "unused": [figure.UNUSED, "#5d6873"],
+            "line": [figure.LEFT_OUT, "#ff7b86"],
         },
-        "axes": {
-            axis.name: _axis(axis, sheet_units([each.fit for each in report.by_sensor[axis.sensor]]))
-            for axis in report.axes
-        },
+        "axes": {axis.name: _axis(axis, figure.units_of(report, axis.sensor)) for axis in report.axes},
     }
     text = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c")
@@ -105,7 +79,7 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.where(count > 0, middle[np.arange(values.size), np.maximum(count - 1, 0) // 2], np.nan)
 
 
-def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
+def _axis(axis: AxisReport, units: SheetUnits) -> JsonObject:
     level, density = units.level, units.density
     adev, tau = axis.fit.curve.minimum
     return {
@@ -133,16 +107,13 @@ def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
     }
 
 
-def _curve(axis: AxisReport) -> dict[str, object]:
+def _curve(axis: AxisReport) -> JsonObject:
     curve = axis.fit.curve
-    shown = shown_points(curve)
+    shown = figure.shown_points(curve)
     low, high = curve.confidence_interval(axis.fit.level)
+    values = {"tau": curve.tau, "adev": curve.adev, "low": low, "high": high, "model": axis.fit.model_adev()}
     return {
-        "tau": _round(curve.tau[shown]),
-        "adev": _round(curve.adev[shown]),
-        "low": _round(low[shown]),
-        "high": _round(high[shown]),
-        "model": _round(axis.fit.model_adev()[shown]),
+        **_rounded(5, **{name: array[shown] for name, array in values.items()}),
         "edf": _round(curve.edf[shown], 3),
         "used": np.isin(shown, axis.fit.used).astype(int).tolist(),
     }
@@ -151,58 +122,43 @@ def _curve(axis: AxisReport) -> dict[str, object]:
 def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, str]:
     """Return what a term's label says, line by line, as in the pictures."""
     si = f"{estimate.key} {numbers.with_uncertainty(numbers.si(estimate, sensor))}"
-    sheet, *time = estimate_text(estimate, sensor, units).split("\n")
+    sheet, *time = figure.estimate_text(estimate, sensor, units).split("\n")
     return {"si": "<br>".join([si, *time]), "sheet": "<br>".join([sheet, *time])}
 
 
-def _fine(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
+def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
     """Return the model and its terms as smooth lines, and where each coefficient is read."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
-    shown = shown_points(curve)
-    m = np.unique(np.geomspace(curve.m[shown].min(), curve.m[shown].max(), _FINE).round())
-    total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate))
-    frequency = axis.spectrum.frequency
-    grid = np.geomspace(frequency[0], frequency[-1], _FINE) if frequency.size else np.zeros(0)
+    m, total = figure.smooth_adev(axis.fit, curve.m[figure.shown_points(curve)], _FINE)
+    grid, root = figure.smooth_root(axis, _FINE)
     terms = []
-    for drawn in drawn_terms(axis.fit):
-        estimate = drawn.estimate
+    for drawn in figure.drawn_terms(axis.fit):
+        estimate, (at, height) = drawn.estimate, drawn.term.read_off()
         line = np.sqrt(drawn.term.avar(m, 1 / rate))
-        at = drawn.tau_s
         if at is None:
             at = float(m[np.argmax(line / np.where(total > 0, total, math.inf))] / rate)
-        si, sheet = numbers.si(estimate, axis.sensor), units.estimate(estimate, axis.sensor)
         terms.append(
             {
                 "key": estimate.key,
                 "symbol": estimate.symbol,
                 "name": TERMS[estimate.symbol].name(axis.sensor),
-                "bounded": estimate.value is None,
-                "si": numbers.with_interval(si),
-                "sheet": numbers.with_interval(sheet),
+                "bounded": drawn.bounded,
+                "si": numbers.with_interval(numbers.si(estimate, axis.sensor)),
+                "sheet": numbers.with_interval(units.estimate(estimate, axis.sensor)),
                 "label": _labels(estimate, units, axis.sensor),
                 "adev": _round(line, 4),
                 "root": _round(np.sqrt(drawn.term.psd(grid, 1 / rate)), 4),
-                "at": [float(f"{at:.4g}"), float(f"{drawn.height:.4g}")],
+                "at": [float(f"{at:.4g}"), float(f"{height:.4g}")],
             }
         )
-    return {
-        "tau": _round(m / rate, 4),
-        "adev": _round(total, 4),
-        "f": _round(grid, 4),
-        "root": _round(np.sqrt(axis.fit.model.psd(grid, rate_hz=rate)), 4),
-        "terms": terms,
-    }
+    return {**_rounded(4, tau=m / rate, adev=total, f=grid, root=root), "terms": terms}
 
 
-def _psd(axis: AxisReport) -> dict[str, object]:
-    smooth, fit = smooth_spectrum(axis), axis.fit
-    response = fit.response
+def _psd(axis: AxisReport) -> JsonObject:
+    smooth, fit = figure.smooth_spectrum(axis), axis.fit
+    model, response = np.sqrt(fit.model.psd(smooth.frequency, rate_hz=fit.rate_hz)), fit.response
     return {
-        "f": _round(smooth.frequency, 4),
-        "root": _round(smooth.root, 4),
-        "low": _round(smooth.low, 4),
-        "high": _round(smooth.high, 4),
-        "model": _round(np.sqrt(fit.model.psd(smooth.frequency, rate_hz=fit.rate_hz)), 4),
+        **_rounded(4, f=smooth.frequency, root=smooth.root, low=smooth.low, high=smooth.high, model=model),
         "band": plain(fit.goodness.band_hz),
         "lines": [[line.frequency_hz, plain(line.amplitude)] for line in fit.goodness.lines],
         "filter": response and [response.kind, plain(response.cutoff_hz)],
@@ -221,7 +177,11 @@ def _gaps(axis: AxisReport) -> list[list[float]]:
     return merged
 
 
-def _round(values: FloatArray, digits: int = 5) -> list[float | None]:
+def _rounded(digits: int, **values: FloatArray) -> JsonObject:
+    return {name: _round(array, digits) for name, array in values.items()}
+
+
+def _round(values: FloatArray, digits: int) -> list[float | None]:
     """Return numbers of so many significant digits, null where unknown."""
     return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
 
@@ -232,24 +192,24 @@ def _fixed(values: FloatArray, std: float) -> list[float | None]:
     return [round(value, places) if math.isfinite(value) else None for value in values.tolist()]
 
 
-def render_page(report: Report, *, drawings: Drawings | None = None) -> str:
+def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> str:
     """Return the page; the same report always gives the same text.
 
     It shows what was drawn for the folder, where `drawings` are given; otherwise its pictures are drawn here.
     """
-    pictures = (drawings or draw(report, ("png",))).addresses
+    pictures = (drawings or figure.draw(report, ("png",))).addresses
     drifts = "What this does to a filter"
     makers: list[tuple[str, str, Callable[[], Markup | None]]] = [
-        ("summary", "Summary", lambda: summary_section(report, pictures)),
-        ("findings", "Findings", lambda: findings_section(report)),
-        ("drift", drifts, lambda: drift_section(report)),
-        ("downstream", "Which number goes where", lambda: downstream_section(report)),
+        ("summary", "Summary", lambda: page_parts.summary_section(report, pictures)),
+        ("findings", "Findings", lambda: page_parts.findings_section(report)),
+        ("drift", drifts, lambda: page_parts.drift_section(report)),
+        ("downstream", "Which number goes where", lambda: page_parts.downstream_section(report)),
         *(
-            (axis.name, axis_title(axis), partial(axis_section, report, axis, pictures))
+            (axis.name, figure.axis_title(axis), partial(page_parts.axis_section, report, axis, pictures))
             for axis in report.axes
         ),
-        ("terms", "What the terms mean", glossary_section),
-        ("method", "How the numbers were made", lambda: method_section(report)),
+        ("terms", "What the terms mean", page_parts.glossary_section),
+        ("method", "How the numbers were made", lambda: page_parts.method_section(report)),
     ]
     made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
     recorded = (f"{a.sensor}: {duration(a.duration_s)} at {a.rate_hz:.6g} Hz" for a in report.axes)

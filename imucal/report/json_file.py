@@ -7,10 +7,11 @@ raises `ReadError` with the place, what was found and what was expected, so no c
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePath
-from typing import Generic, NoReturn, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +32,16 @@ from imucal.fitting.noise_fit import (
     NoiseFit,
     Response,
     Segments,
+    Status,
     TermHomogeneity,
     Trace,
 )
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.prediction.filter_numbers import FilterNumbers, usual_pairs
-from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
+from imucal.recording import LogFileInfo, ReadRange, Sensor, Source
 from imucal.report import numbers
+from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Overview, Report
 
 #: Name and number of the layout.
@@ -46,8 +49,9 @@ SCHEMA = "imucal/report/1"
 #: Most signs of a wrong value that a message shows.
 _SHOWN = 40
 
+#: What stands in braces.
+JsonObject: TypeAlias = dict[str, object]
 A = TypeVar("A")
-B = TypeVar("B")
 T = TypeVar("T", bound=np.generic)
 
 
@@ -67,28 +71,19 @@ class Node:
             self.fail(f"found {keys}", f"the key {key!r}")
         return Node(table[key], self.file, f"{self.place}.{key}".lstrip("."))
 
-    def get(self, key: str, read: Callable[["Node"], A], default: B) -> A | B:
-        """Return what `read` makes of the value under `key`; `default` where it is not there."""
-        return read(self[key]) if key in self.table() else default
-
     def __iter__(self) -> Iterator["Node"]:
         """Yield the items of a list."""
-        if not isinstance(self.value, list):
-            self._refuse("a list")
-        for index, item in enumerate(self.value):
+        for index, item in enumerate(self._of("a list", list)):
             yield Node(item, self.file, f"{self.place}[{index}]")
 
     def fail(self, found: str, expected: str) -> NoReturn:
         """Raise the error that names this place."""
         where = f"{self.file}: {self.place}" if self.place else self.file
-        msg = f"{where}: {found}, expected {expected}; write the report again"
-        raise ReadError(msg)
+        raise ReadError(f"{where}: {found}, expected {expected}; write the report again")
 
-    def table(self) -> dict[str, object]:
+    def table(self) -> JsonObject:
         """Return the value, which must be an object."""
-        if not isinstance(self.value, dict):
-            self._refuse("an object")
-        return self.value
+        return self._of("an object", dict)
 
     def maybe(self, read: Callable[["Node"], A]) -> A | None:
         """Return None for null, else what `read` makes of the node."""
@@ -96,11 +91,10 @@ class Node:
 
     def text(self, *allowed: str) -> str:
         """Return the value, which must be a text, one of `allowed` where given."""
-        if not isinstance(self.value, str):
-            self._refuse("a text")
-        if allowed and self.value not in allowed:
+        value = self._of("a text", str)
+        if allowed and value not in allowed:
             self._refuse(" or ".join(f'"{choice}"' for choice in allowed))
-        return self.value
+        return value
 
     def texts(self) -> tuple[str, ...]:
         """Return a list of texts."""
@@ -110,11 +104,10 @@ class Node:
         """Return the value, which must be a number; `null` stands for null where given."""
         if self.value is None and null is not None:
             return null
-        if isinstance(self.value, bool) or not isinstance(self.value, int | float):
-            self._refuse("a number")
-        if not math.isfinite(self.value):
+        value = self._of("a number", float, int)
+        if not math.isfinite(value):
             self._refuse("a finite number")
-        return float(self.value)
+        return float(value)
 
     def positive(self) -> float:
         """Return the value, which must be a number above 0."""
@@ -125,15 +118,14 @@ class Node:
 
     def count(self) -> int:
         """Return the value, which must be a whole number from 0."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int) or self.value < 0:
-            self._refuse("a whole number from 0")
-        return self.value
+        value = self._of(expected := "a whole number from 0", int)
+        if value < 0:
+            self._refuse(expected)
+        return value
 
     def integer(self) -> int:
         """Return the value, which must be a whole number."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int):
-            self._refuse("a whole number")
-        return self.value
+        return self._of("a whole number", int)
 
     def pair(self) -> tuple[float, float]:
         """Return a list of two numbers."""
@@ -144,11 +136,11 @@ class Node:
 
     def array(self, *, like: int | None = None) -> FloatArray:
         """Return a list of numbers, null as NaN, of `like` items where given; shape (k,)."""
-        return self._sized(np.array([item.number(null=math.nan) for item in self], np.float64), like)
+        return self.sized(np.array([item.number(null=math.nan) for item in self], np.float64), like)
 
     def counts(self, *, like: int | None = None) -> IntArray:
         """Return a list of whole numbers, of `like` items where given; shape (k,)."""
-        return self._sized(np.array([item.count() for item in self], dtype=np.int64), like)
+        return self.sized(np.array([item.count() for item in self], dtype=np.int64), like)
 
     def matrix(self, size: int) -> FloatArray:
         """Return a square list of lists of numbers, null as NaN; shape (size, size)."""
@@ -157,10 +149,17 @@ class Node:
             self._refuse(f"{size} rows")
         return np.array(rows, dtype=np.float64).reshape(size, size)
 
-    def _sized(self, array: NDArray[T], like: int | None) -> NDArray[T]:
+    def sized(self, array: NDArray[T], like: int | None) -> NDArray[T]:
+        """Return an array of this list, which must be as long as `like` says, where given."""
         if like is not None and array.size != like:
             self.fail(f"found a list of {array.size}", f"{like} items as beside it")
         return array
+
+    def _of(self, expected: str, *kinds: type[A]) -> A:
+        """Return the value, which must be of one of some kinds; no number is true or false."""
+        if isinstance(self.value, bool) or not isinstance(self.value, kinds):
+            self._refuse(expected)
+        return self.value
 
     def _refuse(self, expected: str) -> NoReturn:
         found = json.dumps(self.value)
@@ -168,529 +167,131 @@ class Node:
         self.fail(f"found {shown}", expected)
 
 
+#: What makes an attribute of a node.
+Reader: TypeAlias = Callable[[Node], Any]
+
+
+class Key(NamedTuple):
+    """A key of an object, as `_layout` takes it; `like` names a list as long, `read` makes the attribute."""
+
+    name: str
+    optional: bool
+    attribute: str
+    like: str
+    read: Reader | None
+
+
 @dataclass(frozen=True, slots=True)
 class Layout(Generic[A]):
-    """An object of the document that is one value of ours: each key is an attribute, with how it is read."""
+    """An object of the document that is one value of ours; what is said here of its keys is all there is."""
 
     make: Callable[..., A]
-    keys: Mapping[str, Callable[[Node], object]]
+    keys: tuple[Key, ...]
 
     def read(self, node: Node, **known: object) -> A:
-        """Return the value of an object; `known` are attributes that do not stand in it."""
-        return self.make(**{key: read(node[key]) for key, read in self.keys.items()}, **known)
+        """Return the value of an object; `known` are attributes that do not stand in it as they are."""
+        found: dict[str, Any] = dict(known)
+        sizes: dict[str, int] = {}
+        for key in self.keys:
+            absent = key.optional and key.name not in node.table()
+            if key.read is None or key.attribute in known or absent:
+                continue
+            found[key.attribute] = value = key.read(node[key.name])
+            if isinstance(value, np.ndarray):
+                sizes[key.name] = value.shape[-1]
+                node[key.name].sized(value, sizes.get(key.like))
+        return self.make(**found)
 
-    def write(self, value: A) -> dict[str, object]:
-        """Return the value as an object."""
-        return {key: getattr(value, key) for key in self.keys}
-
-    def read_all(self, node: Node) -> tuple[A, ...]:
-        """Return the values of a list of objects."""
-        return tuple(self.read(item) for item in node)
-
-    def write_all(self, values: Iterable[A]) -> list[dict[str, object]]:
-        """Return the values as a list of objects."""
-        return [self.write(value) for value in values]
+    def write(self, value: A, **said: object) -> JsonObject:
+        """Return the value as an object; `said` is what stands under keys that are no attributes of it."""
+        found: JsonObject = {}
+        for key in self.keys:
+            held = getattr(value, key.attribute) if key.attribute else None
+            if key.name in said or (key.attribute and not (key.optional and held is None)):
+                found[key.name] = said.get(key.name, held)
+        return found
 
 
-def _one_of(*allowed: str) -> Callable[[Node], str]:
+def _one_of(*allowed: str) -> Reader:
     return lambda node: node.text(*allowed)
 
 
-def _maybe(read: Callable[[Node], A]) -> Callable[[Node], A | None]:
+def _maybe(read: Reader) -> Reader:
     return lambda node: node.maybe(read)
 
 
-def _or_nan(node: Node) -> float:
-    return node.number(null=math.nan)
+def _list_of(read: Reader) -> Reader:
+    return lambda node: tuple(map(read, node))
 
 
-#: Type of an attribute -> how its value is read, where nothing else is said.
-_READ: dict[object, Callable[[Node], object]] = {
+def _or(null: float) -> Reader:
+    return lambda node: node.number(null=null)
+
+
+_OR_NAN, _OR_INFINITE = _or(math.nan), _or(math.inf)
+#: Type of an attribute -> how its value is read, where nothing else is said; layouts add their own.
+_READ: dict[object, Reader] = {
     str: Node.text,
     int: Node.count,
     float: Node.number,
+    FloatArray: Node.array,
+    IntArray: Node.counts,
+    Sensor: lambda node: Sensor(node.text(*Sensor)),
+    Mapping[str, object]: Node.table,
     str | None: _maybe(Node.text),
     int | None: _maybe(Node.integer),
+    float | None: _maybe(Node.number),
+    tuple[str, ...]: Node.texts,
     tuple[float, float]: Node.pair,
     tuple[float, float] | None: _maybe(Node.pair),
 }
+#: Class of a value -> its layout.
+_LAYOUTS: dict[type, Layout[Any]] = {}
 
 
-def _layout(make: type[A], keys: str, **read: Callable[[Node], object]) -> Layout[A]:
-    """Return the layout of a dataclass, whose attributes are read by their types or as is said here."""
-    types = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
-    return Layout(make, {key: read.get(key) or _READ[types[key]] for key in keys.split()})
+def _layout(make: type[A], keys: str, **read: Reader) -> Layout[A]:
+    """Return the layout of a dataclass, and know it for the values that hold such.
 
-
-_FINDING = _layout(Finding, "level code axis text advice keep_s", level=_one_of("info", "warning", "error"))
-_RANGE = _layout(ReadRange, "from_s duration_s start_ns end_ns")
-_FILE = _layout(LogFileInfo, "path size_bytes blake2b")
-_GAP = _layout(Gap, "start_s duration_s missing")
-_LINE = _layout(Line, "frequency_hz amplitude", amplitude=_or_nan)
-_RESPONSE = _layout(Response, "kind cutoff_hz")
-_GOODNESS = _layout(
-    Goodness,
-    "statistic p_value chi2_per_bin band_hz tau_s lines",
-    **dict.fromkeys(("statistic", "p_value", "chi2_per_bin"), _or_nan),
-    lines=_LINE.read_all,
-)
-_HOMOGENEITY = _layout(
-    TermHomogeneity,
-    "symbol statistic dof p_value spread factor highest_s lowest_s",
-    symbol=_one_of(*TERMS),
-)
-_INTERVAL = _layout(Interval, "value low high", low=_or_nan, high=lambda node: node.number(null=math.inf))
-
-
-def _bins_document(bins: Bins) -> dict[str, object]:
-    """Return the JSON values of bins; of the symmetric `gram` the rows of its lower triangle."""
-    return {
-        "version": bins.version,
-        "scale": bins.scale,
-        "tau0_s": bins.tau0,
-        "widening": bins.widening,
-        "n": bins.n,
-        "start": bins.start,
-        "first": bins.first,
-        "size": bins.size,
-        "power": bins.power,
-        "regressors": bins.names,
-        "cross": bins.cross,
-        "gram": bins.gram[np.tril_indices(len(bins.names))],
-    }
-
-
-def _bins(node: Node) -> Bins:
-    """Return the bins of a document, whose lists must belong together."""
-    version = node["version"].count()
-    if version != BINS_VERSION:
-        node["version"].fail(f"found {version}", f"{BINS_VERSION}, as this version of imucal writes")
-    names = node["regressors"].texts()
-    n = node["n"].counts()
-    start, first = node["start"].counts(like=n.size), node["first"].counts()
-    if not n.size or start[0] != 0 or np.any(np.diff([*start, first.size]) < 1):
-        node["start"].fail("found starts that are not those of blocks", "rising ones from 0")
-    blocks = zip(n.tolist(), np.split(first, start[1:]), strict=True)
-    if not all(own[0] >= 1 and own[-1] < size and np.all(np.diff(own) > 0) for size, own in blocks):
-        node["first"].fail("found ordinates that do not rise within a block", "rising ones below its n")
-    cross = [row.array(like=first.size) for row in node["cross"]]
-    lower = [row.array(like=first.size) for row in node["gram"]]
-    r = len(names)
-    if len(cross) != r or len(lower) != r * (r + 1) // 2 or not r:
-        node["cross"].fail(f"found {len(cross)} and {len(lower)} lists", f"those of {r} regressors")
-    gram = np.zeros((r, r, first.size))
-    for i, j, row in zip(*np.tril_indices(r), lower, strict=True):
-        gram[i, j] = gram[j, i] = row
-    return Bins(
-        n=n,
-        start=start,
-        first=first,
-        size=node["size"].array(like=first.size),
-        power=node["power"].array(like=first.size),
-        names=names,
-        cross=np.array(cross),
-        gram=gram,
-        scale=node["scale"].positive(),
-        tau0=node["tau0_s"].positive(),
-        widening=node["widening"].positive(),
-        version=version,
+    A key is written ``name?=attribute~like``. A document may lack an optional one, with the question mark,
+    and it isn't written where its value is None. Without a sign of equality the attribute has the key's name;
+    with nothing behind it there is none, and whoever writes says what stands there. Attributes are read by
+    their types, or as is said here.
+    """
+    types: dict[str, Any] = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
+    made = []
+    for text in keys.split():
+        name, optional, same, attribute, like = re.fullmatch(  # type: ignore[union-attr]
+            r"(\w+)(\??)(=?)(\w*)~?(\w*)", text
+        ).groups()
+        attribute = attribute if same else name
+        kind = types.get(attribute)
+        usual = _one_of(*get_args(kind)) if get_origin(kind) is Literal else _READ.get(kind)
+        made.append(Key(name, bool(optional), attribute, like, read.get(name, usual)))
+    layout = _LAYOUTS[make] = Layout(make, tuple(made))
+    _READ.update(
+        {make: layout.read, make | None: _maybe(layout.read), tuple[make, ...]: _list_of(layout.read)}  # type: ignore[valid-type]
     )
-
-
-def to_document(report: Report) -> dict[str, object]:
-    """Return the whole report as JSON values, keys in a stable order."""
-    report = replace(report, axes=tuple(map(_as_held, report.axes)))
-    axes = [_axis_entry(axis, bins=_with_bins(report)) for axis in report.axes]
-    pairs = list(_pair_entries(report)) if report.verdict.usable else []
-    findings = _FINDING.write_all(report.findings)
-    return _object({**_header(report), "filter_numbers": pairs, "axes": axes, "findings": findings})
-
-
-def axis_document(report: Report, axis: AxisReport) -> dict[str, object]:
-    """Return the document of one axis: the header of the report and the axis's own entry."""
-    return _object({**_header(report), **_axis_entry(_as_held(axis), bins=_with_bins(report))})
-
-
-def _with_bins(report: Report) -> bool:
-    """Whether the report was asked to hold the bins of its fits."""
-    return report.settings.get("bins") is True
-
-
-def _object(document: Mapping[str, object]) -> dict[str, object]:
-    return {key: plain(value) for key, value in document.items()}
-
-
-def plain(value: object) -> object:
-    """Return `value` as JSON knows it: arrays as lists, not-a-number and infinity as null.
-
-    Raises
-    ------
-    TypeError
-        If the value is of a kind that JSON can't hold.
-    """
-    if value is None or isinstance(value, bool | str | int):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, Sequence):
-        return [plain(item) for item in value]
-    if isinstance(value, PurePath):
-        return str(value)
-    msg = f"{type(value).__name__} has no place in a report: {value!r}"
-    raise TypeError(msg)
-
-
-def _header(report: Report) -> dict[str, object]:
-    source, verdict = report.source, report.verdict
-    return {
-        "schema": SCHEMA,
-        "version": report.version,
-        "verdict": verdict.grade,
-        "verdict_sentence": verdict.sentence,
-        "source": {
-            "path": source.path,
-            "format": source.format,
-            "topics": source.topics,
-            "message_types": source.message_types,
-            "decisions": [{"choice": choice, "reason": reason} for choice, reason in source.decisions],
-            "files": [
-                _FILE.write(f) | ({"etag": f.etag} if f.etag is not None else {}) for f in source.files
-            ],
-            "range": source.read and _RANGE.write(source.read),
-        },
-        "settings": report.settings,
-    }
-
-
-def _as_held(axis: AxisReport) -> AxisReport:
-    """Return an axis as it will be read back, so that reading and writing again changes nothing.
-
-    The file holds deviations. Squaring them first does it, because the square root of a squared float is
-    that float, while the converse does not hold.
-    """
-    curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
-    return replace(axis, fit=replace(axis.fit, curve=curve))
-
-
-def _pair_entries(report: Report) -> Iterator[dict[str, object]]:
-    """Yield what covers each sensor's spectrum, for filters that coast for a minute and for five."""
-    for sensor, axes in report.by_sensor.items():
-        for pair in usual_pairs([axis.fit for axis in axes]):
-            units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
-            names = [axis.name for axis in axes]
-            yield {"sensor": str(sensor), "axes": names, **pair_document(pair), **units}
-
-
-def pair_document(pair: FilterNumbers) -> dict[str, object]:
-    """Return the two numbers for a filter, and what they cost, as JSON values."""
-    return {
-        "horizon_s": pair.horizon_s,
-        "step_s": pair.step_s,
-        "white": pair.white,
-        "walk": pair.walk,
-        "basis": pair.basis,
-        "ratios": [{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios],
-    }
-
-
-def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
-    fit, curve = axis.fit, axis.fit.curve
-    floor, level = numbers.minimum(fit), TERMS["B"].datasheet_unit(axis.sensor)
-    low, high = curve.confidence_interval(fit.level)
-    return {
-        "name": axis.name,
-        "sensor": str(axis.sensor),
-        "axis": axis.axis,
-        "unit": axis.unit,
-        "samples": axis.samples,
-        "rate_hz": axis.rate_hz,
-        "duration_s": axis.duration_s,
-        "mean": axis.mean,
-        "std": axis.std,
-        "gaps": _GAP.write_all(axis.gaps),
-        "curve": {
-            "level": fit.level,
-            "estimator": curve.estimator,
-            "computed": curve.computed,
-            "edf_method": curve.edf_method,
-            "n": curve.n,
-            "tau_s": curve.tau,
-            "m": curve.m,
-            "adev": curve.adev,
-            "low": low,
-            "high": high,
-            "edf": curve.edf,
-            "model_adev": fit.model_adev(),
-            "used": fit.used,
-        },
-        "minimum": {
-            "adev": floor.value,
-            "tau_s": curve.minimum[1],
-            "low": floor.low,
-            "high": floor.high,
-            "datasheet": _quantity(floor.scaled(level.factor, level.name)),
-        },
-        "spectrum": {
-            "sides": 2,
-            "frequency_hz": axis.spectrum.frequency,
-            "psd": axis.spectrum.psd,
-            "count": axis.spectrum.count,
-            "model_psd": fit.model.psd(axis.spectrum.frequency, rate_hz=fit.rate_hz),
-        },
-        "overview": {"time_s": axis.overview.time_s, "low": axis.overview.low, "high": axis.overview.high},
-        "fit": _fit_entry(fit, axis.sensor, bins=bins),
-        "findings": _FINDING.write_all(axis.findings),
-    }
-
-
-def _fit_entry(fit: NoiseFit, sensor: Sensor, *, bins: bool) -> dict[str, object]:
-    return {
-        "method": fit.method,
-        "model": str(fit.model),
-        "expression": fit.model.text(),
-        "rate_hz": fit.rate_hz,
-        "level": fit.level,
-        "criterion": fit.criterion,
-        "goodness": _GOODNESS.write(fit.goodness) | {"lines": _LINE.write_all(fit.goodness.lines)},
-        "terms": {estimate.key: _term_entry(estimate, fit, sensor) for estimate in fit.estimates},
-        "parameters": fit.parameters,
-        "covariance": fit.covariance,
-        "response": fit.response and _RESPONSE.write(fit.response),
-        "candidates": [{"model": c.structure, "delta": c.delta} for c in fit.candidates],
-        "segments": fit.segments and _segments_entry(fit.segments, fit.level, sensor),
-        "settings": fit.settings,
-        "findings": _FINDING.write_all(fit.findings),
-        **({"bins": _bins_document(fit.bins)} if bins and fit.bins else {}),
-    }
-
-
-def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
-    entry: dict[str, object] = {
-        "symbol": estimate.symbol,
-        "name": TERMS[estimate.symbol].name(sensor),
-        "status": estimate.status,
-        "value": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-        "unit": TERMS[estimate.symbol].unit(sensor),
-        "datasheet": _quantity(numbers.datasheet(estimate, sensor)),
-        "drawn": estimate.drawn,
-        "alternatives": estimate.alternatives,
-        "horizon_s": estimate.horizon_s,
-        "widening": estimate.widening,
-    }
-    if len(TERMS[estimate.symbol].parameters()) > 1:
-        # What a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t].
-        time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
-        entry["correlation_time"] = time and _quantity(numbers.correlation_time(time))
-        entry["phi"] = term and term.phi(1 / fit.rate_hz)
-        entry["q"] = term and term.q(1 / fit.rate_hz)
-    return entry
-
-
-def _quantity(quantity: numbers.Quantity) -> dict[str, object]:
-    return {name: getattr(quantity, name) for name in ("value", "low", "high", "unit")}
-
-
-def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> dict[str, object]:
-    white, floor = segments.white, segments.floor
-    return {
-        "level": level,
-        "start_s": segments.start_s,
-        "end_s": segments.end_s,
-        "N": white and _trace_entry(white, TERMS["N"].unit(sensor)),
-        "floor": floor and {"tau_s": segments.floor_tau_s, **_trace_entry(floor, sensor.unit)},
-        "terms": {term.key: _HOMOGENEITY.write(term) for term in segments.terms},
-    }
-
-
-def _trace_entry(trace: Trace, unit: str) -> dict[str, object]:
-    return {"value": trace.value, "low": trace.low, "high": trace.high, "unit": unit}
-
-
-_AXES: dict[str, Axis] = {"x": "x", "y": "y", "z": "z"}
-
-
-def dumps(document: object) -> str:
-    """Return the text of a JSON document: one key a line, a list of plain values on one line."""
-    return _text(document, "") + "\n"
-
-
-def schema() -> dict[str, object]:
-    """Return the JSON Schema of `report.json`, as the package ships it."""
-    from importlib.resources import files
-
-    text = files("imucal.report").joinpath("schema", "report-1.schema.json").read_text(encoding="utf-8")
-    document: dict[str, object] = json.loads(text)
-    return document
-
-
-def load(path: Path) -> Report:
-    """Read a report back; `path` is a ``report.json`` or the report's folder.
-
-    Raises
-    ------
-    ReadError
-        If the file is missing, is not JSON, or is not a report of the schema this version knows.
-    """
-    file = path / "report.json" if path.is_dir() else path
-    try:
-        document = json.loads(file.read_bytes(), parse_constant=_refuse_constant)
-    except FileNotFoundError:
-        msg = f"{file}: no such file, expected the report.json that imucal writes"
-        raise ReadError(msg) from None
-    except OSError as error:
-        msg = f"{file}: can't be read ({error.strerror}), expected the report.json that imucal writes"
-        raise ReadError(msg) from error
-    except (ValueError, RecursionError) as error:
-        msg = f"{file}: not JSON ({error}), expected the report.json that imucal writes"
-        raise ReadError(msg) from error
-    return from_document(document, file=str(file))
-
-
-def from_document(document: object, *, file: str = "report") -> Report:
-    """Return the report of a JSON document; messages name `file`.
-
-    Raises
-    ------
-    ReadError
-        If the document is not a report of the schema this version knows.
-    """
-    root = Node(document, file)
-    found = root.table().get("schema")
-    if found != SCHEMA:
-        root.fail(f"the schema is {json.dumps(found)}", f'"{SCHEMA}"')
-    return Report(
-        source=_source(root["source"]),
-        axes=tuple(_axis(node) for node in root["axes"]),
-        settings=root["settings"].table(),
-        findings=_FINDING.read_all(root["findings"]),
-        version=root["version"].text(),
-    )
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    msg = f"it holds {name}"
-    raise ValueError(msg)
-
-
-def _text(value: object, indent: str) -> str:
-    inner = f"{indent}  "
-    if isinstance(value, dict) and value:
-        lines = [f"{inner}{json.dumps(k)}: {_text(v, inner)}" for k, v in value.items()]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
-        lines = [inner + _text(item, inner) for item in value]
-        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
-
-
-def _source(node: Node) -> Source:
-    return Source(
-        path=node["path"].text(),
-        format=node["format"].text(),
-        topics=node["topics"].texts(),
-        message_types=node["message_types"].texts(),
-        decisions=tuple((d["choice"].text(), d["reason"].text()) for d in node["decisions"]),
-        files=node.get("files", _files, ()),
-        read=node.get("range", _maybe(_RANGE.read), None),
-    )
-
-
-def _files(node: Node) -> tuple[LogFileInfo, ...]:
-    return tuple(_FILE.read(file, etag=file.get("etag", Node.text, None)) for file in node)
+    return layout
 
 
 def _axis(node: Node) -> AxisReport:
-    sensor = Sensor(node["sensor"].text(*Sensor))
-    return AxisReport(
-        sensor=sensor,
-        axis=_AXES[node["axis"].text(*_AXES)],
-        samples=node["samples"].count(),
-        rate_hz=node["rate_hz"].positive(),
-        duration_s=node["duration_s"].number(),
-        mean=_or_nan(node["mean"]),
-        std=_or_nan(node["std"]),
-        gaps=_GAP.read_all(node["gaps"]),
-        spectrum=Spectrum(**_alike(node["spectrum"], frequency="frequency_hz", psd="psd", count="count")),
-        overview=Overview(**_alike(node["overview"], time_s="time_s", low="low", high="high")),
-        fit=_fit(node["fit"], node["curve"], sensor),
-        findings=_FINDING.read_all(node["findings"]),
-    )
-
-
-def _alike(node: Node, **keys: str) -> dict[str, FloatArray]:
-    """Return lists that stand under `keys` by the names of their values, each as long as the first."""
-    first = node[next(iter(keys.values()))].array()
-    return {name: node[key].array(like=first.size) for name, key in keys.items()}
-
-
-def _curve(node: Node) -> AllanCurve:
-    tau = node["tau_s"].array()
-    k = tau.size
-    if not np.all(np.diff(tau) > 0):
-        node["tau_s"].fail("found averaging times that do not rise", "rising ones")
-    return AllanCurve(
-        tau=tau,
-        m=node["m"].counts(like=k),
-        avar=node["adev"].array(like=k) ** 2,
-        edf=node["edf"].array(like=k),
-        n=node["n"].count(),
-        estimator=node["estimator"].text(),
-        computed=node["computed"].text(),
-        edf_method=node["edf_method"].text(),
-    )
+    return _AXIS.read(node, fit=_fit(node["fit"], node["curve"], Sensor(node["sensor"].text(*Sensor))))
 
 
 def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
-    curve = _curve(curve_node)
-    used = curve_node["used"].counts()
+    curve, used = _CURVE.read(curve_node), curve_node["used"].counts()
     if used.size and used.max() >= curve.tau.size:
         curve_node["used"].fail(f"found the index {used.max()}", f"less than {curve.tau.size}")
     parameters = node["parameters"].texts()
-    return NoiseFit(
-        method=node["method"].text(),
-        sensor=sensor,
-        rate_hz=node["rate_hz"].positive(),
-        level=_level(node["level"]),
-        model=_model(node["expression"]),
-        estimates=_estimates(node["terms"]),
-        parameters=parameters,
-        covariance=node["covariance"].matrix(len(parameters)),
-        goodness=_GOODNESS.read(node["goodness"]),
-        curve=curve,
-        used=used,
-        response=node["response"].maybe(_RESPONSE.read),
-        candidates=tuple(
-            Candidate(structure=c["model"].text(), delta=_or_nan(c["delta"])) for c in node["candidates"]
-        ),
-        criterion=node["criterion"].text(),
-        findings=_FINDING.read_all(node["findings"]),
-        settings=node["settings"].table(),
-        segments=node.get("segments", _maybe(_segments), None),
-        bins=node.get("bins", _bins, None),
-    )
+    covariance = node["covariance"].matrix(len(parameters))
+    return _FIT.read(node, sensor=sensor, curve=curve, used=used, covariance=covariance)
 
 
-def _segments(node: Node) -> Segments:
-    start = node["start_s"].array()
-    floor = node["floor"]
-    return Segments(
-        start_s=start,
-        end_s=node["end_s"].array(like=start.size),
-        white=node["N"].maybe(lambda white: _trace(white, start.size)),
-        floor=floor.maybe(lambda floor: _trace(floor, start.size)),
-        floor_tau_s=math.nan if floor.value is None else floor["tau_s"].positive(),
-        terms=tuple(_HOMOGENEITY.read(node["terms"][key], key=key) for key in node["terms"].table()),
-    )
-
-
-def _trace(node: Node, size: int) -> Trace:
-    return Trace(**{name: node[name].array(like=size) for name in ("value", "low", "high")})
+def _rising(node: Node) -> FloatArray:
+    tau = node.array()
+    if not np.all(np.diff(tau) > 0):
+        node.fail("found averaging times that do not rise", "rising ones")
+    return tau
 
 
 def _level(node: Node) -> float:
@@ -717,19 +318,310 @@ def _estimates(node: Node) -> tuple[Estimate, ...]:
 
 
 def _estimate(node: Node, key: str) -> Estimate:
-    status = node["status"].text("estimated", "bounded")
-    value = node["value"].maybe(Node.number)
+    status, value = node["status"].text(*get_args(Status)), node["value"].maybe(Node.number)
     if (value is None) != (status == "bounded"):
         node["value"].fail(f"found {json.dumps(node['value'].value)}", f"a value that fits {status!r}")
-    return Estimate(
-        key=key,
-        symbol=node["symbol"].text(*TERMS),
-        status="bounded" if value is None else "estimated",
-        value=value,
-        low=_or_nan(node["low"]),
-        high=node["high"].number(null=math.inf),
-        correlation_time=node.get("correlation_time", _maybe(_INTERVAL.read), None),
-        alternatives=node.get("alternatives", lambda found: tuple(map(_one_of(*TERMS), found)), ()),
-        horizon_s=node.get("horizon_s", lambda found: found.number(null=math.inf), math.inf),
-        widening=node.get("widening", Node.number, 1.0),
+    return _TERM.read(node, key=key)
+
+
+def _segments(node: Node) -> Segments:
+    floor, terms = node["floor"], node["terms"]
+    size = node["start_s"].array().size
+    for trace in (node["N"], floor):
+        for name in ("value", "low", "high") if trace.value is not None else ():
+            trace[name].array(like=size)
+    return _SEGMENTS.read(
+        node,
+        floor_tau_s=math.nan if floor.value is None else floor["tau_s"].positive(),
+        terms=tuple(_HOMOGENEITY.read(terms[key], key=key) for key in terms.table()),
     )
+
+
+def _bins(node: Node) -> Bins:
+    """Return the bins of a document, whose lists must belong together."""
+    version = node["version"].count()
+    if version != BINS_VERSION:
+        node["version"].fail(f"found {version}", f"{BINS_VERSION}, as this version of imucal writes")
+    n, first, r = node["n"].counts(), node["first"].counts(), len(node["regressors"].texts())
+    start = node["start"].counts(like=n.size)
+    if not n.size or start[0] != 0 or np.any(np.diff([*start, first.size]) < 1):
+        node["start"].fail("found starts that are not those of blocks", "rising ones from 0")
+    blocks = zip(n.tolist(), np.split(first, start[1:]), strict=True)
+    if not all(own[0] >= 1 and own[-1] < size and np.all(np.diff(own) > 0) for size, own in blocks):
+        node["first"].fail("found ordinates that do not rise within a block", "rising ones below its n")
+    cross, lower = ([row.array(like=first.size) for row in node[key]] for key in ("cross", "gram"))
+    if len(cross) != r or len(lower) != r * (r + 1) // 2 or not r:
+        node["cross"].fail(f"found {len(cross)} and {len(lower)} lists", f"those of {r} regressors")
+    gram = np.zeros((r, r, first.size))
+    for i, j, row in zip(*np.tril_indices(r), lower, strict=True):
+        gram[i, j] = gram[j, i] = row
+    return _BINS.read(node, cross=np.array(cross), gram=gram)
+
+
+_layout(Quantity, "value low high unit")
+_layout(Interval, "value low high", low=_OR_NAN, high=_OR_INFINITE)
+_layout(Finding, "level code axis text advice keep_s")
+_layout(ReadRange, "from_s duration_s start_ns end_ns")
+_layout(LogFileInfo, "path size_bytes blake2b etag?")
+_SOURCE = _layout(
+    Source,
+    "path format topics message_types decisions files? range?=read",
+    decisions=_list_of(lambda node: (node["choice"].text(), node["reason"].text())),
+)
+_layout(Gap, "start_s duration_s missing")
+_layout(Overview, "time_s low~time_s high~time_s")
+_SPECTRUM = _layout(Spectrum, "sides= frequency_hz=frequency psd~frequency_hz count~frequency_hz model_psd=")
+_layout(Line, "frequency_hz amplitude", amplitude=_OR_NAN)
+_layout(Response, "kind cutoff_hz")
+_layout(Candidate, "model=structure delta", delta=_OR_NAN)
+_layout(
+    Goodness,
+    "statistic p_value chi2_per_bin band_hz tau_s lines",
+    **dict.fromkeys(("statistic", "p_value", "chi2_per_bin"), _OR_NAN),
+)
+_HOMOGENEITY = _layout(
+    TermHomogeneity, "symbol statistic dof p_value spread factor highest_s lowest_s", symbol=_one_of(*TERMS)
+)
+_TRACE = _layout(Trace, "tau_s= value low high unit=")
+_SEGMENTS = _layout(Segments, "level= start_s end_s~start_s N=white floor terms")
+_CURVE = _layout(
+    AllanCurve,
+    "level= estimator computed edf_method n tau_s=tau m~tau_s adev=avar~tau_s low= high= edf~tau_s "
+    "model_adev= used=",
+    tau_s=_rising,
+    adev=lambda node: node.array() ** 2,
+)
+_TERM = _layout(
+    Estimate,
+    "symbol name= status value low high unit= datasheet= drawn= alternatives? horizon_s? widening? "
+    "correlation_time? phi= q=",
+    symbol=_one_of(*TERMS),
+    low=_OR_NAN,
+    high=_OR_INFINITE,
+    alternatives=_list_of(_one_of(*TERMS)),
+    horizon_s=_OR_INFINITE,
+)
+_BINS = _layout(
+    Bins,
+    "version scale tau0_s=tau0 widening n start~n first size~first power~first regressors=names cross gram",
+    **dict.fromkeys(("scale", "tau0_s", "widening"), Node.positive),
+)
+_FIT = _layout(
+    NoiseFit,
+    "method model= expression=model rate_hz level criterion goodness terms=estimates parameters covariance "
+    "response candidates segments? settings findings bins?",
+    expression=_model,
+    rate_hz=Node.positive,
+    level=_level,
+    terms=_estimates,
+    segments=_maybe(_segments),
+    bins=_bins,
+)
+_AXIS = _layout(
+    AxisReport,
+    "name sensor axis unit samples rate_hz duration_s mean std gaps curve= minimum= spectrum overview fit "
+    "findings",
+    rate_hz=Node.positive,
+    mean=_OR_NAN,
+    std=_OR_NAN,
+)
+_REPORT = _layout(Report, "version source settings axes findings", axes=_list_of(_axis))
+_PAIR = _layout(FilterNumbers, "horizon_s step_s white walk basis ratios")
+
+
+def to_document(report: Report) -> JsonObject:
+    """Return the whole report as JSON values, keys in a stable order."""
+    pairs = list(_pair_entries(report)) if report.verdict.usable else []
+    axes = [_axis_entry(report, axis) for axis in report.axes]
+    return _object({**_header(report), "filter_numbers": pairs, "axes": axes, "findings": report.findings})
+
+
+def axis_document(report: Report, axis: AxisReport) -> JsonObject:
+    """Return the document of one axis: the header of the report and the axis's own entry."""
+    return _object({**_header(report), **_axis_entry(report, axis)})
+
+
+def _object(document: Mapping[str, object]) -> JsonObject:
+    return {key: plain(value) for key, value in document.items()}
+
+
+def _header(report: Report) -> JsonObject:
+    source, verdict = report.source, report.verdict
+    decisions = [{"choice": choice, "reason": reason} for choice, reason in source.decisions]
+    return {
+        "schema": SCHEMA,
+        "version": report.version,
+        "verdict": verdict.grade,
+        "verdict_sentence": verdict.sentence,
+        "source": _SOURCE.write(source, decisions=decisions, range=source.read),
+        "settings": report.settings,
+    }
+
+
+def _pair_entries(report: Report) -> Iterator[JsonObject]:
+    """Yield what covers each sensor's spectrum, for filters that coast for a minute and for five."""
+    for sensor, axes in report.by_sensor.items():
+        for pair in usual_pairs([axis.fit for axis in axes]):
+            units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
+            names = [axis.name for axis in axes]
+            yield {"sensor": sensor, "axes": names, **pair_document(pair), **units}
+
+
+def pair_document(pair: FilterNumbers) -> JsonObject:
+    """Return the two numbers for a filter, and what they cost, as JSON values."""
+    return _PAIR.write(pair, ratios=[{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios])
+
+
+def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
+    """Return an axis as it will be read back, so that reading and writing again changes nothing.
+
+    The file holds deviations. Squaring them first does it, because the square root of a squared float is
+    that float, while the converse does not hold.
+    """
+    curve, spectrum = replace(axis.fit.curve, avar=axis.fit.curve.adev**2), axis.spectrum
+    bins = axis.fit.bins if report.settings.get("bins") is True else None
+    fit = replace(axis.fit, curve=curve, bins=bins)
+    floor, unit = numbers.minimum(fit), TERMS["B"].datasheet_unit(axis.sensor)
+    low, high = curve.confidence_interval(fit.level)
+    told = {"level": fit.level, "low": low, "high": high, "model_adev": fit.model_adev(), "used": fit.used}
+    return _AXIS.write(
+        axis,
+        curve=_CURVE.write(curve, adev=curve.adev, **told),
+        minimum={
+            "adev": floor.value,
+            "tau_s": curve.minimum[1],
+            "low": floor.low,
+            "high": floor.high,
+            "datasheet": floor.scaled(unit.factor, unit.name),
+        },
+        spectrum=_SPECTRUM.write(
+            spectrum, sides=2, model_psd=fit.model.psd(spectrum.frequency, rate_hz=fit.rate_hz)
+        ),
+        fit=_fit_entry(fit, axis.sensor),
+    )
+
+
+def _fit_entry(fit: NoiseFit, sensor: Sensor) -> JsonObject:
+    said: JsonObject = {}
+    if (bins := fit.bins) is not None:
+        # Of the symmetric products the rows of the lower triangle.
+        said["bins"] = _BINS.write(bins, gram=bins.gram[np.tril_indices(len(bins.names))])
+    return _FIT.write(
+        fit,
+        model=str(fit.model),
+        expression=fit.model.text(),
+        terms={estimate.key: _term_entry(estimate, fit, sensor) for estimate in fit.estimates},
+        segments=fit.segments and _segments_entry(fit.segments, fit.level, sensor),
+        **said,
+    )
+
+
+def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> JsonObject:
+    kind = TERMS[estimate.symbol]
+    said: JsonObject = {"name": kind.name(sensor), "unit": kind.unit(sensor), "drawn": estimate.drawn}
+    if len(kind.parameters()) > 1:
+        # What a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t].
+        time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
+        said["correlation_time"] = time and numbers.correlation_time(time)
+        said["phi"] = term and term.phi(1 / fit.rate_hz)
+        said["q"] = term and term.q(1 / fit.rate_hz)
+    return _TERM.write(estimate, datasheet=numbers.datasheet(estimate, sensor), **said)
+
+
+def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> JsonObject:
+    white, floor = segments.white, segments.floor
+    return _SEGMENTS.write(
+        segments,
+        level=level,
+        N=white and _TRACE.write(white, unit=TERMS["N"].unit(sensor)),
+        floor=floor and _TRACE.write(floor, tau_s=segments.floor_tau_s, unit=sensor.unit),
+        terms={term.key: term for term in segments.terms},
+    )
+
+
+def plain(value: object) -> object:
+    """Return `value` as JSON knows it: arrays as lists, not-a-number and infinity as null.
+
+    What a layout is known for becomes an object; a value of a kind that JSON can't hold is a TypeError.
+    """
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if type(value) in _LAYOUTS:
+        value = _LAYOUTS[type(value)].write(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence):
+        return [plain(item) for item in value]
+    if isinstance(value, PurePath):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} has no place in a report: {value!r}")
+
+
+def picked(value: object, names: str) -> JsonObject:
+    """Return attributes of a value as JSON values, such as ``axis term=key``: `key` stands under ``term``."""
+    pairs = (name.partition("=")[::2] for name in names.split())
+    return {key: plain(getattr(value, attribute or key)) for key, attribute in pairs}
+
+
+def dumps(document: object) -> str:
+    """Return the text of a JSON document: one key a line, a list of plain values on one line."""
+    return _text(document, "") + "\n"
+
+
+def schema() -> JsonObject:
+    """Return the JSON Schema of `report.json`, as the package ships it."""
+    from importlib.resources import files
+
+    text = files("imucal.report").joinpath("schema", "report-1.schema.json").read_text(encoding="utf-8")
+    document: JsonObject = json.loads(text)
+    return document
+
+
+def load(path: Path) -> Report:
+    """Read a report back; `path` is a ``report.json`` or the report's folder.
+
+    Raises
+    ------
+    ReadError
+        If the file is missing, is not JSON, or is not a report of the schema this version knows.
+    """
+    file = path / "report.json" if path.is_dir() else path
+    try:
+        document = json.loads(file.read_bytes(), parse_constant=_refuse_constant)
+    except FileNotFoundError:
+        wrong = "no such file"
+    except OSError as error:
+        wrong = f"can't be read ({error.strerror})"
+    except (ValueError, RecursionError) as error:
+        wrong = f"not JSON ({error})"
+    else:
+        return from_document(document, file=str(file))
+    raise ReadError(f"{file}: {wrong}, expected the report.json that imucal writes")
+
+
+def from_document(document: object, *, file: str = "report") -> Report:
+    """Return the report of a JSON document; a ReadError, which names `file`, of another schema."""
+    root = Node(document, file)
+    found = root.table().get("schema")
+    if found != SCHEMA:
+        root.fail(f"the schema is {json.dumps(found)}", f'"{SCHEMA}"')
+    return _REPORT.read(root)
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"it holds {name}")
+
+
+def _text(value: object, indent: str) -> str:
+    inner = f"{indent}  "
+    if isinstance(value, dict) and value:
+        lines = [f"{inner}{json.dumps(k)}: {_text(v, inner)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        lines = [inner + _text(item, inner) for item in value]
+        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)

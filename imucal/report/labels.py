@@ -7,7 +7,7 @@ circles about its anchor and takes the one that covers the least.
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -27,24 +27,19 @@ _PAD = 2.5
 _TAKEN = 1e3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Label:
-    """A text for a point of the data, or for the best of several points, in a colour.
+class Label(NamedTuple):
+    """A text in a colour for a point of the data, or for the best of several, which have x and y, shape (k,).
 
-    Attributes
-    ----------
-    x, y
-        The points it may belong to, shape (k,), k >= 1: one for a mark, many for a line.
+    A mark has one point, a line has many.
     """
 
     text: str
-    x: FloatArray
-    y: FloatArray
+    x: float | FloatArray
+    y: float | FloatArray
     colour: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Box:
+class _Box(NamedTuple):
     x0: float
     y0: float
     x1: float
@@ -55,6 +50,11 @@ class _Box:
 
     def within(self, frame: "_Box") -> bool:
         return frame.x0 <= self.x0 and self.x1 <= frame.x1 and frame.y0 <= self.y0 and self.y1 <= frame.y1
+
+    @property
+    def middle(self) -> FloatArray:
+        """Its middle, shape (2,)."""
+        return np.array([(self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2])
 
     def grown(self, pad: float) -> "_Box":
         return _Box(self.x0 - pad, self.y0 - pad, self.x1 + pad, self.y1 + pad)
@@ -72,16 +72,9 @@ def place_labels(
     obstacles: list[tuple[FloatArray, FloatArray, float]],
     fontsize: float,
 ) -> list["Annotation"]:
-    """Write `labels` where they cover nothing else.
+    """Write `labels` where they cover nothing else; the limits and the place of `axes` must be final.
 
-    Parameters
-    ----------
-    axes
-        Its limits and place must be final.
-    obstacles
-        Lines to keep clear of: x and y of the data, and what a covered pixel of it costs.
-    fontsize
-        In points.
+    `obstacles` are lines to keep clear of: x and y of the data, and what a covered pixel of it costs.
     """
     if not labels:
         return []
@@ -95,18 +88,16 @@ def place_labels(
         points=[(_dense(axes, x, y), cost) for x, y, cost in obstacles],
     )
     anchors = [axes.transData.transform(np.column_stack([label.x, label.y])) for label in labels]
-    room.taken += [
-        _Box(x, y, x, y).grown(4 * scale) for points in anchors if len(points) == 1 for x, y in points
-    ]
+    room.taken += [_Box(x, y, x, y).grown(4 * scale) for (x, y), *more in anchors if not more]
     written = []
     # Marks have one point to stand by, the less free the nearer they are to a side; lines give way.
-    order = sorted(range(len(labels)), key=lambda i: (len(anchors[i]) > 1, room.freedom(anchors[i])))
-    for label, points in ((labels[i], anchors[i]) for i in order):
+    pairs = zip(labels, anchors, strict=True)
+    for label, points in sorted(pairs, key=lambda pair: (len(pair[1]) > 1, room.freedom(pair[1]))):
         anchor, box = room.best(points, _size(axes, label.text, fontsize, renderer))
         room.take(anchor, box)
-        offset = ((box.x0 + box.x1) / 2 - anchor[0], (box.y0 + box.y1) / 2 - anchor[1])
+        offset = (box.middle - anchor) / scale
         place = axes.transData.inverted().transform(anchor)
-        written.append(_write(axes, label, place, (offset[0] / scale, offset[1] / scale), fontsize))
+        written.append(_write(axes, label, place, offset, fontsize))
     return written
 
 
@@ -183,9 +174,8 @@ class _Room:
 
 def _leader(anchor: FloatArray, box: _Box) -> FloatArray:
     """Return points on the line from the anchor to the middle of the box, outside the box."""
-    middle = np.array([(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2])
     steps = np.linspace(0, 1, 40)[:, None]
-    line = anchor + steps * (middle - anchor)
+    line = anchor + steps * (box.middle - anchor)
     inside = (line[:, 0] > box.x0) & (line[:, 0] < box.x1) & (line[:, 1] > box.y0) & (line[:, 1] < box.y1)
     return np.asarray(line[~inside], dtype=np.float64)
 
@@ -229,12 +219,12 @@ def _size(axes: "Axes", text: str, fontsize: float, renderer: "RendererBase") ->
 
 
 def _write(
-    axes: "Axes", label: Label, place: FloatArray, offset: tuple[float, float], fontsize: float
+    axes: "Axes", label: Label, place: FloatArray, offset: FloatArray, fontsize: float
 ) -> "Annotation":
     return axes.annotate(
         label.text,
-        (float(place[0]), float(place[1])),
-        xytext=offset,
+        place.tolist(),
+        xytext=offset.tolist(),
         textcoords="offset points",
         annotation_clip=False,
         ha="center",

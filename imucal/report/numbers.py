@@ -1,31 +1,36 @@
 """Values as people read them: as many digits as the interval supports, a bound as a bound.
 
+The data-sheet units of a sensor's numbers are chosen once a report: no row and no plot mixes two.
+
 The rounding is the Particle Data Group's: an uncertainty whose three leading digits are below 355
 keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
 """
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
+from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction import DriftPoint
 from imucal.recording import Sensor
-from imucal.units import pretty
+from imucal.units import DatasheetUnit, pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
 _ASYMMETRY = 1.25
 #: A number that takes more characters is written with an exponent.
 _LONGEST = 10
-#: Less than this of degrees, metres or metres per second is told in thousandths.
+#: Less than this of degrees, metres or metres per second is told in thousandths, and mg are told in µg where
+#: the floor of every axis is less.
 _SMALL = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Quantity:
     """A value with its limits and unit; `value` is None where only the bound `high` is known.
 
@@ -36,14 +41,33 @@ class Quantity:
     value: float | None
     low: float
     high: float
-    unit: str
+    unit: str = ""
     drawn: float | None = None
 
-    def scaled(self, factor: float, unit: str) -> "Quantity":
+    @classmethod
+    def of(cls, known: Any, unit: str = "") -> "Quantity":  # noqa: ANN401
+        """Return what has a value and limits, such as an estimate, in its unit."""
+        return cls(value=known.value, low=known.low, high=known.high, unit=unit)
+
+    @classmethod
+    def exactly(cls, value: float) -> "Quantity":
+        """Return a number without an interval and a unit."""
+        return cls(value=value, low=value, high=value)
+
+    def scaled(self, factor: float, unit: str = "") -> "Quantity":
         """Return it in another unit: ``value * factor``."""
         value, drawn = (None if x is None else x * factor for x in (self.value, self.drawn))
         low, high = self.low * factor, self.high * factor
         return Quantity(value=value, low=low, high=high, unit=unit, drawn=drawn)
+
+    def text(self) -> str:
+        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or a number alone, without the unit."""
+        value, low, high = self.value, self.low, self.high
+        if value is not None:
+            return f"{value:.6g}" if low == high else f"{value:.4g} [{low:.4g}, {high:.4g}]"
+        if math.isinf(high):
+            return f">= {low:.4g}" if low else "unknown"
+        return f"[{low:.4g}, {high:.4g}]" if low > 0 else f"<= {high:.4g}"
 
     @property
     def size(self) -> float:
@@ -65,8 +89,8 @@ def term_name(symbol: str, sensor: Sensor | None) -> str:
 def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
     """Return an estimate's coefficient in SI; without a unit where nobody knows the sensor."""
     unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""
-    drawn = estimate.drawn if estimate.value is None else None
-    return Quantity(value=estimate.value, low=estimate.low, high=estimate.high, unit=unit, drawn=drawn)
+    found = Quantity.of(estimate, unit)
+    return found if found.value is not None else replace(found, drawn=estimate.drawn)
 
 
 def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
@@ -79,7 +103,7 @@ def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
 
 def correlation_time(interval: Interval) -> Quantity:
     """Return the correlation time of a Gauss-Markov term, in s."""
-    return Quantity(value=interval.value, low=interval.low, high=interval.high, unit="s")
+    return Quantity.of(interval, "s")
 
 
 def drifted(point: DriftPoint, unit: str) -> Quantity:
@@ -87,7 +111,7 @@ def drifted(point: DriftPoint, unit: str) -> Quantity:
 
     It is degrees for rad, and a thousandth of the unit below a tenth of it.
     """
-    known = Quantity(value=point.value, low=point.low, high=point.high, unit=unit)
+    known = Quantity.of(point, unit)
     if unit == "rad":
         known = known.scaled(math.degrees(1), "deg")
     return known if known.size >= _SMALL else known.scaled(1e3, f"m{known.unit}")
@@ -104,6 +128,48 @@ def minimum(fit: NoiseFit) -> Quantity:
     known = math.isfinite(low[at]) and math.isfinite(high[at])
     limits = (float(low[at]), float(high[at])) if known else (adev, adev)
     return Quantity(value=adev, low=limits[0], high=limits[1], unit=fit.sensor.unit if fit.sensor else "")
+
+
+@frozen
+class SheetUnits:
+    """How a sensor's numbers are printed and drawn: N and the root of a psd in the unit of `density`.
+
+    `level` is that of the rate itself: Allan deviations, B, sigma of a Gauss-Markov term.
+    """
+
+    level: DatasheetUnit
+    density: DatasheetUnit
+
+    def estimate(self, estimate: Estimate, sensor: Sensor | None) -> Quantity:
+        """Return an estimate's coefficient."""
+        found = datasheet(estimate, sensor)
+        # Micro-g for milli-g where the sensor's levels are told in it.
+        return found.scaled(1e3, "ug") if found.unit == "mg" and self.level.name == "ug" else found
+
+    def minimum(self, fit: NoiseFit) -> Quantity:
+        """Return the lowest point of an axis's curve."""
+        return minimum(fit).scaled(self.level.factor, self.level.name)
+
+
+def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
+    """Return the units of one sensor's fits: deg/h and deg/√h, or mg and m/s/√h.
+
+    Where all floors of an accelerometer are small, it is µg. Where nobody knows the sensor, the unit is that
+    of the samples, whatever it is.
+    """
+    sensor = fits[0].sensor
+    if sensor is None:
+        return SheetUnits(level=DatasheetUnit("", 1.0), density=DatasheetUnit("", 1.0))
+    floors = [fit.curve.minimum[0] for fit in fits]
+    return SheetUnits(level=level_unit(sensor, max(floors)), density=TERMS["N"].datasheet_unit(sensor))
+
+
+def level_unit(sensor: Sensor, size: float) -> DatasheetUnit:
+    """Return the unit of a sensor's levels, the largest of which is `size`, in U."""
+    unit = TERMS["B"].datasheet_unit(sensor)
+    if unit.name == "mg" and size * unit.factor < _SMALL:
+        return DatasheetUnit("ug", 1e3 * unit.factor)
+    return unit
 
 
 def alternatives(estimate: Estimate) -> str:
@@ -186,11 +252,10 @@ def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
     exponent = power_of_ten(quantity) if exponent is None else exponent
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     value, interval = compact(scaled)
-    if interval and _symmetric(scaled):
-        half = _fixed((scaled.high - scaled.low) / 2, decimals(scaled))
-        body = f"{value} ± {half}"
-        return with_unit(f"({body})" if exponent else body, exponent, quantity.unit)
-    return with_unit(f"{value} {interval}".rstrip(), exponent, quantity.unit)
+    if not (interval and _symmetric(scaled)):
+        return with_interval(quantity, exponent=exponent)
+    body = f"{value} ± {_fixed((scaled.high - scaled.low) / 2, decimals(scaled))}"
+    return with_unit(f"({body})" if exponent else body, exponent, quantity.unit)
 
 
 def with_interval(quantity: Quantity, *, exponent: int | None = None) -> str:

@@ -26,10 +26,10 @@ from imucal.report import numbers
 from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.target import FORMULAS, itself, price
-from imucal.report.figure import axis_title, shown_points
+from imucal.report.figure import axis_title, shown_points, units_of
 from imucal.report.markup import both_units, render
+from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Report
-from imucal.report.sheet_units import SheetUnits, sheet_units
 from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
@@ -124,7 +124,7 @@ def method_section(report: Report) -> Markup:
 
 def axis_section(report: Report, axis: AxisReport, pictures: Mapping[str, str]) -> Markup:
     """Return the plots of one axis, each with a caption, and the curve as a table."""
-    units = sheet_units([each.fit for each in report.by_sensor[axis.sensor]])
+    units = units_of(report, axis.sensor)
     lowest = (units.minimum(axis.fit), numbers.minimum(axis.fit))
     return render(
         "axis.html",
@@ -289,8 +289,8 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
 
 def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:
     """Return sigma and T of the axis whose slowest Gauss-Markov term is the largest, and the axis."""
-    known = ((chosen.gauss_markov(axis), axis.axis) for axis in chosen.axes(sensor))
-    return max(((term, axis) for term, axis in known if term), default=None)
+    known = ((chosen.slowest(axis), axis.axis) for axis in chosen.axes(sensor))
+    return max((((term.sigma, term.T), axis) for term, axis in known if term), default=None)
 
 
 def _floors(fit: NoiseFit, units: SheetUnits) -> list[Markup]:

@@ -9,25 +9,9 @@ from imucal.allan.curve import AllanCurve
 from imucal.errors import ArgumentError
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.recording import AxisSeries, Recording, Sensor
-from imucal.report.figure import (
-    AXES,
-    DATA,
-    INK,
-    LABEL_STYLE,
-    LEGEND_STYLE,
-    MARKERS,
-    MODEL,
-    axis_title,
-    dashes,
-    draw_allan,
-    draw_allan_overview,
-    limits,
-    quiet_frame,
-    shown_points,
-    style_axes,
-)
+from imucal.report import figure as drawing
+from imucal.report.numbers import sheet_units
 from imucal.report.result import AxisReport, Overview, Report
-from imucal.report.sheet_units import sheet_units
 from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:
@@ -70,7 +54,7 @@ def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tu
         places = _places(ax, len(each))
         for place, (sensor, parts) in zip(places, each.items(), strict=True):
             _draw_sensor(parts, place)
-            place.set_title(str(sensor).capitalize(), loc="left", color=INK, fontweight="bold")
+            place.set_title(str(sensor).capitalize(), loc="left", color=drawing.INK, fontweight="bold")
         return places
     (place,) = _places(ax, 1)
     _draw(value, place)
@@ -98,33 +82,29 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
 def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
     """Draw the signals, or the curves, of a sensor's axes, and a legend of which is which."""
     if isinstance(parts[0], AxisReport):
-        draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
-        for axis in parts:
-            stroke = AXES[axis.axis]
-            mark: dict[str, Any] = {"marker": MARKERS[axis.axis], "markerfacecolor": "white"}
-            axes.plot([], [], color=stroke.light, label=axis.axis, **mark, **dashes(stroke))
-    else:
-        for series in parts:
-            _draw_signal(series, axes)
-    axes.legend(loc="upper right", **LEGEND_STYLE)
+        drawing.draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
+        drawing.name_axes(axes, parts)
+        return
+    for series in parts:
+        _draw_signal(series, axes)
+    axes.legend(loc="upper right", **drawing.LEGEND_STYLE)
 
 
 @singledispatch
 def _draw(value: object, _: "Axes") -> None:
     known = "a recording, one of its axes, an Allan curve, a fit or a report"
-    msg = f"{type(value).__name__} has no picture; give {known}"
-    raise ArgumentError(msg)
+    raise ArgumentError(f"{type(value).__name__} has no picture; give {known}")
 
 
 def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
     seen = Overview.of(series, stretches=_STRETCHES)
     divisor, name = time_unit(series.duration_s)
     mean = float(np.nanmean((seen.low + seen.high) / 2)) if seen.low.size else 0.0
-    style: dict[str, Any] = {"color": AXES[series.axis].light, "alpha": 0.45, "linewidth": 0.5}
+    style: drawing.Style = {"color": drawing.AXES[series.axis].light, "alpha": 0.45, "linewidth": 0.5}
     axes.fill_between(seen.time_s / divisor, seen.low - mean, seen.high - mean, label=series.axis, **style)
-    quiet_frame(axes)
-    axes.set_xlabel(f"time ({name})", **LABEL_STYLE)
-    axes.set_ylabel(f"samples less their middle ({pretty(series.unit)})", **LABEL_STYLE)
+    drawing.quiet_frame(axes)
+    axes.set_xlabel(f"time ({name})", **drawing.LABEL_STYLE)
+    axes.set_ylabel(f"samples less their middle ({pretty(series.unit)})", **drawing.LABEL_STYLE)
 
 
 _draw.register(AxisSeries)(_draw_signal)
@@ -132,30 +112,26 @@ _draw.register(AxisSeries)(_draw_signal)
 
 @_draw.register(AllanCurve)
 def _(curve: AllanCurve, axes: "Axes") -> None:
-    shown = shown_points(curve)
+    shown = drawing.shown_points(curve)
     tau, adev = curve.tau[shown], curve.adev[shown]
-    style_axes(
-        axes,
-        x="averaging time τ (s)",
-        y="Allan deviation (unit of the samples)",
-        x_limits=limits(tau, below=1.6, above=1.9),
-        y_limits=limits(adev, below=2.2, above=2.2),
-    )
+    y_limits = drawing.limits(adev, below=2.2, above=2.2)
+    drawing.style_allan(axes, "unit of the samples", tau, y_limits)
     low, high = (limit[shown] for limit in curve.confidence_interval())
-    axes.fill_between(tau, low, high, color=MODEL.light, alpha=0.2, linewidth=0, label="95 % interval")
-    axes.plot(
-        tau, adev, color=DATA.light, marker="o", markersize=4.4, linestyle="none", label=curve.estimator
-    )
-    axes.legend(**LEGEND_STYLE)
+    band: drawing.Style = {"color": drawing.MODEL.light, "alpha": 0.2, "linewidth": 0}
+    axes.fill_between(tau, low, high, label="95 % interval", **band)
+    axes.plot(tau, adev, color=drawing.DATA.light, label=curve.estimator, **drawing.DOTS)
+    axes.legend(**drawing.LEGEND_STYLE)
 
 
 @_draw.register(NoiseFit)
 def _(fit: NoiseFit, axes: "Axes") -> None:
-    entries = draw_allan(axes, fit, sheet_units([fit]))
-    axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, **LEGEND_STYLE)
+    entries = drawing.draw_allan(axes, fit, sheet_units([fit]))
+    axes.legend(
+        handles=entries, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, **drawing.LEGEND_STYLE
+    )
 
 
 @_draw.register(AxisReport)
 def _(axis: AxisReport, axes: "Axes") -> None:
     _draw(axis.fit, axes)
-    axes.set_title(axis_title(axis), loc="left", color=INK, fontweight="bold")
+    axes.set_title(drawing.axis_title(axis), loc="left", color=drawing.INK, fontweight="bold")

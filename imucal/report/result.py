@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.allan.dct import Spectrum
-from imucal.arrays import FloatArray, read_only
+from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.clock import Gap
 from imucal.display import Displayed
 from imucal.errors import MissingError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.frozen import frozen_alone
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
@@ -21,26 +22,17 @@ _TELLS_S = 300.0
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Overview:
-    """The raw signal, small enough to draw: lowest and highest sample of each of k stretches.
+@frozen_alone
+class Overview(ReadOnlyArrays):
+    """The raw signal, small enough to draw: lowest and highest sample of each of k stretches, in U.
 
-    Attributes
-    ----------
-    time_s
-        Middle of each stretch, shape (k,), in s from the first sample; stretches in gaps hold NaN.
-    low, high
-        Extremes, shape (k,), in U, the mean not removed.
+    Shapes (k,). `time_s` is the middle of each, in s from the first sample; stretches in gaps hold NaN. The
+    mean is not removed.
     """
 
     time_s: FloatArray
     low: FloatArray
     high: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("time_s", "low", "high"):
-            array = read_only(np.asarray(getattr(self, name), dtype=np.float64))
-            object.__setattr__(self, name, array)
 
     @classmethod
     def of(cls, series: AxisSeries, *, stretches: int = 1000) -> "Overview":
@@ -63,14 +55,14 @@ class Overview:
             last = int(np.searchsorted(edges, place + segment.size, side="left"))
             starts = np.maximum(edges[first:last] - place, 0) + segment.start
             samples = series.samples[: segment.stop]
-            low[first:last] = np.minimum(low[first:last], np.minimum.reduceat(samples, starts))
-            high[first:last] = np.maximum(high[first:last], np.maximum.reduceat(samples, starts))
+            for extreme, outer in ((low, np.minimum), (high, np.maximum)):
+                extreme[first:last] = outer(extreme[first:last], outer.reduceat(samples, starts))
         filled = np.isfinite(low)
         time = (edges[:-1] + edges[1:]) / 2 * clock.tau0
         return cls(time_s=time, low=np.where(filled, low, np.nan), high=np.where(filled, high, np.nan))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class AxisReport:
     """What was found about one axis; units as in `Sensor.unit`.
 
@@ -139,8 +131,7 @@ class Report(Displayed):
         for axis in self.axes:
             if axis.name == name:
                 return axis
-        msg = f"no axis {name!r}; the report has {', '.join(axis.name for axis in self.axes)}"
-        raise MissingError(msg)
+        raise MissingError(f"no axis {name!r}; the report has {', '.join(axis.name for axis in self.axes)}")
 
     @property
     def by_sensor(self) -> dict[Sensor, list[AxisReport]]:

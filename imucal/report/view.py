@@ -5,20 +5,19 @@ none of them looks for terms, bounds or alternatives itself.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.numbers import Quantity
+from imucal.report.numbers import Quantity, SheetUnits, sheet_units
 from imucal.report.result import Report
-from imucal.report.sheet_units import SheetUnits, sheet_units
 
 __all__ = ["Cell", "Column", "Row", "Shown", "View", "view", "views"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Cell:
     """A quantity of one axis in data-sheet units and in SI; a bound where its value is None.
 
@@ -30,7 +29,7 @@ class Cell:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Shown:
     """A cell as text: ``0.2013``, ``[0.2010, 0.2016]``, ``or GM``; a bound is ``< 0.12`` and no interval."""
 
@@ -43,7 +42,7 @@ class Shown:
         return "  ".join(part for part in (self.value, self.interval, self.note) if part)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Column:
     """A row in one convention: all values are to be multiplied by ``10**exponent`` of the unit."""
 
@@ -52,17 +51,12 @@ class Column:
     texts: tuple[Shown | None, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Row:
-    """A quantity on every axis of a view.
+    """A quantity on every axis of a view, with a cell for each; None where an axis has no such term.
 
-    Attributes
-    ----------
-    key, symbol, name
-        ``GM1``, ``GM`` and ``Gauss-Markov``; its correlation time has the key ``GM1 T``, the lowest point of
-        the curve the key ``minimum``, both without a symbol.
-    cells
-        One an axis, in the order of the view; None where an axis has no such term.
+    `key`, `symbol` and `name` are such as ``GM1``, ``GM`` and ``Gauss-Markov``; its correlation time has
+    the key ``GM1 T``, the lowest point of the curve the key ``minimum``, both without a symbol.
     """
 
     key: str
@@ -92,7 +86,7 @@ def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
     return Shown(value=value, interval=interval, note=note, bounded=quantity.value is None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class View:
     """The fits of one sensor as rows: its terms by rising slope, then the lowest point of the curve.
 
@@ -125,13 +119,14 @@ def _rows(fits: tuple[NoiseFit, ...], units: SheetUnits) -> Iterator[Row]:
     symbols = {estimate.key: estimate.symbol for fit in fits for estimate in fit.estimates}
     for key in sorted(symbols, key=lambda key: list(TERMS).index(symbols[key])):
         found = [next((e for e in fit.estimates if e.key == key), None) for fit in fits]
-        name = numbers.term_name(symbols[key], sensor)
-        yield Row(
-            key=key,
-            symbol=symbols[key],
-            name=name,
-            cells=tuple(_cell(e, sensor, units) if e else None for e in found),
+        cells = (
+            Cell(sheet=units.estimate(e, sensor), si=numbers.si(e, sensor), note=numbers.alternatives(e))
+            if e
+            else None
+            for e in found
         )
+        name = numbers.term_name(symbols[key], sensor)
+        yield Row(key=key, symbol=symbols[key], name=name, cells=tuple(cells))
         times = tuple(_time(estimate) for estimate in found)
         if any(times):
             yield Row(key=f"{key} T", symbol="", name="correlation time", cells=times)
@@ -144,14 +139,6 @@ def _rows(fits: tuple[NoiseFit, ...], units: SheetUnits) -> Iterator[Row]:
         for fit in fits
     )
     yield Row(key="minimum", symbol="", name="of the curve", cells=lowest)
-
-
-def _cell(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) -> Cell:
-    return Cell(
-        sheet=units.estimate(estimate, sensor),
-        si=numbers.si(estimate, sensor),
-        note=numbers.alternatives(estimate),
-    )
 
 
 def _time(estimate: Estimate | None) -> Cell | None:

@@ -76,12 +76,10 @@ def write_report(
         If a format is unknown.
     """
     out = Path(out)
-    from imucal.report.figure import FORMATS, draw, picture_names
+    from imucal.report.figure import check_format, draw, picture_names
 
-    unknown = [form for form in formats if form not in FORMATS]
-    if unknown:
-        msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
-        raise ValueError(msg)
+    for form in formats:
+        check_format(form)
     names = _names(report, picture_names(report, formats, paper=paper), html=html)
     with _translated(out):
         _refuse_foreign(out, names)
@@ -95,21 +93,14 @@ def write_report(
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that `write_report` could not write to, before hours of data are fitted.
-
-    Raises
-    ------
-    WriteError
-        If it holds something that is not imucal's, or may not be written to.
-    """
+    """Refuse a folder that `write_report` could not write to, by a WriteError, before hours of work."""
     out = Path(out)
     with _translated(out):
         _refuse_foreign(out, ())
-        home = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
-        if not home.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        if not os.access(home, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        home = home_of(out)
+        fine = {errno.ENOTDIR: home.is_dir(), errno.EACCES: os.access(home, os.W_OK | os.X_OK)}
+        if wrong := [code for code in fine if not fine[code]]:
+            raise OSError(wrong[0], os.strerror(wrong[0]))
 
 
 def _names(report: Report, pictures: Sequence[str], *, html: bool) -> tuple[str, ...]:
@@ -123,11 +114,7 @@ def _names(report: Report, pictures: Sequence[str], *, html: bool) -> tuple[str,
 
 
 def _write_all(
-    report: Report,
-    drawings: "Drawings",
-    names: Sequence[str],
-    scratch: Path,
-    tell: Callable[[Finding], None],
+    report: Report, drawings: "Drawings", names: Sequence[str], scratch: Path, tell: Callable[[Finding], None]
 ) -> set[str]:
     """Write each file, pictures first, so that page and JSON say which are missing; return those written."""
     written = set(drawings.files) & set(names)
@@ -165,11 +152,8 @@ def _translated(out: Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         advice = {
-            errno.ENOSPC: "free some space",
-            errno.EDQUOT: "free some space",
-            errno.EACCES: "choose a folder you may write to",
-            errno.EPERM: "choose a folder you may write to",
-            errno.EROFS: "choose a folder you may write to",
+            **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space"),
+            **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "choose a folder you may write to"),
         }.get(error.errno or 0, "choose another folder")
         msg = f"{out}: the report can't be written: {reason}; nothing was changed; {advice}"
         raise WriteError(msg) from error
@@ -177,20 +161,28 @@ def _translated(out: Path) -> Iterator[None]:
 
 def _refuse_foreign(out: Path, names: tuple[str, ...]) -> None:
     """Raise unless `out` is missing, empty, or a report folder where `names` may be replaced."""
+    if (held := held_by(out)) and not _is_report(out / _REPORT):
+        msg = f"{out}: holds {held} but no report of imucal's; nothing was changed; choose another folder"
+        raise WriteError(msg)
+    for name in names:
+        if (out / name).is_dir():
+            raise WriteError(f"{out / name}: is a folder, expected a file of the report; move it away")
+
+
+def held_by(out: Path) -> str:
+    """Return the first names of what a folder holds; a WriteError where a file stands in its place."""
     if not os.path.lexists(out):
-        return
+        return ""
     if not out.is_dir():
         msg = f"{out}: is a file, expected a folder or nothing; move it away or choose another folder"
         raise WriteError(msg)
     entries = sorted(path.name for path in out.iterdir() if not _SCRATCH.fullmatch(path.name))
-    if entries and not _is_report(out / _REPORT):
-        shown = ", ".join(entries[:_NAMED]) + (", …" if len(entries) > _NAMED else "")
-        msg = f"{out}: holds {shown} but no report of imucal's; nothing was changed; choose another folder"
-        raise WriteError(msg)
-    for name in names:
-        if (out / name).is_dir():
-            msg = f"{out / name}: is a folder, expected a file of the report; move it away"
-            raise WriteError(msg)
+    return ", ".join(entries[:_NAMED]) + (", …" if len(entries) > _NAMED else "")
+
+
+def home_of(out: Path) -> Path:
+    """Return the folder that is there of a path: itself, or the nearest above it."""
+    return next(folder for folder in (out, *out.absolute().parents) if folder.exists())
 
 
 def _is_report(path: Path) -> bool:

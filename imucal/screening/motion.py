@@ -69,7 +69,7 @@ def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         f"{amount(rms, Sensor.GYROSCOPE)} rms, as in a hand or on a running machine."
     )
     advice = "Record again with the IMU on a firm, quiet surface; these figures are not its noise."
-    return (Finding(level="error", code="motion", text=text, advice=advice),)
+    return (Finding("error", "motion", text, advice),)
 
 
 def _tremor(profile: Profile) -> float:
@@ -145,15 +145,14 @@ def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[f
     """Return the finding of what happened near the start and the end."""
     sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
-    advice = f"Leave that out: keep {span(*keep)}."
-    return Finding(level=level, code="motion", text=text, advice=advice, keep_s=keep)
+    return Finding(level, "motion", text, f"Leave that out: keep {span(*keep)}.", keep_s=keep)
 
 
 def _touched(middle: list[Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
     """Return the finding of what happened in between."""
     text = f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}."
     advice = f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}."
-    return Finding(level=level, code="touch", text=text, advice=advice, keep_s=keep)
+    return Finding(level, "touch", text, advice, keep_s=keep)
 
 
 def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
@@ -184,7 +183,7 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         f"{seconds[turn]:.1f} s: gravity points elsewhere then."
     )
     advice = f"Record again in one pose{f', or keep the longest rest, {span(*keep)}' if keep else ''}."
-    return (Finding(level="error", code="motion", text=text, advice=advice, keep_s=keep),)
+    return (Finding("error", "motion", text, advice, keep_s=keep),)
 
 
 def disturbances_of(profiles: Sequence[Profile]) -> list[Disturbance]:
@@ -281,7 +280,7 @@ def _not_at_rest(
     else:
         text += f"the longest rest, {span(*keep)}, lasts {time(keep[1] - keep[0])}."
         advice += ", or keep the longest rest"
-    return Finding(level=level, code="motion", text=text, advice=f"{advice}.", keep_s=keep)
+    return Finding(level, "motion", text, f"{advice}.", keep_s=keep)
 
 
 def _listed(disturbances: list[Disturbance]) -> str:

@@ -51,7 +51,7 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
         code = "stuck"
         text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
         advice = "Look at the sensor and its driver; this axis can't be used."
-    return (Finding(level="error", code=code, text=text, advice=advice, axis=series.name),)
+    return (Finding("error", code, text, advice, axis=series.name),)
 
 
 def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
@@ -66,8 +66,7 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
         f"{count} {samples} of {series.name} ({share:.2g} of all) {are} NaN, infinite or absurdly large and "
         "left out."
     )
-    advice = "Look at the driver."
-    return (Finding(level=level, code="not-finite", text=text, advice=advice, axis=series.name),)
+    return (Finding(level, "not-finite", text, "Look at the driver.", axis=series.name),)
 
 
 def check_stuck(profile: Profile) -> tuple[Finding, ...]:
@@ -83,17 +82,12 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
     text = f"{series.name} is stuck at one value for {time(total)} in all, first at {first:.1f} s."
     advice = "Look at the driver and the cable; leave these parts out."
-    keep = _longest_false(profile, frozen.astype(bool))
-    return (Finding(level="warning", code="stuck", text=text, advice=advice, axis=series.name, keep_s=keep),)
-
-
-def _longest_false(profile: Profile, marks: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return start and end, in s, of the longest run of windows that are not marked."""
-    edges = np.flatnonzero(np.concatenate([[True], marks, [True]]))
+    # The longest run of windows that are not.
+    edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())
-    first, last = int(edges[longest]), int(edges[longest + 1]) - 2
-    windows = profile.windows
-    return round(float(windows.time_s[first]), 1), round(float(windows.end_s[max(last, first)]), 1)
+    begin, end = int(edges[longest]), int(edges[longest + 1]) - 2
+    keep = round(float(windows.time_s[begin]), 1), round(float(windows.end_s[max(end, begin)]), 1)
+    return (Finding("warning", "stuck", text, advice, axis=series.name, keep_s=keep),)
 
 
 def check_saturated(profile: Profile) -> tuple[Finding, ...]:
@@ -117,7 +111,7 @@ def check_saturated(profile: Profile) -> tuple[Finding, ...]:
                 f"{at_limit} times: it is saturated, first at {windows.time_s[index[0]]:.1f} s."
             )
             advice = "Choose a larger range of the sensor, or leave these parts out."
-            return (Finding(level="warning", code="saturated", text=text, advice=advice, axis=series.name),)
+            return (Finding("warning", "saturated", text, advice, axis=series.name),)
     return ()
 
 
@@ -152,9 +146,7 @@ def check_repeats(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
                 f"holds {rate:.4g} samples a second, about {rate * (1 - together):.3g} of them new."
             )
             advice = "Log at the sensor's own rate; a held sample shapes the curve at short times."
-            findings.append(
-                Finding(level="warning", code="held-samples", text=text, advice=advice, axis=sensor.short)
-            )
+            findings.append(Finding("warning", "held-samples", text, advice, axis=sensor.short))
     return tuple(findings)
 
 
@@ -184,7 +176,7 @@ def check_lsb(profile: Profile) -> tuple[Finding, ...]:
         f"{figure} LSB, and rounding distorts N and hides slow changes."
     )
     advice = "Choose a smaller range of the sensor, log more digits, or average less before logging."
-    return (Finding(level="warning", code="coarse-lsb", text=text, advice=advice, axis=series.name),)
+    return (Finding("warning", "coarse-lsb", text, advice, axis=series.name),)
 
 
 def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
@@ -198,7 +190,7 @@ def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         if abs(correlation) > _COPY:
             sign = "the same samples" if correlation > 0 else "the same samples with the sign turned"
             text = f"{one.name} and {two.name} hold {sign} (correlation {correlation:.3f})."
-            findings.append(Finding(level="error", code="duplicate-axes", text=text, advice=advice))
+            findings.append(Finding("error", "duplicate-axes", text, advice))
     return tuple(findings)
 
 
@@ -244,7 +236,7 @@ def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         f"{accel:.2g}: the two are swapped."
     )
     advice = "Name the columns or topics of each sensor when reading."
-    return (Finding(level="error", code="swapped-sensors", text=text, advice=advice),)
+    return (Finding("error", "swapped-sensors", text, advice),)
 
 
 def swapped(profiles: Sequence[Profile]) -> bool:
@@ -270,11 +262,11 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
-        return (Finding(level="warning", code="no-gravity", text=text, advice=advice, axis="accel"),)
+        return (Finding("warning", "no-gravity", text, advice, axis="accel"),)
     guess = _accelerometer_guess(accel, length)
     text = f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}."
     advice = "Name the accelerometer's unit when reading; every figure of it scales with the unit."
-    return (Finding(level="warning", code="unit-suspect", text=text, advice=advice, axis="accel"),)
+    return (Finding("warning", "unit-suspect", text, advice, axis="accel"),)
 
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> str:
@@ -300,7 +292,7 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         return ()
     text = f"The gyroscope may not be in rad/s: {reason}."
     advice = "Name the gyroscope's unit when reading; every figure of it scales with the unit."
-    return (Finding(level="warning", code="unit-suspect", text=text, advice=advice, axis="gyro"),)
+    return (Finding("warning", "unit-suspect", text, advice, axis="gyro"),)
 
 
 def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
@@ -340,10 +332,10 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         samples = f"The samples come at {rate:.4g} Hz"
         if _FASTEST_MEMS < rate <= _FASTEST:
             text = f"{samples}: no MEMS sensor is so fast."
-            found.append(Finding(level="warning", code="fast-rate", text=text, advice=advice))
+            found.append(Finding("warning", "fast-rate", text, advice))
         elif not _SLOWEST <= rate <= _FASTEST:
             text = f"{samples}: no IMU is so {'slow' if rate < 1 else 'fast'}."
-            found.append(Finding(level="error", code="absurd-rate", text=text, advice=advice))
+            found.append(Finding("error", "absurd-rate", text, advice))
     return tuple(found)
 
 
@@ -359,4 +351,4 @@ def temperature_finding(temperature: Temperature | None) -> tuple[Finding, ...]:
     if change <= _LARGE_CHANGE:
         return ()
     text = f"The temperature changes by {change:.1f} degrees C during the log."
-    return (Finding(level="info", code="temperature", text=text),)
+    return (Finding("info", "temperature", text),)

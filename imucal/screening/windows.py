@@ -7,13 +7,15 @@ own quiet windows, so that a touch does not hide itself by raising the yardstick
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.clock import Segment
+from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import G0
 
@@ -27,28 +29,14 @@ _WANTED = 64
 _BLOCK = 1 << 17
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Windows(ReadOnlyArrays):
     """Statistics of each window of an axis; all arrays have shape (k,), in order of time.
 
-    Attributes
-    ----------
-    width
-        Samples in a window.
-    length_s
-        Time a window without missing samples spans, in s.
-    start
-        Index of the first sample.
-    time_s
-        When that was taken, in s from the first sample of the axis.
-    mean, variance
-        Of the samples, in U and U².
-    step_variance
-        Half the mean square of successive differences, in U²: the variance of white noise.
-    repeats
-        Samples that equal the one before.
-    low, high
-        Extremes, in U.
+    A window has `width` samples and without missing ones spans `length_s`; it begins with the sample of index
+    `start`, taken at `time_s` from the first of the axis. `mean`, `variance` and the extremes `low` and
+    `high` are in U and U²; `step_variance` is half the mean square of successive differences, in U²: the
+    variance of white noise. `repeats` are samples that equal the one before.
     """
 
     width: int
@@ -86,7 +74,7 @@ def cut(series: AxisSeries) -> Windows:
     may overlap the one before. O(n), one pass, in blocks.
     """
     width = max(_LEAST, min(round(series.rate_hz * _LENGTH_S), series.n // _WANTED))
-    starts = _starts(series.clock.segments, width)
+    starts, places = _starts(series.clock.segments, width)
     size = max(1, _BLOCK // width)
     batches = (starts[first : first + size] for first in range(0, starts.size, size))
     columns = [_statistics(series.samples, batch, width) for batch in batches]
@@ -95,7 +83,7 @@ def cut(series: AxisSeries) -> Windows:
         width=width,
         length_s=width * series.tau0,
         start=starts,
-        time_s=_places(series.clock.segments, starts) * series.tau0,
+        time_s=places * series.tau0,
         mean=mean,
         variance=variance,
         step_variance=step_variance,
@@ -105,10 +93,10 @@ def cut(series: AxisSeries) -> Windows:
     )
 
 
-def _starts(segments: tuple[Segment, ...], width: int) -> IntArray:
-    """Return where windows start, keeping clear of long gaps."""
+def _starts(segments: tuple[Segment, ...], width: int) -> tuple[IntArray, FloatArray]:
+    """Return where windows start, clear of long gaps: index, and place on the grid from the first sample."""
     if not segments:
-        return np.zeros(0, dtype=np.int64)
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
     table = np.array([(s.start, s.stop, s.offset) for s in segments], dtype=np.int64)
     missing = table[1:, 2] - (table[:-1, 2] + table[:-1, 1] - table[:-1, 0])
     breaks = np.flatnonzero(missing > width // 4) + 1
@@ -120,18 +108,9 @@ def _starts(segments: tuple[Segment, ...], width: int) -> IntArray:
             even = np.arange(first, stop - width + 1, width)
             rest = (stop - first) % width
             starts.append(np.append(even, stop - width) if rest else even)
-    return np.concatenate(starts)
-
-
-def _places(segments: tuple[Segment, ...], index: IntArray) -> FloatArray:
-    """Return the places of samples on the clock's grid, from the first sample."""
-    if not segments:
-        return np.zeros(0)
-    starts = np.array([s.start for s in segments])
-    shifts = np.array([s.offset - s.start for s in segments])
-    shift = shifts[np.searchsorted(starts, index, side="right") - 1]
-    places: FloatArray = (index + shift - shifts[0]).astype(np.float64)
-    return places
+    index, shifts = np.concatenate(starts), table[:, 2] - table[:, 0]
+    shift = shifts[np.searchsorted(table[:, 0], index, side="right") - 1]
+    return index, (index + shift - shifts[0]).astype(np.float64)
 
 
 def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray:
@@ -185,8 +164,6 @@ def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None)
     chance allows; both must also exceed the resolution `lsb`, below which values only toggle. What
     chance allows, the `quiet` windows say: by default all of them, most of which are at rest.
     """
-    from scipy.special import ndtri
-
     if windows.size < _LEAST_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
     quiet = quiet or windows
@@ -197,7 +174,7 @@ def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None)
     loud = windows.variance > max(_MARGIN * limit, least**2)
     jumps, usual = _jumps(windows), _jumps(quiet)
     scale = np.sqrt(np.median(usual[usual > 0] ** 2) / _MEDIAN_CHI2) if np.any(usual > 0) else 0.0
-    off = jumps > max(np.sqrt(_MARGIN) * -ndtri(p_above) * scale, least)
+    off = jumps > max(np.sqrt(_MARGIN) * -scipy.special.ndtri(p_above) * scale, least)
     loud[1:] |= off
     loud[:-1] |= off
     return loud
@@ -266,24 +243,13 @@ _FEW = 12
 _TOLERANCE = 0.15
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Profile:
-    """One axis, as the checks see it.
+    """One axis, as the checks see it: without NaN, infinite and absurd samples, `left_out` in number.
 
-    Attributes
-    ----------
-    series
-        The axis without NaN, infinite and absurd samples.
-    left_out
-        How many those are.
-    windows
-        Its windows; spikes are left out of the mean and variance of windows that stand out.
-    disturbed
-        Which windows are not at rest, shape (k,).
-    lsb
-        The step of its values, in U; None where they are not on a lattice.
-    noise
-        Deviation of its white noise, per sample, in U.
+    Of its `windows`, those that stand out have mean and variance without spikes; `disturbed`, shape (k,),
+    says which are not at rest. `lsb` is the step of its values in U, None where they are not on a lattice,
+    and `noise` the deviation of its white noise per sample, in U.
     """
 
     series: AxisSeries

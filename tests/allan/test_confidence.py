@@ -21,6 +21,7 @@ from imucal.allan.intervals import (
     spectral_edf,
 )
 from imucal.allan.variance import ESTIMATORS, GappyVariances
+from imucal.arrays import FloatArray
 from imucal.noise import NoiseModel
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
@@ -29,6 +30,11 @@ from tests.benchmarks.coverage_allan import HELD_OUT, STANDARD, coverage
 OVERLAPPING = ESTIMATORS["overlapping"]
 WHITE = GenericModel(variances=(0.0, 1.0, 0.0, 0.0))
 REPLICATIONS = 250
+
+
+def avar(variances: tuple[float, ...], m: FloatArray) -> FloatArray:
+    """Return the Allan variance of power laws of these variances at averaging factors `m`."""
+    return np.asarray(sum(v * law.avar(m) for law, v in zip(PowerLaw, variances, strict=True)))
 
 
 @pytest.mark.parametrize("name", STANDARD)
@@ -139,7 +145,7 @@ def test_the_generic_fit_finds_a_single_law(text: str, expected: tuple[float, ..
     bins, ordinates = dct_bins(n), dct_ordinates(samples)
     model = fit_spectrum(ordinates, bin_power(ordinates, bins), bins)
     m = np.exp2(np.arange(10.0))
-    npt.assert_allclose(model.avar(m), GenericModel(variances=expected).avar(m), rtol=0.08)
+    npt.assert_allclose(avar(model.variances, m), avar(expected, m), rtol=0.08)
 
 
 def test_the_generic_fit_finds_a_drift() -> None:
@@ -167,16 +173,14 @@ def test_a_strong_drift_leaves_the_noise_as_it_is() -> None:
     )
     assert steep.drift == pytest.approx(slope, abs=4 * np.sqrt(12 / n**3))
     m = np.exp2(np.arange(10.0))
-    noise = GenericModel(variances=steep.variances)
-    npt.assert_allclose(noise.avar(m), GenericModel(variances=plain.variances).avar(m), rtol=0.02)
+    npt.assert_allclose(avar(steep.variances, m), avar(plain.variances, m), rtol=0.02)
 
 
 def test_the_generic_fit_of_a_curve_returns_its_own() -> None:
     """From exact values the shares come back."""
     m = np.exp2(np.arange(12.0))
-    truth = GenericModel(variances=(3.0, 1.0, 0.0, 1e-5))
-    fitted = fit_curve(m, truth.avar(m), 1e4 / m)
-    npt.assert_allclose(fitted.avar(m), truth.avar(m), rtol=1e-6)
+    truth = avar((3.0, 1.0, 0.0, 1e-5), m)
+    npt.assert_allclose(avar(fit_curve(m, truth, 1e4 / m).variances, m), truth, rtol=1e-6)
 
 
 def test_lag_one_identification_names_the_law() -> None:

@@ -2,7 +2,6 @@
 
 import allantools
 import numpy as np
-import numpy.testing as npt
 import pytest
 
 from imucal.allan import intervals
@@ -127,14 +126,6 @@ def test_strided_differences_count_fewer_lags() -> None:
     full = model_edf(SINGLES[1], 256, 10_000, OVERLAPPING)
     assert model_edf(SINGLES[1], 256, 1250, OVERLAPPING, stride=8) == pytest.approx(full, rel=5e-3)
     assert model_edf(SINGLES[1], 256, 10_000 / 128, OVERLAPPING, stride=128) < 0.95 * full
-
-
-def test_the_generic_model_sums_its_variances() -> None:
-    """Its Allan variance is that of its terms and its drift."""
-    m = np.array([1.0, 10.0])
-    expected = sum(v * law.avar(m) for v, law in zip(MIXED.variances, PowerLaw, strict=True))
-    npt.assert_allclose(MIXED.avar(m), expected)
-    npt.assert_allclose(GenericModel(variances=(0.0,) * 4, drift=0.1).avar(m), 0.005 * m**2)
 
 
 @pytest.mark.parametrize("model", [*SINGLES, MIXED], ids=lambda model: str(model.variances))

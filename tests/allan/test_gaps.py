@@ -95,6 +95,29 @@ def test_windows_far_from_a_gap_are_their_definition_too() -> None:
         npt.assert_allclose(found.avar[i] * found.inflation[i], expected, rtol=1e-8)
 
 
+@pytest.mark.parametrize(("gaps", "length"), [(3, 200), (12, 5000)])
+def test_long_records_are_looked_at_no_less_than_matters(
+    gaps: int, length: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Long runs by themselves give what rows of all give; fewer windows inside leave 1 % of the interval."""
+    rng, n = np.random.default_rng(7741), 1_600_000
+    samples = rng.standard_normal(n) + 2e-3 * rng.standard_normal(n).cumsum()
+    keep = np.ones(n, dtype=bool)
+    for start in rng.integers(0, n - length, gaps):
+        keep[start : start + length] = False
+    series, m = _series(samples, keep), 2 ** np.arange(0, 18, 3)
+    found = window_variances(series, m)
+    monkeypatch.setattr(variance, "_LONG", n)
+    rows = window_variances(series, m)
+    npt.assert_array_equal(found.terms, rows.terms)
+    npt.assert_allclose(found.avar, rows.avar, rtol=1e-9)
+    monkeypatch.setattr(variance, "_FARTHEST", 1)
+    monkeypatch.setattr(variance, "_FEWEST_INSIDE", n)
+    every = window_variances(series, m)
+    npt.assert_array_less(np.abs(rows.avar / every.avar - 1), 0.01 * 4 * np.sqrt(1.5 * m / n))
+    assert np.any(rows.avar != every.avar)
+
+
 def test_agrees_with_the_estimator_from_all_pairs() -> None:
     """An independent unbiased estimator, on the same samples, at averages where both are sharp."""
     rng = np.random.default_rng(10)
@@ -324,7 +347,7 @@ def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.Mo
     keep[0] = keep[-1] = True
     found = variance._pattern(_series(samples, keep))
     share, correlation, structure = keep.mean(), [], []
-    for k in range(found.correlation.size):
+    for k in range(found[0].size):
         pairs, possible, squares = 0, 0, 0.0
         for start in range(0, n, 64):
             seen, values = keep[start : start + 64], samples[start : start + 64]
@@ -333,8 +356,8 @@ def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.Mo
             squares += float(np.sum(np.square((values[k:] - values[: seen.size - k])[both])))
         correlation.append(pairs / possible - share**2)
         structure.append(squares / pairs)
-    npt.assert_allclose(found.correlation, np.array(correlation) / correlation[0], rtol=1e-9)
-    npt.assert_allclose(found.structure, structure, rtol=1e-9, atol=1e-12)
+    npt.assert_allclose(found[0], np.array(correlation) / correlation[0], rtol=1e-9)
+    npt.assert_allclose(found[1], structure, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -346,4 +369,4 @@ def test_the_pattern_is_followed_for_four_mean_gaps(length: int, count: int, lag
     for start in range(10, 10 + count * (length + 2), length + 2):
         keep[start : start + length] = False
     found = variance._pattern(_series(np.random.default_rng(23).standard_normal(1000), keep))
-    assert found.correlation.size == found.structure.size == lags
+    assert [part.size for part in found] == [lags, lags]

@@ -184,13 +184,11 @@ def _maximum(samples: FloatArray, model: str, key: str) -> float:
         view.ordinates,
         [structure],
         criterion="bic",
-        shortest=2.0,
         band=view.band,
-        common=view.common,
     )
     if key == "R":
         return float(abs(choice.maximum.beta[0, 0])) * view.blocks.scale
-    column = dict(parameter_columns(structure, choice.candidates.room))[
+    column = dict(parameter_columns(structure, choice.maximum.candidates.room))[
         f"{key}.sigma" if key.startswith("GM") else key
     ]
     return float(np.exp(choice.maximum.theta[0, column] / 2)) * view.blocks.scale

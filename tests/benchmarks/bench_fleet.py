@@ -198,7 +198,7 @@ def _read(folder: Path, what: str, logs: int) -> None:
         rows = made.bins().height
     else:
         groups = [keys[first : first + 5000] for first in range(0, logs, 5000)]
-        rows = sum(frame.height for frame in made.bins_in_turn(groups))
+        rows = sum(made.bins(group).height for group in groups)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"{what}: {rows} rows, {time.perf_counter() - begun:.1f} s, at most {peak:.0f} MB", flush=True)
 

@@ -46,7 +46,7 @@ def p_values(size: Size, truth: dict[str, float], seed: Sequence[int], *, last: 
 
 def named(tests: list[list[float]]) -> set[int]:
     """Return the units that a report of these tests, by unit and term, names."""
-    judged = adjusted(np.array(tests).ravel()).reshape(len(tests), -1)
+    judged = np.reshape(adjusted(np.ravel(tests)), (len(tests), -1))
     return set(np.flatnonzero((judged <= FALSE_SHARE).any(axis=1)).tolist())
 
 

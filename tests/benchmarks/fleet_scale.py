@@ -7,7 +7,6 @@ eight units, put under all questions, so that a large fleet need not be worked o
 """
 
 import argparse
-import copy
 import json
 import resource
 import subprocess
@@ -90,7 +89,7 @@ def answer_by_one(store: FleetStore) -> None:
                 known[kind] = asdict(small.answer())
             said = known[kind]
             if kind == "TermQuestion":
-                every = dict.fromkeys(one.logs.units)
+                every = dict.fromkeys(one.logs.rows["unit"])
                 few = said["population"]["units"]
                 units = [{**few[i % len(few)], "unit": unit} for i, unit in enumerate(every)]
                 said = {**said, "population": {**said["population"], "units": units}}
@@ -101,8 +100,7 @@ def answer_by_one(store: FleetStore) -> None:
 
 
 def _of_few(question: answers.TermQuestion) -> answers.TermQuestion:
-    few = copy.copy(question.logs)
-    few.units, few.numbers = few.units[:24], few.numbers[:24]
+    few = answers.LogRows(question.logs.rows.head(24))
     return answers.TermQuestion(logs=few, content=question.content, confidence=question.confidence)
 
 

@@ -30,7 +30,7 @@ def main() -> None:
     print(f"circles of imports           {cycles() or 'none'}")
     print(f"functions of over 15 paths   {sum(count > 15 for count in paths.values())}")
     print(f"most paths                   {max(paths.items(), key=lambda item: item[1])}")
-    print(f"modules that one fit loads   {loaded}")
+    print(f"modules that one fit loads   {len(loaded)}")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ _LOOKS = frozenset(
 _UNSEEN = _TUNING | _LOOKS
 #: Constants of the drawing that set sizes and places alone: module -> names.
 _LAYOUT = {
-    "figure": {"_WIDTH", "_PLOT_HEIGHT", "_HEAD", "_AXIS_ROOM", "_ROW", "_DPI", "_LEFT", "_RIGHT"},
+    "figure": {"WIDTH", "_PLOT_HEIGHT", "_HEAD", "_AXIS_ROOM", "_ROW", "_LEFT", "_RIGHT"},
     "figure_parts": {"TITLE_SIZE", "LABEL_SIZE", "LEGEND_SIZE", "SMALL_SIZE"},
     "figure_allan": {"_DEEPEST"},
     "labels": {"_DISTANCES", "_ANGLES", "_PAD"},

@@ -128,7 +128,7 @@ def make_day(path: Path) -> None:
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from imucal.log_files import Rows, ros2_messages
+    from imucal.simulation import Rows, ros2_messages
 
     definition, _ = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef("sensor_msgs/msg/Imu", ros_version=2)
     rng = np.random.default_rng(13)

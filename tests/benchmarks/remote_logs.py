@@ -22,9 +22,9 @@ import fsspec
 import numpy as np
 
 import imucal
-from imucal.log_files import Rows, ros2_messages, write_log
 from imucal.readers import describe, read
 from imucal.remote.stores import ObjectStore
+from imucal.simulation import Rows, ros2_messages, write_log
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.web_server import web_server
 

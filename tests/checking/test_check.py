@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from imucal.checking import CheckResult, check, parse_limits
-from imucal.checking.gate import measure, relative
-from imucal.checking.verdict import Measured, judge
+from imucal.checking.verdict import judge, measure, relative
 from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.report.json_file import dumps, to_document
+from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from tests.report.synthetic import axis_report, consumer_report, small_report
 
@@ -42,7 +42,7 @@ def _verdicts(result: CheckResult) -> dict[str, str]:
 def test_the_interval_decides(low: float, high: float, side: str, verdict: str) -> None:
     """Wholly within passes, wholly beyond fails, the limit inside is undecided; the point plays no part."""
     for value in (low, high):
-        measured = Measured(value=value, low=low, high=high)
+        measured = Quantity(value=value, low=low, high=high)
         row = judge("gyro_x", "N", measured, side=side, limit=1.0)  # type: ignore[arg-type]
         assert row.verdict == verdict
 
@@ -50,7 +50,7 @@ def test_the_interval_decides(low: float, high: float, side: str, verdict: str) 
 @pytest.mark.parametrize(("limit", "verdict"), [(1.0, "pass"), (0.5, "undecided")])
 def test_a_bound_never_exceeds_a_largest_value(limit: float, verdict: str) -> None:
     """What the data don't show is between 0 and its bound."""
-    measured = Measured(value=None, low=0.0, high=0.9)
+    measured = Quantity(value=None, low=0.0, high=0.9)
     assert judge("gyro_x", "K", measured, side="max", limit=limit).verdict == verdict
 
 
@@ -60,7 +60,7 @@ def test_a_true_value_at_the_limit_fails_and_passes_as_seldom_as_the_level_says(
     estimates = np.exp(deviation * np.random.default_rng(6).standard_normal(replications))
     wide = math.exp(1.96 * deviation)
     verdicts = [
-        judge("x", "N", Measured(value=e, low=e / wide, high=e * wide), side="max", limit=1.0).verdict
+        judge("x", "N", Quantity(value=e, low=e / wide, high=e * wide), side="max", limit=1.0).verdict
         for e in estimates.tolist()
     ]
     # Four standard errors of a proportion of 0.025.
@@ -76,8 +76,8 @@ def test_the_interval_of_a_ratio_covers_the_ratio() -> None:
     covered = 0
     draws = np.exp(rng.standard_normal((replications, 2)) * [0.3, 0.05])
     for a, b in draws.tolist():
-        now = Measured(value=a, low=a / math.exp(1.96 * 0.3), high=a * math.exp(1.96 * 0.3))
-        before = Measured(value=b, low=b / math.exp(1.96 * 0.05), high=b * math.exp(1.96 * 0.05))
+        now = Quantity(value=a, low=a / math.exp(1.96 * 0.3), high=a * math.exp(1.96 * 0.3))
+        before = Quantity(value=b, low=b / math.exp(1.96 * 0.05), high=b * math.exp(1.96 * 0.05))
         ratio = relative(now, before)
         covered += ratio.low <= 1 <= ratio.high
     # Four standard errors of a proportion of 0.95.
@@ -87,14 +87,14 @@ def test_the_interval_of_a_ratio_covers_the_ratio() -> None:
 @pytest.mark.parametrize(
     ("now", "before", "low", "high"),
     [
-        (Measured(value=None, low=0, high=2), Measured(value=4, low=2, high=8), 0, 1),
-        (Measured(value=4, low=2, high=8), Measured(value=None, low=0, high=4), 0.5, math.inf),
-        (Measured(value=None, low=0, high=2), Measured(value=None, low=0, high=4), 0, math.inf),
-        (Measured(value=4, low=0, high=8), Measured(value=4, low=4, high=4), 0, 2),
+        (Quantity(value=None, low=0, high=2), Quantity(value=4, low=2, high=8), 0, 1),
+        (Quantity(value=4, low=2, high=8), Quantity(value=None, low=0, high=4), 0.5, math.inf),
+        (Quantity(value=None, low=0, high=2), Quantity(value=None, low=0, high=4), 0, math.inf),
+        (Quantity(value=4, low=0, high=8), Quantity(value=4, low=4, high=4), 0, 2),
     ],
 )
 def test_the_ratio_of_a_bound_is_an_interval(
-    now: Measured, before: Measured, low: float, high: float
+    now: Quantity, before: Quantity, low: float, high: float
 ) -> None:
     """A bound is any value from 0 to its upper limit."""
     ratio = relative(now, before)
@@ -157,7 +157,7 @@ def test_mean_spread_and_minimum() -> None:
     ((_, minimum),) = measure(axis, "minimum")
     assert minimum.value == axis.fit.curve.minimum[0]
     assert minimum.low < minimum.value < minimum.high
-    assert measure(axis, "mean") == (("mean", Measured.exactly(2.1e-3)),)
+    assert measure(axis, "mean") == (("mean", Quantity.exactly(2.1e-3)),)
     verdicts = _verdicts(_check("[gyro_x]\nmean = { min = -1e-3, max = 1e-3 }\nstd = { max = 1 }"))
     assert list(verdicts.values()) == ["pass", "fail", "pass"]
 
@@ -244,7 +244,7 @@ def test_a_report_is_its_own_baseline() -> None:
         "[baseline]\nmax_increase = 0.01\nmax_decrease = 0.01", consumer_report(), consumer_report()
     )
     assert {row.verdict for row in result.rows} == {"pass"}
-    assert {row.measured for row in result.rows if row.measured} == {Measured.exactly(1.0)}
+    assert {row.measured for row in result.rows if row.measured} == {Quantity.exactly(1.0)}
     assert sum("baseline" in row.subject for row in result.rows) == 2 * 3 * 6
 
 
@@ -282,20 +282,20 @@ def test_a_minimum_whose_interval_is_endless_has_none() -> None:
         curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.tau.size, edf))
         with np.errstate(divide="ignore"):
             ((_, minimum),) = measure(replace(axis, fit=replace(axis.fit, curve=curve)), "minimum")
-        assert minimum == Measured.exactly(curve.minimum[0])
+        assert minimum == Quantity(value=(x := curve.minimum[0]), low=x, high=x, unit=axis.unit)
 
 
 def test_the_ratio_of_two_intervals() -> None:
     """Distances to the limits add in quadrature on the logarithmic scale, above and below by themselves."""
-    now = Measured(value=8.0, low=8.0 / math.exp(0.3), high=8.0 * math.exp(0.5))
-    before = Measured(value=2.0, low=2.0 / math.exp(1.2), high=2.0 * math.exp(0.4))
+    now = Quantity(value=8.0, low=8.0 / math.exp(0.3), high=8.0 * math.exp(0.5))
+    before = Quantity(value=2.0, low=2.0 / math.exp(1.2), high=2.0 * math.exp(0.4))
     ratio = relative(now, before)
     assert ratio.value == 4
     assert ratio.low == pytest.approx(4 * math.exp(-0.5))
     assert ratio.high == pytest.approx(4 * math.exp(1.3))
-    assert relative(Measured.exactly(1.0), Measured.exactly(0.0)).value == math.inf
-    wide = Measured(value=1.0, low=1e-200, high=1e200)
-    assert relative(wide, Measured(value=1.0, low=1e-250, high=1.0)).high == math.inf
+    assert relative(Quantity.exactly(1.0), Quantity.exactly(0.0)).value == math.inf
+    wide = Quantity(value=1.0, low=1e-200, high=1e200)
+    assert relative(wide, Quantity(value=1.0, low=1e-250, high=1.0)).high == math.inf
 
 
 @pytest.mark.parametrize(
@@ -312,7 +312,7 @@ def test_the_ratio_of_two_intervals() -> None:
 )
 def test_what_was_measured_in_words(value: float | None, low: float, high: float, text: str) -> None:
     """A number, a number and its interval, or what is known of a bound."""
-    assert Measured(value=value, low=low, high=high).text() == text
+    assert Quantity(value=value, low=low, high=high).text() == text
 
 
 def test_an_error_about_a_sensor_without_limits_asks_for_no_axis() -> None:

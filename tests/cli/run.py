@@ -18,14 +18,15 @@ SAMPLE_LOGS = Path(__file__).parents[2] / "sample_logs"
 
 
 def run(
-    *arguments: str, cwd: Path, text: str | None = None, **environment: str
+    *arguments: str, cwd: Path, text: str | bytes | None = None, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """Run ``imucal ARGUMENTS`` in `cwd`, with `text` on standard input, without a process of its own.
 
     A process imports everything anew, which takes longer than most commands do. What hangs on the
     interpreter (the encoding of a terminal, closed streams, signals) needs `run_process`.
     """
-    given, out, err = io.BytesIO((text or "").encode()), io.BytesIO(), io.BytesIO()
+    data = text.encode() if isinstance(text, str) else text or b""
+    given, out, err = io.BytesIO(data), io.BytesIO(), io.BytesIO()
     talk = [io.TextIOWrapper(stream, encoding="utf-8") for stream in (given, out, err)]
     with (
         contextlib.chdir(cwd),

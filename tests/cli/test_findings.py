@@ -1,5 +1,6 @@
 """Findings on standard error: grave ones first, each sentence once."""
 
+import click
 import pytest
 
 from imucal.cli._printing import print_findings
@@ -25,7 +26,7 @@ FINDINGS = (
 
 def test_one_stands_for_those_that_differ_in_figures(capsys: pytest.CaptureFixture[str]) -> None:
     """It is said how many there are and on which axes; nothing goes to standard output."""
-    print_findings(FINDINGS, quiet=False)
+    print_findings(FINDINGS)
     out, err = capsys.readouterr()
     assert out == ""
     assert " ".join(err.split()) == (
@@ -39,7 +40,10 @@ def test_one_stands_for_those_that_differ_in_figures(capsys: pytest.CaptureFixtu
 
 def test_verbose_prints_all_and_quiet_none(capsys: pytest.CaptureFixture[str]) -> None:
     """Quiet goes before verbose."""
-    print_findings(FINDINGS, quiet=False, verbose=True)
-    assert capsys.readouterr().err.count("[spikes]") == 3
-    print_findings(FINDINGS, quiet=True, verbose=True)
+    with click.Context(click.Command("fit")) as context:
+        context.params["verbose"] = True
+        print_findings(FINDINGS)
+        assert capsys.readouterr().err.count("[spikes]") == 3
+        context.params["quiet"] = True
+        print_findings(FINDINGS)
     assert capsys.readouterr().err == ""

@@ -4,12 +4,15 @@ import json
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from imucal.cli.fit import report_folder
 from tests.cli.run import SAMPLE_LOGS, run
+from tests.remote.one_axis import OPTIONS, one_axis
 
 SHORT = str(SAMPLE_LOGS / "too_short.db3")
+QUICK = ("--model", "N", "--segments", "1")
 
 
 @pytest.fixture(scope="module")
@@ -43,22 +46,12 @@ def test_the_report_folder_holds_everything(whole: tuple[subprocess.CompletedPro
     assert {path.name for path in (folder / "too_short-imucal").iterdir()} == expected
 
 
-def test_json_on_standard_output_is_the_report(tmp_path: Path) -> None:
-    """And nothing else; no file is written when none is wanted."""
-    done = run("fit", SHORT, "-q", "--json", "--no-report", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    document = json.loads(done.stdout)
-    assert document["schema"] == "imucal/report/1"
-    assert len(document["axes"]) == 6
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_log_on_standard_input_is_read(tmp_path: Path) -> None:
     """- stands for text on standard input."""
-    text = (SAMPLE_LOGS / "with_gaps.csv").read_text(encoding="utf-8")
-    done = run("fit", "-", "-q", "--json", "--no-report", "--model", "N", cwd=tmp_path, text=text)
+    text = one_axis().decode()
+    done = run("fit", "-", *OPTIONS, "-q", "--json", "--no-report", "--model", "N", cwd=tmp_path, text=text)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["axes"][0]["samples"] == 9715
+    assert json.loads(done.stdout)["axes"][0]["samples"] == 1500
 
 
 def test_an_unknown_term_is_a_usage_error(tmp_path: Path) -> None:
@@ -70,7 +63,7 @@ def test_an_unknown_term_is_a_usage_error(tmp_path: Path) -> None:
 
 def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
     """--skip and --take choose it; the report says so."""
-    part = ("--skip", "5s", "--take", "10s", "--model", "N")
+    part = ("--skip", "5s", "--take", "10s", *QUICK)
     done = run("fit", SHORT, "-q", "--json", "--no-report", *part, cwd=tmp_path)
     document = json.loads(done.stdout)
     assert document["axes"][0]["samples"] == 1000
@@ -79,7 +72,7 @@ def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
 
 def test_strict_turns_a_warning_into_an_exit_code(tmp_path: Path) -> None:
     """A log with gaps has a warning: the report is written, the code is 4."""
-    command = ("fit", str(SAMPLE_LOGS / "with_gaps.csv"), "-q", "--no-report", "--model", "N")
+    command = ("fit", str(SAMPLE_LOGS / "with_gaps.csv"), "-q", "--no-report", *QUICK)
     assert run(*command, cwd=tmp_path).returncode == 0
     assert run(*command, "--strict", cwd=tmp_path).returncode == 4
 
@@ -87,7 +80,7 @@ def test_strict_turns_a_warning_into_an_exit_code(tmp_path: Path) -> None:
 def test_a_part_has_its_own_gaps_only(tmp_path: Path) -> None:
     """What was lost elsewhere is not warned of, and the part is one reading of six axes."""
     log = str(SAMPLE_LOGS / "with_gaps.csv")
-    part = ("--skip", "25s", "--take", "30s", "--model", "N + K")
+    part = ("--skip", "25s", "--take", "30s", *QUICK)
     done = run("fit", log, "--no-report", "--strict", *part, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "[gaps]" not in done.stderr
@@ -117,7 +110,8 @@ def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Pa
 
 def test_hints_can_be_typed_as_they_stand(tmp_path: Path) -> None:
     """A folder with a blank, or one that begins like an option, is quoted."""
-    done = run("fit", SHORT, "--model", "N", "--no-html", "-o", "-my report", cwd=tmp_path)
+    (tmp_path / "log.csv").write_bytes(one_axis())
+    done = run("fit", "log.csv", *OPTIONS, *QUICK, "--no-html", "-o", "-my report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Next: imucal export './-my report' --to kalibr" in done.stderr
 
@@ -139,9 +133,9 @@ def test_the_report_is_named_after_the_log(log: str, folder: str) -> None:
 
 def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) -> None:
     """The report says into how many parts; none is no number of parts."""
-    options = ("--rate", "100", "--duration", "100s", "-o", "log.csv", "-q")
-    assert run("simulate", "N=1e-3", *options, cwd=tmp_path).returncode == 0
-    ask = ("fit", "log.csv", "--no-report", "--json", "-q", "--model", "N")
+    rows = np.c_[np.arange(10_000) / 100, 1e-3 * np.random.default_rng(3).standard_normal(10_000)]
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,gz", comments="")
+    ask = ("fit", "log.csv", *OPTIONS, "--no-report", "--json", "-q", "--model", "N")
     cut = json.loads(run(*ask, cwd=tmp_path).stdout)
     whole = json.loads(run(*ask, "--segments", "1", cwd=tmp_path).stdout)
     assert (cut["settings"]["segments"], whole["settings"]["segments"]) == (8, 1)
@@ -152,11 +146,17 @@ def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) ->
     assert "1<=x<=64" in refused.stderr
 
 
-def test_axes_fitted_at_a_time_change_nothing_in_the_report(tmp_path: Path) -> None:
-    """`--jobs` is how, not what: the same JSON to the byte; no axis at a time is a usage error."""
-    command = ["fit", SHORT, "--json", "--no-report", "-q", "--jobs"]
+@pytest.mark.usefixtures("forks")
+def test_json_on_standard_output_is_the_report_however_many_axes_are_fitted_at_a_time(tmp_path: Path) -> None:
+    """And nothing else, the same to the byte; no file is written; no axis at a time is a usage error."""
+    command = ["fit", SHORT, "--json", "--no-report", "-q", "--model", "N + B", "--segments", "1", "--jobs"]
     one, two, none = (run(*command, jobs, cwd=tmp_path) for jobs in "120")
     assert (one.returncode, two.returncode, none.returncode) == (0, 0, 2)
     assert one.stdout == two.stdout != ""
     assert "--jobs" in none.stderr
+    assert one.stderr == two.stderr == ""
     assert run(*command[:-1], cwd=tmp_path).stdout == one.stdout
+    document = json.loads(one.stdout)
+    assert document["schema"] == "imucal/report/1"
+    assert len(document["axes"]) == 6
+    assert list(tmp_path.iterdir()) == []

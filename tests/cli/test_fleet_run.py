@@ -16,6 +16,7 @@ from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 
 LABELS = ("--labels", "{model}/{unit}/{temperature_c}C/*.npz")
+pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import pytest
 
 from imucal.cli import COMMANDS
 from tests.cli.run import SAMPLE_LOGS, run
+from tests.remote.one_axis import one_axis
 
 
 @pytest.mark.parametrize("command", list(COMMANDS))
@@ -132,10 +133,11 @@ def test_a_pipe_by_name_is_refused_instead_of_waited_for(tmp_path: Path) -> None
 
 def test_a_name_that_is_no_text_is_read_and_reported(tmp_path: Path) -> None:
     """Linux allows any bytes; the report holds them escaped."""
-    for source, name in (("too_short.db3", b"x\xff.db3"), ("with_gaps.csv", b"y\xfe.csv")):
-        shutil.copy(SAMPLE_LOGS / source, tmp_path / os.fsdecode(name))
-        arguments = ("--take", "5s", "--model", "N", "--no-html", os.fsdecode(name))
-        done = run("fit", "-q", *arguments, cwd=tmp_path)
+    (tmp_path / "one.csv").write_bytes(one_axis())
+    for source, name in ((SAMPLE_LOGS / "too_short.db3", b"x\xff.db3"), (tmp_path / "one.csv", b"y\xfe.csv")):
+        shutil.copy(source, tmp_path / os.fsdecode(name))
+        quick = ("--model", "N", "--segments", "1", "--no-html", "--format", "svg", "--gyro-unit", "rad/s")
+        done = run("fit", "-q", "--take", "5s", *quick, os.fsdecode(name), cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         (folder,) = [p for p in tmp_path.iterdir() if p.is_dir() and os.fsencode(p.name).startswith(name[:1])]
         document = json.loads((folder / "report.json").read_text(encoding="utf-8"))

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from imucal.cli._printing import fitted, width
-from imucal.cli._progress import fleet_progress
+from imucal.cli._printing import fleet_progress, width, wrapped
 from imucal.fleet_run.running import RunCount
 from tests.cli.reports import write_report
 from tests.cli.run import SAMPLE_LOGS, run
 
 DOCS = SAMPLE_LOGS.parent / "docs"
+_QUICK = ("--no-report", "--segments", "1", "--take", "10s")
 COMMANDS = [
-    ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N + GM", "--no-report"),
-    ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N", "--no-report", "--si"),
+    ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N + GM", *_QUICK),
+    ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N", "--si", *_QUICK),
     ("info", "log.csv"),
     ("check", "still-imucal", "--limits", str(DOCS / "limits-example.toml")),
     ("check", "still-imucal", "--baseline", "other-imucal"),
@@ -61,10 +61,12 @@ def test_the_width_is_80_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
         assert width() == expected
 
 
-def test_a_line_breaks_between_words() -> None:
-    """Only where it must."""
-    assert fitted("one two three", 20, indent=2) == ["one two three"]
-    assert fitted("one two three", 8, indent=2) == ["one two", "  three"]
+def test_a_line_breaks_between_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only where it must; later lines are indented by two more."""
+    monkeypatch.setenv("COLUMNS", "30")
+    assert wrapped("nine of thirty letters, no more") == ["nine of thirty letters, no", "  more"]
+    assert wrapped("nine of thirty letters, indeed") == ["nine of thirty letters, indeed"]
+    assert wrapped("nine of thirty letters", indent=9) == ["         nine of thirty", "           letters"]
 
 
 class _Terminal(io.StringIO):
@@ -79,7 +81,7 @@ def test_progress_is_one_line(columns: int, left: str, monkeypatch: pytest.Monke
     monkeypatch.setattr("sys.stderr", terminal)
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("TERM", "xterm")
-    with fleet_progress(quiet=False) as tell:
+    with fleet_progress() as tell:
         assert tell is not None
         tell(RunCount(logs=30, size=2_000_000, done=15, failed=1, running=2, done_size=1_000_000))
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())

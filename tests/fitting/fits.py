@@ -11,12 +11,13 @@ from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.bounds import estimate_or_bound, with_absent
 from imucal.fitting.spectral.estimates import Problem
+from imucal.fitting.spectral.likelihood import Candidates, Evaluation, candidates_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.selection import choose
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.recording import AxisSeries
 
-__all__ = ["estimated", "fitted", "no_curve", "ordinates_of", "simulated"]
+__all__ = ["at_maximum", "estimated", "fitted", "no_curve", "ordinates_of", "simulated"]
 
 
 def simulated(text: str, n: int, seed: int, *, rate_hz: float = 1.0) -> FloatArray:
@@ -58,9 +59,32 @@ def ordinates_of(samples: FloatArray) -> Ordinates:
     return bin_blocks([Block(offset=0, bins=bins, ordinates=dct_ordinates(samples))], 1.0)
 
 
+def at_maximum(
+    theta: FloatArray,
+    *,
+    objective: FloatArray,
+    candidates: Candidates | None = None,
+    information: FloatArray | None = None,
+    beta: FloatArray | None = None,
+    beta_covariance: FloatArray | None = None,
+) -> Evaluation:
+    """Return a likelihood at rows of parameters, its gradient zero; what is not given is empty or zero."""
+    rows, size = theta.shape
+    return Evaluation(
+        candidates=candidates_of([("N",)] * rows, ()) if candidates is None else candidates,
+        theta=theta,
+        objective=objective,
+        score=np.zeros(theta.shape),
+        information=np.zeros((rows, size, size)) if information is None else information,
+        beta=np.zeros((rows, 0)) if beta is None else beta,
+        beta_covariance=np.zeros((rows, 0, 0)) if beta_covariance is None else beta_covariance,
+        spectrum=np.ones((rows, 0)),
+    )
+
+
 def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[str, Estimate]:
     """Return the estimates of a given model on the whole band, without looking for a filter."""
     data = ordinates_of(samples)
-    choice = choose(data, [parse_structure(model)], criterion="bic", shortest=2.0)
-    problem = Problem(ordinates=data, level=level, shortest=2.0, common=(), unit=1.0, tau0=1.0, widening={})
+    choice = choose(data, [parse_structure(model)], criterion="bic")
+    problem = Problem(ordinates=data, level=level, tau0=1.0, widening={})
     return {e.key: e for e in with_absent(problem, *estimate_or_bound(problem, choice))}

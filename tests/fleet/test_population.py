@@ -51,11 +51,14 @@ def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) 
     count = int(np.sum(~units.normal))
     total += 0.5 * math.log((told + count / (weak + 0.25)) / (told + count / 0.25))
     theta = np.linspace(mu - 6 - 3 * tau, mu + 3 + 4 * tau, 2401)
-    scatter = _normal(theta[:, None] - theta, omega) if omega else None
+    # Simpson's weights, for all effects of a log at once.
+    weights = np.resize([2.0, 4.0], theta.size) * (theta[1] - theta[0]) / 3
+    weights[[0, -1]] /= 2
+    scatter = _normal(theta[:, None] - theta, omega) * weights if omega else None
     for unit in range(len(values.names)):
         likelihood = np.ones(theta.size)
         for row in np.exp(values.take(values.unit == unit).log_likelihood(theta)):
-            likelihood *= row if scatter is None else integrate.simpson(scatter * row, x=theta, axis=1)
+            likelihood *= row if scatter is None else scatter @ row
         total += math.log(integrate.simpson(likelihood * _normal(theta - mu, tau), x=theta))
     return total
 

@@ -256,6 +256,6 @@ def test_bins_are_read_group_by_group(tmp_path: Path) -> None:
     # Done again: only the newest counts.
     store.commit([log("a", finished=2.0)], [], [{**bin_row("a"), "bins": b"again"}])
     groups = [["key-e", "key-a"], [], ["key-b", "key-unknown"], ["key-c", "key-d"]]
-    frames = list(store.bins_in_turn(groups))
+    frames = [store.bins(keys) for keys in groups]
     assert [frame["bins"].to_list() for frame in frames] == [[b"again", b"e"], [], [b"b"], [b"c", b"d"]]
     assert pl.concat(frames).sort("key").equals(store.bins())

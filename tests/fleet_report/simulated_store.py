@@ -10,6 +10,7 @@ import polars as pl
 
 from imucal.fitting.bins import pack
 from imucal.fleet.store import MANIFEST, FleetStore
+from imucal.recording import Sensor
 from tests.fleet.records import bins_from, simulated
 
 Z = 1.959963984540054
@@ -40,11 +41,13 @@ def write_store(
     failures: bool = True,
     times: Sequence[float | None] = (),
     absent: str = "",
+    names: Sequence[str] = (),
 ) -> FleetStore:
     """Write the store of a fleet: by `special`, unit 7 is odd in gyro_z N and unit 11 drifts in gyro_x B.
 
     Only K of the gyroscope's axes in `weak` is weak: that takes the most time.
-    Of the gyroscope's axes in `absent`, no log shows K.
+    Of the gyroscope's axes in `absent`, no log shows K. Where there are `names`, such as gyro_x, the
+    logs have no other axes, each of which takes its time.
     Where there are `times`, gyro_x has a Gauss-Markov term, with these correlation times by turns.
     `bins` units carry binned spectra of short records too, of which the last one's records differ.
     """
@@ -73,7 +76,11 @@ def write_store(
                 logs.append(_log(key, path, model, f"u{unit:02}" if labelled else None, celsius, place))
                 drift = 0.5 * place if special and unit == 11 else 0.0
                 told = _results(rng, key, own, celsius, place, drift, weak)
-                results += [_hidden(row, absent) for row in told]
+                results += [
+                    _hidden(row, absent)
+                    for row in told
+                    if not names or f"{Sensor(row['sensor']).short}_{row['axis']}" in names
+                ]
                 if times:
                     results.append(_markov(rng, key, times[len(logs) % len(times)]))
                 if unit < bins:

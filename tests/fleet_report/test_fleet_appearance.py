@@ -1,7 +1,6 @@
 """What a reader of a fleet's page and pictures meets: units, words, ticks, empty columns, print."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import imucal
 from imucal import Fleet
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.trend import Slope, Trend
-from imucal.fleet_report.pages import render_fleet_page
+from imucal.fleet_report.pages import p_text, per, price_text, render_fleet_page, slope_text, verdict
 from imucal.fleet_report.pictures import (
     drift_figure,
     heat_figure,
@@ -20,17 +19,15 @@ from imucal.fleet_report.pictures import (
     units_figure,
 )
 from imucal.fleet_report.summary import FleetLog
-from imucal.fleet_report.verdict import p_text, per, price_text, slope_text, verdict
 from imucal.recording import Sensor
 from tests.fleet_report.simulated_store import write_store
-from tests.report.browser import Browser
 
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
     """Return eight units, u07 of which is odd."""
     place = tmp_path_factory.mktemp("fleets") / "fleet"
-    write_store(place, units=8, weak="", failures=False)
+    write_store(place, units=8, weak="", failures=False, names=("gyro_x", "gyro_z"))
     return imucal.load_fleet(place, unit_logs=False)
 
 
@@ -154,15 +151,3 @@ def test_pictures_say_all_inside_their_frames(one_axis: Fleet) -> None:
     assert [axes.get_xlabel() for axes in plots] == ["% a day"]
     marks = [line.get_xdata()[0] for line in plots[0].lines if line.get_marker() == "o"]  # type: ignore[index]
     assert np.array(marks, dtype=float) == pytest.approx(300 / 365.25)
-
-
-def test_the_page_in_print(fleet: Fleet, tmp_path: Path) -> None:
-    """Pictures are as wide as the paper; no head of a table without its first row."""
-    imucal.write_fleet(fleet, tmp_path, pictures=False)
-    with Browser() as browser:
-        browser.open((tmp_path / "fleet.html").as_uri())
-        browser.devtools("Emulation.setEmulatedMedia", media="print")
-        style = "return getComputedStyle(document.querySelector('{}')).{}"
-        assert browser.run(style.format(".picture img", "minWidth")) == "0px"
-        assert browser.run(style.format("tbody tr", "breakBefore")) == "avoid"
-        assert browser.run(style.format(".picture", "breakInside")) == "avoid"

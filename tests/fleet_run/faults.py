@@ -16,6 +16,9 @@ import numpy as np
 import psutil
 
 from imucal.fleet.store import FleetStore
+from tests.cli.run import run
+from tests.fleet_run.done_here import logs_done_here
+from tests.report.blank import blank_pictures
 
 #: Columns of a log's row that are of the run and not of the log.
 OF_THE_RUN = ("cpu_s", "wall_s", "finished", "part")
@@ -23,6 +26,15 @@ OF_THE_RUN = ("cpu_s", "wall_s", "finished", "part")
 PATIENCE = 240.0
 #: What a worker's child has in its command line.
 CHILD = "imucal.processes"
+#: The command, with the package of these tests, and with blank pictures in its report.
+COMMAND = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from imucal.cli import main
+from tests.report.blank import blank_pictures
+with blank_pictures():
+    main()
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +62,7 @@ class Bench:
         """Start a run, in a session of its own, as a terminal gives it one."""
         command = ["fleet", "run", logs, "-o", name, "--max-failed", "100%", *arguments]
         return subprocess.Popen(  # noqa: S603 - our own command
-            [sys.executable, "-m", "imucal", *command],
+            [sys.executable, "-c", COMMAND, *command],
             cwd=self.folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -65,25 +77,21 @@ class Bench:
         """Run to the end."""
         return ended(self.start(name, *arguments, logs=logs, limit=limit))
 
-    def read(self, command: str, name: str) -> Ended:
-        """Run ``imucal fleet report`` or another command that reads a fleet."""
-        return self._type("imucal", "fleet", command, name)
+    def finish(self, name: str, *, logs: str = "logs") -> Ended:
+        """Do what is left, one log at a time and undisturbed, which needs no process of its own."""
+        return self.type("fleet", "run", logs, "-o", name, "--max-failed", "100%", "--shard", "1/1")
 
     def type_again(self, said: str) -> Ended:
         """Type the command that a run printed to go on with."""
         line = next(line for line in said.splitlines() if "to go on: " in line)
-        return self._type(*shlex.split(line.partition("to go on: ")[2]))
+        imucal, *words = shlex.split(line.partition("to go on: ")[2])
+        assert imucal == "imucal"
+        return self.type(*words)
 
-    def _type(self, *words: str) -> Ended:
-        assert words[0] == "imucal"
-        done = subprocess.run(  # noqa: S603 - our own command
-            [sys.executable, "-m", *words],
-            cwd=self.folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=PATIENCE,
-        )
+    def type(self, *words: str) -> Ended:
+        """Run a command undisturbed, in this process."""
+        with blank_pictures(), logs_done_here():
+            done = run(*words, cwd=self.folder)
         return Ended(code=done.returncode, out=done.stdout, err=done.stderr)
 
     def wait_for_parts(self, name: str, run: subprocess.Popen[str], parts: int = 1) -> None:

@@ -9,9 +9,12 @@ from imucal.fleet.store import FleetStore
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 from tests.fleet_run.damage import damages
+from tests.fleet_run.done_here import logs_done_here
 from tests.fleet_run.faults import OF_THE_RUN
+from tests.report.blank import blank_pictures
 
 LABELS = ("--labels", "{model}/{unit}/{temperature_c}C/*.npz")
+pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +22,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with three logs of one axis, and the fleet of them, each log a batch of its own."""
     place = tmp_path_factory.mktemp("damage").resolve()
     for log in make_fleet(place / "logs", logs=3, seconds=10.0, seed=83, axes=1):
-        done = run("fleet", "run", str(log.path.relative_to(place)), *LABELS, "--jobs", "1", cwd=place)
+        with blank_pictures(), logs_done_here():
+            done = run("fleet", "run", str(log.path.relative_to(place)), *LABELS, "--jobs", "1", cwd=place)
         assert done.returncode == 0, done.stderr
     return place
 

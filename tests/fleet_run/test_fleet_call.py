@@ -19,6 +19,7 @@ from tests.fleet.simulated_fleet import make_fleet
 from tests.fleet_run.faults import OF_THE_RUN
 
 LABELS = "{model}/{unit}/{temperature_c}C/*.npz"
+pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.noise.bank import gauss_markov_bank
-from imucal.noise.terms import BiasInstability
+from imucal.noise.terms import BiasInstability, GaussMarkov
 
 
 def _density(B: float, per_decade: float, f: FloatArray) -> FloatArray:
-    bank = gauss_markov_bank(B, 1e-4, 1e10, per_decade)
+    bank = GaussMarkov.bank(B, 1e-4, 1e10, per_decade)
     return np.asarray(sum(2 * t.sigma**2 * t.T / (1 + (2 * np.pi * f * t.T) ** 2) for t in bank))
 
 
@@ -26,7 +25,7 @@ def test_sampled_it_is_flicker_up_to_nyquist() -> None:
     """With t_min = tau0/2 its sampled density is that of sampled flicker to 1.5 %, 12 % at Nyquist."""
     rate, n = 100.0, 100_000
     f = np.geomspace(rate / n, rate / 2, 300)
-    bank = gauss_markov_bank(0.02, 0.5 / rate, 10 * n / rate, 2.0)
+    bank = GaussMarkov.bank(0.02, 0.5 / rate, 10 * n / rate, 2.0)
     ratio = sum(t.psd(f, 1 / rate) for t in bank) / BiasInstability(value=0.02).psd(f, 1 / rate)
     assert np.all(np.abs(ratio[f < 0.1 * rate] - 1) < 0.015)
     assert np.all(np.abs(ratio - 1) < 0.12)
@@ -34,7 +33,7 @@ def test_sampled_it_is_flicker_up_to_nyquist() -> None:
 
 def test_the_longest_time_is_reached() -> None:
     """The last correlation time is the first at or beyond t_max."""
-    times = [term.T for term in gauss_markov_bank(1.0, 1.0, 1000.0, 2.0)]
+    times = [term.T for term in GaussMarkov.bank(1.0, 1.0, 1000.0, 2.0)]
     assert times[0] == 1.0
     assert times[-1] == pytest.approx(1000.0)
     assert len(times) == 7
@@ -43,4 +42,4 @@ def test_the_longest_time_is_reached() -> None:
 def test_refuses_times_that_do_not_rise() -> None:
     """The message repeats what was given."""
     with pytest.raises(ValueError, match=r"need 0 < t_min < t_max, B > 0 and per_decade > 0, got 2\.0, 1\.0"):
-        gauss_markov_bank(1.0, 2.0, 1.0)
+        GaussMarkov.bank(1.0, 2.0, 1.0)

@@ -23,8 +23,8 @@ from imucal.noise.terms import TERMS, term_keys
 from imucal.planning import plan
 from imucal.recording import AxisSeries, Sensor
 from imucal.report.figure import estimate_text
+from imucal.report.numbers import sheet_units
 from imucal.report.page_parts import glossary_section
-from imucal.report.sheet_units import sheet_units
 from tests.noise.contract import missing
 from tests.report.synthetic import consumer_report
 

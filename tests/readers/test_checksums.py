@@ -3,8 +3,6 @@
 import gzip
 import hashlib
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import jsonschema
@@ -19,6 +17,9 @@ from imucal.report import load_report
 from imucal.report.json_file import schema
 from tests.cli.run import run
 from tests.readers.logs import START, imu_messages, samples, write_db3, write_mcap
+
+#: A report as JSON on standard output, and no other file.
+QUICK = ("--model", "N", "--segments", "1", "--force", "-q", "--json", "--no-report")
 
 
 def b2sum(path: Path) -> str:
@@ -70,17 +71,15 @@ def test_what_can_not_be_read_has_none(tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize("packed", ["plain", "gzip", "cut", "zeros behind"])
 def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> None:
     """Of all its bytes as they came, packed or not, also where reading ends before them."""
-    rng = np.random.default_rng(5)
-    rows = [f"{i / 100},{','.join(map(repr, rng.normal(0, 1e-3, 3).tolist()))}" for i in range(3000)]
-    text = "\n".join(["t_s,gx_rads,gy_rads,gz_rads", *rows, ""]).encode()
+    values = np.random.default_rng(5).normal(0, 1e-3, 3000).tolist()
+    text = "\n".join(["t_s,gx_rads", *(f"{i / 100},{x!r}" for i, x in enumerate(values)), ""]).encode()
     whole = gzip.compress(text)
     data = {"plain": text, "gzip": whole, "cut": whole[:-40], "zeros behind": whole + bytes(99) + b"1"}[
         packed
     ]
-    command = [sys.executable, "-m", "imucal", "fit", "-", "--model", "N", "--force", "-q", "-o", "r"]
-    done = subprocess.run(command, input=data, cwd=tmp_path, capture_output=True, check=False)  # noqa: S603
+    done = run("fit", "-", *QUICK, cwd=tmp_path, text=data)
     assert done.returncode == 0, done.stderr
-    document = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
+    document = json.loads(done.stdout)
     jsonschema.validate(document, schema())
     expected = hashlib.blake2b(data).hexdigest()
     assert document["source"]["files"] == [
@@ -91,11 +90,9 @@ def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> No
 def test_a_report_says_what_was_read(tmp_path: Path) -> None:
     """The file as `b2sum` sees it, and the part that --skip and --take leave, by time and by stamps."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000)))
-    done = run(
-        "fit", "log.mcap", "--skip", "5s", "--take", "20s", "--model", "N", "--force", "-o", "r", cwd=tmp_path
-    )
+    done = run("fit", "log.mcap", "--skip", "5s", "--take", "20s", *QUICK, cwd=tmp_path)
     assert done.returncode == 0
-    document = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
+    document = json.loads(done.stdout)
     jsonschema.validate(document, schema())
     assert document["source"]["files"] == [
         {"path": "log.mcap", "size_bytes": path.stat().st_size, "blake2b": b2sum(path)}
@@ -103,7 +100,8 @@ def test_a_report_says_what_was_read(tmp_path: Path) -> None:
     assert document["source"]["range"] == {
         "from_s": 5.0, "duration_s": 20.0, "start_ns": START + 5 * 10**9, "end_ns": START + 25 * 10**9,
     }  # fmt: skip
-    source = load_report(tmp_path / "r").source
+    (tmp_path / "report.json").write_text(done.stdout, encoding="utf-8")
+    source = load_report(tmp_path).source
     assert source.files[0].blake2b == b2sum(path)
     assert source.read is not None
     assert (source.read.from_s, source.read.end_ns) == (5.0, START + 25 * 10**9)
@@ -112,7 +110,8 @@ def test_a_report_says_what_was_read(tmp_path: Path) -> None:
 def test_the_range_of_a_recording(tmp_path: Path) -> None:
     """Of all of it, of a part of a part, and without stamps."""
     recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000))))
-    report = imucal.characterize(recording, imucal.Settings(model="N", second_opinion=False))
+    settings = imucal.Settings(model="N", segments=1, second_opinion=False)
+    report = imucal.characterize(recording, settings)
     assert report.source.read is not None
     assert (report.source.read.from_s, report.source.read.start_ns) == (0.0, START)
     assert report.source.read.duration_s == pytest.approx(30)

@@ -108,6 +108,23 @@ def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [
+        ("report.json", "is a report of imucal's; give the log; what takes a report is imucal export,"),
+        ("manifest.parquet", "is a fleet of imucal's; give a log; what takes a fleet is imucal fleet report"),
+    ],
+)
+def test_knows_the_folders_that_imucal_writes(file: str, said: str, tmp_path: Path) -> None:
+    """Whoever gives one in place of a log is told so, and what takes it."""
+    (tmp_path / file).write_text('{"schema": "imucal/report/1"}', encoding="utf-8")
+    with pytest.raises(ReadError, match=f"{tmp_path}: {said}"):
+        read(tmp_path)
+    if file == "report.json":
+        with pytest.raises(ReadError, match=f"it {said}"):
+            read(tmp_path / file)
+
+
 def test_finds_what_matters_in_the_metadata() -> None:
     """Files, compression, messages of each topic, whatever the order of keys and quotes."""
     names, mode, counts = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))

@@ -114,7 +114,7 @@ def lacks(container: object) -> list[str]:
 def test_every_container_offers_all_that_readers_ask_of_it(name: str, tmp_path: Path) -> None:
     """Path, format, compression, size, channels, findings, times, tasks and close."""
     path = CONTAINERS[name](tmp_path, samples(20))
-    opened, form = load_opener(detect(path)).open_files(path)
+    opened, form = load_opener(detect(path))(path, None)
     for container in opened:
         assert lacks(container) == []
         container.close()

@@ -200,6 +200,13 @@ def test_other_scales_are_refused(tmp_path: Path) -> None:
     in_g = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro, accel=chosen.accel / 9.80665)
     message = refusal([first, write_mcap(tmp_path / "a_2.mcap", imu_messages(in_g))])
     assert "differ in scale: a usual magnitude of 9.8" in message
+    for place, times, joined in ((3, 1.1, True), (4, 1.3, False)):
+        heavier = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro, accel=times * chosen.accel)
+        other = write_mcap(tmp_path / f"a_{place}.mcap", imu_messages(heavier))
+        if joined:
+            assert read(first, other).series[0].n == 600
+        else:
+            assert "differ in scale: a usual magnitude of 9.8" in refusal([first, other])
     stepped = []
     for i, step in enumerate((1e-3, 2e-3)):
         chosen = part(300 * i, 300 * i + 300)

@@ -5,8 +5,7 @@ import pytest
 
 from imucal.readers.containers import Channel, Loss
 from imucal.readers.message_logs import _loss_findings, in_time_order
-from imucal.readers.messages import Topic
-from imucal.readers.messages.topics import _said
+from imucal.readers.messages.topics import Topic, _said
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import Columns, Room
 from imucal.recording import Sensor

@@ -61,7 +61,7 @@ def test_a_large_array_lies_in_a_file() -> None:
 def test_pages_are_handed_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind the blocks of mapped arrays, and at the end; each map once."""
     seen: list[int] = []
-    monkeypatch.setattr(arrays, "_hand_back", lambda held: seen.append(len(held)))
+    monkeypatch.setattr(arrays, "_hand_back", lambda held: seen.extend(map(len, held)))
     held = Room(0).empty(100, np.float64)
     parts = list(blocks(100, held, held[50:], np.zeros(100), size=10))
     assert parts == [slice(i, i + 10) for i in range(0, 100, 10)]

@@ -3,15 +3,18 @@
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run.logs import content_at, edge_at
-from imucal.remote import identify
+from imucal.remote.stores import identify
 from tests.cli.run import run
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
 
 HOW = (*OPTIONS, "--model", "N", "--shard", "1/1")
 LABELS = ("--labels", "{model}/{unit}/*.csv")
+pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 
 def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:  # noqa: ANN401

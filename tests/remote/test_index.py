@@ -8,11 +8,12 @@ import numpy.testing as npt
 import pytest
 
 import imucal
-from imucal.log_files import write_log
 from imucal.readers import describe
 from imucal.readers.files import DamagedError
 from imucal.readers.remote_logs import RangedFile, TooMuchError
-from imucal.remote import fetched, identify
+from imucal.remote.copies import fetched
+from imucal.remote.stores import identify
+from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS
 from tests.remote.web_server import WebServer
 

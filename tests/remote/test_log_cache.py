@@ -13,15 +13,16 @@ from types import SimpleNamespace
 import pytest
 
 import imucal
-from imucal.remote import RemoteLog, fetched, identify
-from imucal.remote.copies import cache_folder, cache_size, entry_of, locked
+from imucal.remote import RemoteLog
+from imucal.remote.copies import cache_folder, cache_size, entry_of, fetched, locked
+from imucal.remote.stores import identify
 from tests.remote.web_server import WebServer
 
 BODY = bytes(range(256)) * 400  # 102 400 bytes
 
 FETCH = """
 import os, sys
-from imucal.remote import fetched
+from imucal.remote.copies import fetched
 with fetched(sys.argv[1]) as copy:
     print(len(copy.path.read_bytes()), flush=True)
 """

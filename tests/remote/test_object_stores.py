@@ -11,13 +11,14 @@ import numpy.testing as npt
 import pytest
 
 import imucal
-from imucal.log_files import write_log
 from imucal.readers import describe, logs_of
 from imucal.readers.containers.rosbag2_folder import ENDINGS
 from imucal.readers.formats import FORMATS
-from imucal.remote import addresses, expand, fetched, identify
+from imucal.remote import addresses
 from imucal.remote.addresses import OBJECT_STORES
-from imucal.remote.stores import _MESSAGES, _TABLES
+from imucal.remote.copies import fetched
+from imucal.remote.stores import _MESSAGES, _TABLES, expand, identify
+from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer

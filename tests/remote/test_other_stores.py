@@ -3,7 +3,8 @@
 import pytest
 
 from imucal import ReadError
-from imucal.remote import expand, fetched, identify
+from imucal.remote.copies import fetched
+from imucal.remote.stores import expand, identify
 from tests.remote.cloud_servers import cloud_server
 from tests.remote.one_axis import one_axis
 

@@ -14,7 +14,7 @@ import fsspec
 import pytest
 
 import imucal
-from imucal.log_files import write_log
+from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.code_blocks import code_blocks
 from tests.remote.one_axis import one_axis

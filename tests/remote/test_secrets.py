@@ -7,8 +7,8 @@ import jsonschema
 import pytest
 
 from imucal.cli.fit import report_folder
-from imucal.remote import identify
 from imucal.remote.addresses import has_wildcards, is_url, name_of, shown, without_secrets
+from imucal.remote.stores import identify
 from imucal.report.json_file import load, schema
 from tests.cli.run import run
 from tests.remote.one_axis import OPTIONS, one_axis

@@ -10,7 +10,8 @@ import pytest
 
 import imucal
 from imucal.readers import describe
-from imucal.remote import expand, fetched, identify
+from imucal.remote.copies import fetched
+from imucal.remote.stores import expand, identify
 from tests.cli.run import SAMPLE_LOGS
 from tests.remote.web_server import WebServer
 

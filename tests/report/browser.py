@@ -114,7 +114,11 @@ class Browser:
         events = [json.loads(entry["message"])["message"] for entry in self.logs("performance")]
         sent = [e["params"] for e in events if e["method"] == "Network.requestWillBeSent"]
         # Chromium's own first tab still loads its parts meanwhile.
-        return [s["request"]["url"] for s in sent if not str(s.get("documentURL")).startswith("chrome:")]
+        return [
+            s["request"]["url"]
+            for s in sent
+            if not str(s.get("documentURL")).startswith(("chrome:", "chrome-"))
+        ]
 
     def _call(self, method: str, path: str, body: object = None) -> Any:  # noqa: ANN401 - a JSON value
         data = None if body is None else json.dumps(body).encode()

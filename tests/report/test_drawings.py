@@ -21,6 +21,7 @@ def _two_axes() -> Report:
     return replace(report, axes=report.axes[2:4])
 
 
+@pytest.mark.usefixtures("forks")
 def test_the_number_at_a_time_changes_nothing(tmp_path: Path) -> None:
     """Every file of a report, to the byte."""
     one = write_report(_two_axes(), tmp_path / "one", workers=1)
@@ -29,6 +30,7 @@ def test_the_number_at_a_time_changes_nothing(tmp_path: Path) -> None:
     assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
 
 
+@pytest.mark.usefixtures("forks")
 def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Two at a time where two are asked for; their results come in the order of the files."""
     marks = tmp_path / "marks"
@@ -40,7 +42,6 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
         return work(*arguments, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(drawings, "_draw_one", marked)
-    monkeypatch.setattr("imucal.processes.may_fork", lambda: True)
     report = _two_axes()
     found = draw(report, ("png",), page=True, workers=2)
     assert 1 <= len(list(marks.iterdir())) <= 2
@@ -49,6 +50,7 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
     assert set(found.addresses) == {name.removesuffix(".png") for name in found.files}
 
 
+@pytest.mark.usefixtures("forks")
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_picture_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
     """Of every format it would have had; the others are there."""

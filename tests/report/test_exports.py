@@ -22,14 +22,15 @@ from imucal.noise.terms import TERMS, BiasInstability, GaussMarkov
 from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
-from imucal.report.exports.config_numbers import Choices, Numbers
-from imucal.report.exports.state_space import flicker_bank
+from imucal.report.exports.config_numbers import Choices, Numbers, flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document, to_document
 from imucal.report.result import AxisReport, Report
 from tests.report.downstream import READERS, Recovered, opencv
 from tests.report.synthetic import axis_report, small_report
 from tests.report.synthetic import consumer_report as make_consumer_report
+
+pytestmark = pytest.mark.usefixtures("pairs_are_found_once")
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 _AXES: tuple[Axis, ...] = ("x", "y", "z")

@@ -130,8 +130,8 @@ def test_read_offs_lie_on_their_line(text: str, tau: float, height: float) -> No
     """Where IEEE Std 952 reads each coefficient, the term's own curve has that height."""
     axis = axis_report(Sensor.GYROSCOPE, "x", text, rate_hz=1000.0)
     drawn = drawn_terms(axis.fit)[0]
-    assert drawn.tau_s == pytest.approx(tau)
-    assert drawn.height == pytest.approx(height, rel=1e-3)
+    assert drawn.term.read_off()[0] == pytest.approx(tau)
+    assert drawn.term.read_off()[1] == pytest.approx(height, rel=1e-3)
     avar = NoiseModel.parse(text).avar(np.array([round(tau * 1000)]), rate_hz=1000.0)
     # 1e-3: the sampled process differs from the continuous one by 1/(4 m²), and m is rounded.
     assert np.sqrt(avar[0]) == pytest.approx(height, rel=1e-3)

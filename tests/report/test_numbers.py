@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.numbers import Quantity, compact, decimals, with_uncertainty
-from imucal.report.sheet_units import sheet_units
+from imucal.report.numbers import Quantity, compact, decimals, sheet_units, with_uncertainty
 from imucal.units import data_size, duration
 from tests.report.synthetic import consumer_report
 

@@ -82,6 +82,7 @@ def test_bins_that_do_not_belong_together_are_refused(key: str, value: object, t
         from_document(document)
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_reports_written_with_bins_are_pooled(tmp_path: Path) -> None:
     """What the message says to type: `imucal fit --bins`, twice, then the pool of what was read back."""
     fits = []

@@ -238,7 +238,7 @@ def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> 
     report = json.loads((old / "report.json").read_bytes())
     if moved in {1, 2}:
         assert report["incomplete"] == "its files were being replaced; write the report again"
-        with pytest.raises(ReadError, match="found schema, incomplete, expected the key 'source'"):
+        with pytest.raises(ReadError, match="found schema, incomplete, expected the key 'version'"):
             json_file.load(old)
     else:
         assert report["version"] == ("0.1.0" if moved else "0.0.1")

@@ -12,32 +12,16 @@ from imucal.pipeline import screen
 from imucal.recording import AxisSeries, Recording, Source
 from tests.screening.still import KINDS, recording, still, unrelated_temperature
 
-LOGS = 3
 
-
-@pytest.fixture(scope="module", params=list(KINDS))
-def alarms(request: pytest.FixtureRequest) -> list[str]:
-    """Codes of all warnings and errors of some logs at rest of one kind of noise."""
-    n = 20_000
-    return [
-        finding.code
-        for seed in range(LOGS)
-        for finding in screen(
-            recording(
-                *still(n, 1000 + seed, request.param), temperature=unrelated_temperature(n, 1000 + seed)
-            )
-        )
-        if finding.level != "info"
-    ]
-
-
-def test_noise_of_any_kind_is_no_fault(alarms: list[str]) -> None:
-    """Three logs of six axes: none warned of.
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_of_any_kind_is_no_fault(kind: str) -> None:
+    """A log of six axes: none warned of; of fourteen, one in seven may have an alarm by chance at most.
 
     tests/benchmarks/screening.py measures the rate on many logs: below 1 % of logs for each check
     over all kinds; of these logs none has one.
     """
-    assert alarms == []
+    found = screen(recording(*still(20_000, 1000, kind), temperature=unrelated_temperature(20_000, 1000)))
+    assert [finding.code for finding in found if finding.level != "info"] == []
 
 
 def test_clean_white_noise_has_no_finding_at_all() -> None:
@@ -104,12 +88,16 @@ WILD: list[Callable[[int, np.random.Generator], FloatArray]] = [
 ]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(13))
 def test_damaged_data_neither_crash_nor_say_nan(seed: int) -> None:
-    """Any mixture of wild axes gives findings whose figures are numbers; warnings are errors here."""
+    """Six of the wild axes, each kind in six of the tests, give findings whose figures are numbers.
+
+    Warnings are errors here.
+    """
     rng = np.random.default_rng(seed)
-    n = int(rng.integers(0, 4000))
-    table = np.stack([WILD[rng.integers(len(WILD))](n, rng) for _ in range(6)])
+    n = int(rng.integers(0, 2000))
+    # These differ by every number up to twelve: each two kinds stand beside one another in some test.
+    table = np.stack([WILD[(seed + step) % len(WILD)](n, rng) for step in (0, 1, 3, 4, 9, 11)])
     for finding in screen(recording(table[:3], table[3:])):
         assert not {"nan", "inf", "-inf"} & set(finding.text.split())
         assert finding.keep_s is None or np.all(np.isfinite(finding.keep_s))

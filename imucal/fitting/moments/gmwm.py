@@ -13,22 +13,15 @@ composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fi
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed, spread_of
-from imucal.fitting.moments.search import (
-    MISFIT,
-    CurveFit,
-    Solution,
-    best_band,
-    curve_estimates,
-    goodness,
-    ranked,
-)
-from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
+from imucal.fitting.moments.search import CurveFit, Solution, best_band, curve_estimates, goodness, ranked
+from imucal.fitting.noise_fit import MISFIT, Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
 from imucal.recording import AxisSeries
@@ -45,17 +38,19 @@ def fit_gmwm(
 ) -> NoiseFit:
     """Fit a noise model to Allan variances, overlapping or standard; `series` is None where they are all.
 
-    N, B and K are always among the estimates. With full weights, the shortest averaging times are left
-    out where an output filter keeps every model from describing them; a finding says so.
-
-    Raises
-    ------
-    DataError
-        If the curve has too few averaging times for the model, or is not of Allan variances.
+    N, B and K are always among the estimates. With full weights, the shortest averaging times are left out
+    where an output filter keeps every model from describing them; a finding says so. A DataError refuses a
+    curve that has too few averaging times for the model, or is not of Allan variances.
     """
     points = avar_points(series, curve)
-    if settings.structure is not None:
-        _require_points(series, points, settings.structure)
+    if (structure := settings.structure) is not None:
+        needed = len(structure) + sum(map(is_timed, structure))
+        if points.size < needed:
+            msg = (
+                f"{series.name if series else 'the curve'}: {points.size} averaging times can't tell the "
+                f"{needed} parameters of {structure_text(structure)}; record for longer or leave terms out"
+            )
+            raise DataError(msg)
     eta3 = np.diag(1 / _eta3_widths(points))
     if settings.weights == "eta3":
         ranking = ranked(points, eta3, settings)
@@ -86,27 +81,14 @@ def fit_gmwm(
     )
 
 
-def _require_points(series: AxisSeries | None, points: AvarPoints, structure: tuple[str, ...]) -> None:
-    needed = len(structure) + sum(map(is_timed, structure))
-    if points.size < needed:
-        where = series.name if series is not None else "the curve"
-        msg = (
-            f"{where}: {points.size} averaging times can't tell the {needed} parameters of "
-            f"{structure_text(structure)}; record for longer or leave terms out"
-        )
-        raise DataError(msg)
-
-
 def _eta3_widths(points: AvarPoints) -> FloatArray:
     """Return the widths of the 95 % chi-squared intervals with eta3 degrees of freedom, shape (k,).
 
     Source: Percival & Walden (2000), "Wavelet methods for time series analysis", eq. (314c).
     """
-    from scipy.special import chdtri
-
     terms = points.n - 2 * points.m + 1
     edf = np.maximum(terms / (2 * points.m), 1.0)
-    width = edf * points.avar * (1 / chdtri(edf, 0.975) - 1 / chdtri(edf, 0.025))
+    width = edf * points.avar * (1 / scipy.special.chdtri(edf, 0.975) - 1 / scipy.special.chdtri(edf, 0.025))
     return np.asarray(width, dtype=np.float64)
 
 
@@ -132,24 +114,22 @@ def _findings(
             f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
             "the least that gives the longest averaging time."
         )
-        advice = "Give the number of samples for narrower intervals."
-        findings.append(
-            Finding(level="info", code="record-length-unknown", axis=axis, text=said, advice=advice)
-        )
+        long = "Give the number of samples for narrower intervals."
+        findings.append(Finding("info", "record-length-unknown", said, long, axis=axis))
     if dropped:
         said = (
             f"No model describes averaging times below {first:.4g} s, as behind an output filter; "
             "the curve was fitted from there."
         )
-        findings.append(Finding(level="warning", code="short-times", axis=axis, text=said))
+        findings.append(Finding("warning", "short-times", said, axis=axis))
     if fit.statistic >= MISFIT:
         said = (
             f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} times "
             "what noise gives."
         )
         advice = "Look at the curve and the spectrum before using the numbers."
-        findings.append(Finding(level="warning", code="poor-fit", axis=axis, text=said, advice=advice))
+        findings.append(Finding("warning", "poor-fit", said, advice, axis=axis))
     if series is not None and series.clock.missing:
         said = "The intervals of a fit of the curve count missing samples, not where they are missing."
-        findings.append(Finding(level="info", code="gaps-in-curve", axis=axis, text=said))
+        findings.append(Finding("info", "gaps-in-curve", said, axis=axis))
     return tuple(findings)

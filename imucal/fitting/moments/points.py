@@ -20,15 +20,16 @@ for one averaging time; the same argument holds for two.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.allan.intervals import excess_kurtosis, trapezoid_weights
+from imucal.allan.intervals import LIGHTEST, excess_kurtosis, graded_lags, trapezoid_weights
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, read_only
 from imucal.errors import DataError
+from imucal.frozen import frozen_alone
 from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import TERMS, AngleRandomWalk, GaussMarkov, RateRamp
 from imucal.powerlaw import PowerLaw
@@ -38,30 +39,22 @@ _SIGNS = np.array([1.0, -2.0, 1.0])
 #: Up to so many lags are summed one by one.
 _ALL_LAGS = 300
 #: About each kink all lags so near are summed; beyond, four an octave.
-_NEAR = np.arange(-6, 7)
-_SPREAD = np.unique(np.round(6 * 2 ** (np.arange(0, 4 * 45) / 4)).astype(np.int64))
+_NEAR = 6
 #: The covariance of flicker falls as the fourth power of the lag: it is summed to so many times m.
 _FLICKER_REACH = 24
 #: The covariance of a term with a time is summed to so many of them beyond the windows.
 _TIMES_REACH = 20.0
 #: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
 _LEAST_RATIO = 1.9
-#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
-_LIGHTEST = -1.2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class AvarCovariance(ReadOnlyArrays):
     """The covariance of Allan variances, as a function of the terms' variances per sample.
 
-    Attributes
-    ----------
-    ramp
-        Which of the p terms are ramps, which do not scatter, shape (p,).
-    quadratic
-        Coefficients of the products of two of the other q variances, shape (q, q, k, k).
-    drift
-        Coefficients of their products with the square of the ramp per sample, shape (q, k, k).
+    `ramp`, shape (p,), says which terms are ramps, which do not scatter. Of the other q variances,
+    `quadratic`, shape (q, q, k, k), holds the coefficients of the products of two, and `drift`, shape
+    (q, k, k), of those with the square of the ramp per sample.
     """
 
     ramp: BoolArray
@@ -81,21 +74,12 @@ def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapp
     """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
 
     The factors, shape (k,), are from 1 to n // 2, and the model's terms of unit variance, with times in
-    samples; the Allan variances are the `overlapping` ones (MOAV) or those of adjacent windows.
-
-    Raises
-    ------
-    ValueError
-        If an averaging factor is out of range.
-
-    Notes
-    -----
-    Lags are summed on a grid that is dense where the covariance has its kinks, so a pair of
-    averaging times costs some thousand evaluations whatever the record; relative error below 1e-3.
+    samples; a factor out of range is a ValueError. The Allan variances are the `overlapping` ones (MOAV) or
+    those of adjacent windows. Lags are summed on a grid that is dense where the covariance has its kinks, so
+    a pair of averaging times costs some thousand evaluations whatever the record; relative error below 1e-3.
     """
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
-        msg = f"averaging factors must be in 1..{n // 2} for {n} samples"
-        raise ValueError(msg)
+        raise ValueError(f"averaging factors must be in 1..{n // 2} for {n} samples")
     return _computed(tuple(m.tolist()), n, tuple(terms), overlapping=overlapping)
 
 
@@ -122,15 +106,9 @@ def _computed(
     return AvarCovariance(ramp=ramp, quadratic=quadratic, drift=drift)
 
 
-def _sum_variance(term: NoiseTerm, n: FloatArray) -> FloatArray:
-    """Return V(n) up to a multiple of n²; of a term that has no closed form for it, from all of them."""
-    if type(term).sum_variance is not NoiseTerm.sum_variance:
-        return term.sum_variance(n, 1.0)
-    return _every_sum_variance(term, 1 << int(n.max(initial=1)).bit_length())[n.astype(np.int64)]
-
-
 @lru_cache(maxsize=8)
 def _every_sum_variance(term: NoiseTerm, size: int) -> FloatArray:
+    """Return V(n) up to a multiple of n², n = 0 … size-1, of a term that has no closed form for it."""
     return read_only(term.sum_variance(np.arange(size, dtype=np.float64), 1.0))
 
 
@@ -165,20 +143,16 @@ def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
     """Return lags from `low` to `high`: all, or dense about the nine kinks and ever sparser beyond."""
     if high - low <= _ALL_LAGS:
         return np.arange(low, high + 1, dtype=np.int64)
-    spread = _SPREAD[: np.searchsorted(_SPREAD, high - low, side="right")]
-    offsets = np.concatenate([-spread, _NEAR, spread])
     kinks = np.unique([a * mi - b * mj for a in range(3) for b in range(3)])
-    about = kinks[:, np.newaxis] + offsets
-    # Up to half way to the next kink, whose own lags go on from there.
-    half = np.concatenate([[low], (kinks[1:] + kinks[:-1]) // 2, [high]])
-    own = (about >= half[:-1, np.newaxis]) & (about <= half[1:, np.newaxis])
-    between = np.linspace(-2 * mj, 2 * mi, 129).astype(np.int64)
-    lags = np.concatenate([about[own], between, [low, high]])
-    return np.asarray(np.unique(lags[(lags >= low) & (lags <= high)]), dtype=np.int64)
+    return graded_lags(kinks, low, high, dense=_NEAR, per_octave=4)
 
 
 def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatArray:
-    """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k, shape (l,)."""
+    """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k, shape (l,).
+
+    Of a Gauss-Markov process in windows that do not meet, with g samples from the end of one to the start of
+    the other, with phi = exp(-1/T), it is -phi phi^g (1 - phi^mi)² (1 - phi^mj)² / (2 mi mj (1 - phi)²).
+    """
     shifts = np.array([b * mj - a * mi for a in range(3) for b in range(3)], dtype=np.float64)
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
     # Windows that do not meet: the sum would leave rounding errors, the larger the farther apart.
@@ -191,46 +165,27 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatA
         meet = apart <= 0
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
-    covariance[meet] = signs @ _sum_variance(term, distance) / (-4.0 * mi * mj)
+    if type(term).sum_variance is NoiseTerm.sum_variance:
+        every = _every_sum_variance(term, 1 << int(distance.max(initial=1)).bit_length())
+        summed = every[distance.astype(np.int64)]
+    else:
+        summed = term.sum_variance(distance, 1.0)
+    covariance[meet] = signs @ summed / (-4.0 * mi * mj)
     if isinstance(term, GaussMarkov):
-        covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, term.T)
+        rate = 1 / term.T
+        size = (math.expm1(-rate * mi) * math.expm1(-rate * mj) / math.expm1(-rate)) ** 2
+        covariance[~meet] = -np.exp(-rate * (apart[~meet] + 1.0)) * (size / (2.0 * mi * mj))
     return covariance
 
 
-def _gauss_markov_apart(apart: IntArray, mi: int, mj: int, time: float) -> FloatArray:
-    """Return the covariance of a Gauss-Markov process in windows `apart` samples from end to start.
-
-    A product: -phi phi^apart (1 - phi^mi)² (1 - phi^mj)² / (2 mi mj (1 - phi)²), phi = exp(-1/T).
-    """
-    rate = 1 / time
-    size = (math.expm1(-rate * mi) * math.expm1(-rate * mj) / math.expm1(-rate)) ** 2
-    return np.asarray(-np.exp(-rate * (apart + 1.0)) * (size / (2.0 * mi * mj)))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class AvarPoints:
-    """Allan variances to fit.
+    """Allan variances to fit, at rising averaging factors `m`; arrays have shape (k,).
 
-    Attributes
-    ----------
-    m
-        Averaging factors, shape (k,), rising.
-    avar
-        Allan variances over `scale`, shape (k,).
-    scale
-        In the square of the sample unit.
-    n
-        Number of samples they were made from.
-    known_n
-        Whether `n` was known; else it is the least that allows the longest averaging time.
-    tau0
-        Sampling period, in s.
-    overlapping
-        Whether they are the overlapping Allan variances.
-    used
-        Their indices in the curve, shape (k,).
-    excess
-        Excess kurtosis of the white part of the samples; 0 where it is Gaussian or unknown.
+    `avar` are the variances over `scale`, which is in the square of the sample unit, and `used` their indices
+    in the curve. They were made from `n` samples, where that was known; else it is the least that allows the
+    longest averaging time. `tau0` is in s; `overlapping` says which Allan variances they are; `excess` is the
+    excess kurtosis of the white part of the samples, 0 where it is Gaussian or unknown.
     """
 
     m: IntArray
@@ -257,20 +212,11 @@ class AvarPoints:
         deviation = float(np.sqrt(variance * self.scale))
         return deviation / TERMS[symbol].per_sample(self.tau0)
 
-    def term(self, unit: NoiseTerm, variance: float) -> NoiseTerm:
-        """Return a term in SI from `unit`, of variance 1 with its time in samples, and its variance."""
-        return unit.of(
-            self.coefficient(unit.symbol, variance), *(time * self.tau0 for time in unit.values[1:])
-        )
-
 
 def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     """Return the points of `curve` that are worth fitting.
 
-    Raises
-    ------
-    DataError
-        If the curve is of another estimator, or holds fewer than 2 positive Allan variances.
+    A DataError refuses a curve of another estimator, or with fewer than 2 positive Allan variances.
     """
     where = series.name if series is not None else "the curve"
     if curve.estimator not in {"overlapping", "standard"}:
@@ -279,8 +225,11 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
             "standard: compute those"
         )
         raise DataError(msg)
-    usable = np.isfinite(curve.avar) & (curve.avar > 0)
-    used = _spaced(curve.tau, usable)
+    chosen: list[int] = []
+    for index in np.flatnonzero(np.isfinite(curve.avar) & (curve.avar > 0)).tolist():
+        if not chosen or curve.tau[index] >= _LEAST_RATIO * curve.tau[chosen[-1]]:
+            chosen.append(index)
+    used = np.array(chosen, dtype=np.int64)
     if used.size < 2:
         msg = (
             f"{where}: {used.size} positive Allan variances at averaging times a factor {_LEAST_RATIO} "
@@ -336,15 +285,6 @@ def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
     return replace(gaussian, quadratic=quadratic)
 
 
-def _spaced(tau: FloatArray, usable: np.ndarray) -> IntArray:
-    """Return the indices of usable averaging times, each a factor of about 2 above the last."""
-    chosen: list[int] = []
-    for index in np.flatnonzero(usable).tolist():
-        if not chosen or tau[index] >= _LEAST_RATIO * tau[chosen[-1]]:
-            chosen.append(index)
-    return np.array(chosen, dtype=np.int64)
-
-
 def _excess_kurtosis(series: AxisSeries) -> float:
     """Return the excess kurtosis of the white part; 0 where it does not differ from 0 for sure.
 
@@ -357,4 +297,4 @@ def _excess_kurtosis(series: AxisSeries) -> float:
     excess = excess_kurtosis(series.samples)
     # Neighbouring differences share a sample: their squares correlate by 1/4.
     deviation = np.sqrt(24 / steps * 1.5)
-    return max(2 * excess, _LIGHTEST) if abs(excess) > 4 * deviation else 0.0
+    return max(2 * excess, LIGHTEST) if abs(excess) > 4 * deviation else 0.0

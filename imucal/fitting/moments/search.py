@@ -25,17 +25,19 @@ estimation", Econometrica 67, 543: the criteria MMSC-BIC, MMSC-HQIC and MMSC-AIC
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, combinations, groupby, product
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.moments.points import AvarPoints, columns, is_timed, spread_of, unit_terms
-from imucal.fitting.noise_fit import Estimate, Goodness, Interval
+from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, Interval
 from imucal.fitting.settings import CRITERIA, FitSettings
 from imucal.fitting.spectral.likelihood import all_structures
+from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
@@ -49,8 +51,6 @@ _STARTS = 3
 _STEP = 1e-4
 #: Models whose screened criterion is within so much of the best are computed in full, at most so many.
 _WITHIN, _AT_MOST = 10.0, 10
-#: A misfit above so many standard deviations means that the model does not describe the curve.
-MISFIT = 3.0
 #: A misfit of all averaging times above this makes the fit look whether the shortest are to blame.
 _FILTERED = 5.0
 #: They are, where the misfit without them is less by this factor.
@@ -66,13 +66,9 @@ _CANDIDATES = 6
 def whitening(covariance: FloatArray) -> FloatArray:
     """Return W, shape (k, k), of which W'W is the inverse of a covariance of shape (k, k): a weight.
 
-    The covariance is known to some 1e-3 (its lags are summed on a grid), so a nugget of 1e-6
-    of each variance changes nothing and keeps the factorisation safe.
-
-    Raises
-    ------
-    DataError
-        If the covariance is of no noise, as that of a curve that falls by many decades.
+    The covariance is known to some 1e-3 (its lags are summed on a grid), so a nugget of 1e-6 of each variance
+    changes nothing and keeps the factorisation safe. That of no noise, as of a curve that falls by many
+    decades, is a DataError.
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
@@ -94,18 +90,12 @@ def whitening(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(factor, np.diag(1 / deviation)), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Solution:
-    """A model at its minimum.
+    """A model at its minimum, where the weighted sum of squares is `objective`.
 
-    Attributes
-    ----------
-    terms
-        Of unit variance per sample, times in samples; in the order of `TERMS`, of one kind by rising time.
-    variances
-        Variance per sample of each, shape (p,).
-    objective
-        Weighted sum of squares.
+    The terms are of unit variance, times in samples, in the order of `TERMS`, of one kind by rising time;
+    `variances`, shape (p,), are those of each per sample.
     """
 
     terms: tuple[NoiseTerm, ...]
@@ -146,8 +136,11 @@ class Solution:
 
     def model(self, points: AvarPoints) -> NoiseModel:
         """Return the model in SI."""
-        terms = zip(self.terms, self.variances.tolist(), strict=True)
-        return NoiseModel(terms=tuple(points.term(term, variance) for term, variance in terms))
+        terms = (
+            term.of(points.coefficient(term.symbol, own), *(time * points.tau0 for time in term.values[1:]))
+            for term, own in zip(self.terms, self.variances.tolist(), strict=True)
+        )
+        return NoiseModel(terms=tuple(terms))
 
 
 def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
@@ -156,16 +149,12 @@ def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
     return np.geomspace(low, high, max(2, int(np.ceil(per_decade * np.log10(high / low)))))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Grid:
     """All terms that a curve can be fitted by, g of unit variance: those with a time at each of many.
 
-    Attributes
-    ----------
-    columns, target
-        Their Allan variances at the points, and the points' own, times the weight; (k, g) and (k,).
-    places
-        Symbol -> the indices of its terms, by rising time.
+    `columns`, shape (k, g), and `target`, shape (k,), are their Allan variances at the points, and the
+    points' own, times the weight; `places` the indices of each symbol's terms, by rising time.
     """
 
     terms: tuple[NoiseTerm, ...]
@@ -201,6 +190,9 @@ def minimise(
     `weight` is that of the sum of squares, as `whitening` gives it, shape (k, k). With `near`, the times of a
     minimum with another weight, one for each term that has one, they and the best place of the grid are
     refined instead of the best few.
+
+    Source: Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413: the linear parameters are eliminated from
+    the residuals.
     """
     symbols = in_order(symbols)
     timed = np.array([is_timed(symbol) for symbol in symbols], dtype=bool)
@@ -221,25 +213,19 @@ def minimise(
         if near is not None:
             starts = [near, starts[0]]
         ends = time_grid(points.m)[[0, -1]]
-        bounds = (float(np.log(ends[0])) - 1, float(np.log(ends[1])) + 1)
-        found = [_refined(lambda logs: solved(np.exp(logs))[0], np.log(start), bounds) for start in starts]
-        times = np.exp(min(found, key=lambda pair: pair[1])[0])
+        low, high = float(np.log(ends[0])) - 1, float(np.log(ends[1])) + 1
+        found = [
+            scipy.optimize.least_squares(
+                *(lambda logs: solved(np.exp(logs))[0], np.clip(np.log(start), low + 1e-6, high - 1e-6)),
+                bounds=(low, high),
+                xtol=1e-8,
+                ftol=1e-12,
+                gtol=1e-12,
+            )
+            for start in starts
+        ]
+        times = np.exp(np.asarray(min(found, key=lambda one: float(one.cost)).x, dtype=np.float64))
     return Solution.sorted(unit_terms(symbols, times), *solved(times)[1:])
-
-
-def _refined(
-    residuals: Callable[[FloatArray], FloatArray], start: FloatArray, bounds: tuple[float, float]
-) -> tuple[FloatArray, float]:
-    """Return the minimum near `start` and its sum of squares, by Gauss-Newton steps.
-
-    Source: Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413: the linear parameters are
-    eliminated from the residuals.
-    """
-    from scipy.optimize import least_squares
-
-    inside = np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6)
-    found = least_squares(residuals, inside, bounds=bounds, xtol=1e-8, ftol=1e-12, gtol=1e-12)
-    return np.asarray(found.x, dtype=np.float64), 2 * float(found.cost)
 
 
 def dictionary(points: AvarPoints, weight: FloatArray) -> Solution:
@@ -254,15 +240,11 @@ def dictionary(points: AvarPoints, weight: FloatArray) -> Solution:
 
 
 def ranked(points: AvarPoints, weight: FloatArray, settings: FitSettings) -> list[tuple[float, Solution]]:
-    """Return the best models and how much worse their criterion is, the best (0) first.
+    """Return the best models and how much worse their criterion is, the best (0) first; of a given one, that.
 
-    The one model where it is given.
-
-    Notes
-    -----
     All sets of terms, up to `max_gm` of each that may stand more than once, with times of a grid, are
-    screened by their normal equations at once; a solution with a negative variance is one of a smaller
-    model. The best are then computed with free times.
+    screened by their normal equations at once; a solution with a negative variance is one of a smaller model.
+    The best are then computed with free times.
     """
     if settings.structure is not None:
         return [(0.0, minimise(points, weight, settings.structure))]
@@ -379,8 +361,6 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
     An Allan variance with few degrees of freedom is far from normal; its cube root is not (Wilson
     & Hilferty 1931). The sum of squares is of those, with the correlations of `covariance`.
     """
-    from scipy.special import chdtrc, ndtri
-
     model = solution.avar(points.m)
     tau = (float(points.m[0] * points.tau0), float(points.m[-1] * points.tau0))
     freedom = points.size - solution.parameters
@@ -392,11 +372,13 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
     score = (np.cbrt(points.avar / model) - (1 - third)) / np.sqrt(third)
     correlation = covariance / np.outer(deviation, deviation)
     misfit = float(score @ np.linalg.solve(correlation, score))
-    p_value = float(chdtrc(freedom, misfit))
+    p_value = float(scipy.special.chdtrc(freedom, misfit))
     # Beyond what a normal score can say, Wilson and Hilferty's own approximation goes on.
     spread = 2 / (9 * freedom)
     statistic = (
-        float(-ndtri(p_value)) if p_value > 1e-15 else (np.cbrt(misfit / freedom) - 1 + spread) / spread**0.5
+        float(-scipy.special.ndtri(p_value))
+        if p_value > 1e-15
+        else (np.cbrt(misfit / freedom) - 1 + spread) / spread**0.5
     )
     return Goodness(statistic=float(statistic), p_value=p_value, chi2_per_bin=misfit / freedom, tau_s=tau)
 
@@ -443,11 +425,9 @@ class _Reader:
     def __init__(
         self, points: AvarPoints, solution: Solution, weight: FloatArray, absent: Sequence[str], level: float
     ) -> None:
-        from scipy.special import chdtri
-
         self.points, self.solution, self.weight = points, solution, weight
         self.spread = spread_of(points, solution.terms)
-        self.quantile = float(chdtri(1, 1 - level))
+        self.quantile = float(scipy.special.chdtri(1, 1 - level))
         self.design = weight @ columns(points.m, solution.terms)
         self.target = weight @ points.avar
         self.inside = np.array([symbol not in absent for symbol in solution.symbols])
@@ -469,15 +449,16 @@ class _Reader:
         to_si = self.points.coefficient
         if not (low > 0 and self.inside[place]):
             return Estimate.bounded(key, symbol, to_si(symbol, high))
-        return Estimate(
-            key=key,
-            symbol=symbol,
-            status="estimated",
-            value=to_si(symbol, float(self.solution.variances[place])),
-            low=to_si(symbol, low),
-            high=to_si(symbol, high),
-            correlation_time=self._time(place) if self.timed[place] else None,
-        )
+        value, low, high = (to_si(symbol, end) for end in (float(self.solution.variances[place]), low, high))
+        found = Estimate(key=key, symbol=symbol, status="estimated", value=value, low=low, high=high)
+        if not self.timed[place]:
+            return found
+        # The logarithm of a time is closer to normal than itself.
+        row = self.inside.size + place
+        deviation = np.sqrt(self.quantile * self.scatter[row, row])
+        time = float(self.solution.terms[place].values[1]) * self.points.tau0
+        factor = float(np.exp(min(deviation, 50.0)))
+        return replace(found, correlation_time=Interval(value=time, low=time / factor, high=time * factor))
 
     def covariance(self, estimates: Sequence[Estimate]) -> tuple[tuple[str, ...], FloatArray]:
         """Return names and covariance of the parameters in SI of the terms that are estimated."""
@@ -487,12 +468,12 @@ class _Reader:
         for place, estimate in enumerate(estimates):
             if estimate.value is None:
                 continue
-            names += TERMS[estimate.symbol].parameter_names(estimate.key)
-            rows.append(place)
-            slopes.append(estimate.value / (2 * float(self.solution.variances[place])))
-            if estimate.correlation_time is not None:
-                rows.append(self.inside.size + place)
-                slopes.append(estimate.correlation_time.value)
+            own = estimate.slopes()
+            names += own
+            rows += [place, self.inside.size + place][: len(own)]
+            # Of a variance itself, and not of its logarithm.
+            first, *times = own.values()
+            slopes += [first / float(self.solution.variances[place]), *times]
         covariance = self.scatter[np.ix_(rows, rows)] * np.outer(slopes, slopes)
         return tuple(names), np.asarray(covariance, dtype=np.float64)
 
@@ -508,14 +489,6 @@ class _Reader:
         solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight
         return np.asarray(solve / length[:, np.newaxis])
 
-    def _time(self, place: int) -> Interval:
-        """Return a term's time in s; its logarithm is closer to normal than itself."""
-        row = self.inside.size + place
-        deviation = np.sqrt(self.quantile * self.scatter[row, row])
-        value = float(self.solution.terms[place].values[1]) * self.points.tau0
-        factor = float(np.exp(min(deviation, 50.0)))
-        return Interval(value=value, low=value / factor, high=value * factor)
-
     def _interval(self, place: int) -> tuple[float, float]:
         """Return the limits of one variance per sample."""
         free = self.free.copy()
@@ -527,20 +500,16 @@ class _Reader:
             used = self.inside.copy()
             used[place] = True
             value = float(non_negative(self.design[:, used], self.target)[0][used[:place].sum()])
-        own = self._influence(free)[place]
+        own, others = self._influence(free)[place], self.inside.copy()
+        others[place] = False
 
         def spread_at(trial: float) -> float:
-            return float(np.sqrt(own @ self.spread.at(self._others(place, trial)) @ own))
+            """Return the standard error beside the variances that are best with this one held at `trial`."""
+            at = np.zeros(self.inside.size)
+            if others.any():
+                rest = self.target - trial * self.design[:, place]
+                at[others] = non_negative(self.design[:, others], rest)[0]
+            at[place] = trial
+            return float(np.sqrt(own @ self.spread.at(at) @ own))
 
         return limits(value, spread_at, self.quantile)
-
-    def _others(self, place: int, trial: float) -> FloatArray:
-        """Return the best variances with the one at `place` held at `trial`, shape (p,)."""
-        others = self.inside.copy()
-        others[place] = False
-        at = np.zeros(self.inside.size)
-        if others.any():
-            rest = self.target - trial * self.design[:, place]
-            at[others] = non_negative(self.design[:, others], rest)[0]
-        at[place] = trial
-        return at

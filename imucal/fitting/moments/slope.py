@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray, read_only
@@ -20,6 +21,7 @@ from imucal.fitting.moments.points import AvarPoints, avar_points, columns, spre
 from imucal.fitting.moments.search import Solution, dictionary, goodness
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
+from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import AxisSeries
 
@@ -63,7 +65,7 @@ class LogCurve:
         return np.asarray(columns(self.points.m, unit_terms([symbol]))[:, 0])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Reading:
     """One term's line: the logarithm of its coefficient, the points' logarithms by `weights`, shape (k,).
 
@@ -91,7 +93,14 @@ def read_term(
 ) -> Reading | None:
     """Return the reading of one term, or None where the curve has no such slope."""
     if windows is not None and symbol in windows:
-        places = _given(curve.points, symbol, windows[symbol])
+        (first, last), tau = windows[symbol], curve.points.m * curve.points.tau0
+        places = np.flatnonzero((tau >= first * (1 - 1e-9)) & (tau <= last * (1 + 1e-9)))
+        if not places.size:
+            msg = (
+                f"window of {symbol}: no averaging time between {first:g} and {last:g} s; "
+                f"the curve has {tau[0]:.4g} to {tau[-1]:.4g} s, a factor of about 2 apart"
+            )
+            raise ValueError(msg)
     else:
         places = _floor(curve) if symbol == "B" else _line(curve, SLOPES[symbol])
     if not places.size:
@@ -102,18 +111,6 @@ def read_term(
     logs = np.log(curve.points.avar / curve.shape(symbol)) / 2
     spread = float(np.sqrt(weights @ curve.covariance @ weights))
     return Reading(symbol=symbol, weights=weights, log_value=float(weights @ logs), spread=spread)
-
-
-def _given(points: AvarPoints, symbol: str, window: tuple[float, float]) -> IntArray:
-    tau = points.m * points.tau0
-    places = np.flatnonzero((tau >= window[0] * (1 - 1e-9)) & (tau <= window[1] * (1 + 1e-9)))
-    if not places.size:
-        msg = (
-            f"window of {symbol}: no averaging time between {window[0]:g} and {window[1]:g} s; "
-            f"the curve has {tau[0]:.4g} to {tau[-1]:.4g} s, a factor of about 2 apart"
-        )
-        raise ValueError(msg)
-    return np.asarray(places, dtype=np.int64)
 
 
 def _line(curve: LogCurve, slope: float) -> IntArray:
@@ -167,18 +164,16 @@ def fit_slope(
     Where they are all that is left, `series` is None. Model ``auto`` reads all terms that have their slope
     somewhere; N, B and K are always among the estimates. A term without its slope, or one that the others
     explain, is bounded: alone it would lie above the curve. `windows`, a symbol -> the first and the last
-    averaging time in s of the line it is read on, take the place of those found.
-
-    Raises
-    ------
-    ValueError
-        If a window holds no point.
-    DataError
-        If the curve has fewer than 2 averaging times, or is not of Allan variances.
+    averaging time in s of the line it is read on, take the place of those found; one without a point is a
+    ValueError. A curve with fewer than 2 averaging times, or not of Allan variances, is a DataError.
     """
     structure, level = settings.structure, settings.level
     points = avar_points(series, curve)
-    logs = _log_curve(points)
+    # The covariance that the logarithms have under whatever noise fits the curve.
+    rough = dictionary(points, np.diag(1 / points.avar))
+    model = rough.avar(points.m)
+    scatter = spread_of(points, rough.terms).at(rough.variances)
+    logs = LogCurve(points, np.asarray(scatter / (4 * np.outer(model, model))))
     wanted = [s for s in SLOPES if structure is None or s in structure]
     readings = {symbol: found for symbol in wanted if (found := read_term(logs, symbol, windows))}
     estimates, shown = _estimates(logs, readings, structure, level)
@@ -209,23 +204,16 @@ def fit_slope(
     )
 
 
-def _log_curve(points: AvarPoints) -> LogCurve:
-    """Return the points with the covariance that they have under whatever noise fits the curve."""
-    rough = dictionary(points, np.diag(1 / points.avar))
-    spread = spread_of(points, rough.terms).at(rough.variances)
-    model = rough.avar(points.m)
-    return LogCurve(points, np.asarray(spread / (4 * np.outer(model, model))))
-
-
 def _estimates(
     curve: LogCurve, found: Mapping[str, Reading], structure: tuple[str, ...] | None, level: float
 ) -> tuple[tuple[Estimate, ...], list[Reading]]:
     """Return the estimates and the readings that are not explained by the others."""
-    from scipy.special import ndtri
-
-    quantile = float(ndtri((1 + level) / 2))
-    # A term that was not read may still be as large as the curve lets it.
-    tops = {symbol: _ceiling(curve, symbol, level) for symbol in SLOPES}
+    quantile = float(scipy.special.ndtri((1 + level) / 2))
+    # The logarithm of a term that was not read may still be as large as the curve lets it: alone it stays
+    # below chi-squared limits that hold for all points together (Bonferroni).
+    edf, avar = 1 / (2 * curve.variance), curve.points.avar
+    least = scipy.special.chdtri(edf, 1 - (1 - level) / (2 * curve.points.size))
+    tops = {s: float((np.log(avar / curve.shape(s) * edf / least) / 2).min()) for s in SLOPES}
     names = [s for s in SLOPES if s in found or s in ALWAYS or (structure is not None and s in structure)]
     estimates, shown = [], []
     for symbol in names:
@@ -272,14 +260,3 @@ def _beside(curve: LogCurve, reading: Reading, symbol: str) -> float:
     spread = np.linalg.inv(design.T @ inverse @ design)
     estimate = float((spread @ design.T @ inverse @ np.ones(places.size))[1])
     return max(estimate, 0.0) + 2 * float(np.sqrt(spread[1, 1]))
-
-
-def _ceiling(curve: LogCurve, symbol: str, level: float) -> float:
-    """Return the logarithm of the largest coefficient whose term alone stays below the curve's limits."""
-    from scipy.special import chdtri
-
-    # Chi-squared limits that hold for all points together (Bonferroni).
-    edf = 1 / (2 * curve.variance)
-    tail = (1 - level) / (2 * curve.points.size)
-    high = np.log(curve.points.avar / curve.shape(symbol) * edf / chdtri(edf, 1 - tail)) / 2
-    return float(high.min())

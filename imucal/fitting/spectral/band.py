@@ -15,7 +15,6 @@ nothing. Among the sound ones the one that tells N best is taken, and then one o
 needs, so that what the response can't follow does not bias N.
 """
 
-from dataclasses import dataclass
 from math import comb
 from typing import TypeAlias
 
@@ -25,10 +24,19 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
-from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of, shaped_symbols
-from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, coarser
-from imucal.fitting.spectral.scoring import Maximum, covariance, maximize, misfit
-from imucal.fitting.spectral.starts import find_starts
+from imucal.fitting.spectral.likelihood import (
+    SHORTEST,
+    SHORTEST_GIVEN,
+    Candidates,
+    Evaluation,
+    Structure,
+    candidates_of,
+    shaped_symbols,
+)
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, band_top, coarser
+from imucal.fitting.spectral.scoring import covariance, maximize, misfit
+from imucal.fitting.spectral.starts import fit_blindly
+from imucal.frozen import frozen_alone
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.
@@ -40,20 +48,12 @@ _CORNERS = (0.03, 0.97, 24)
 Order: TypeAlias = tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Band:
-    """The part of the spectrum to fit, and the response there.
+    """The part of the spectrum to fit, up to a `fraction` of Nyquist, and the response there.
 
-    Attributes
-    ----------
-    fraction
-        Its upper end as a fraction of Nyquist.
-    order
-        Poles and zeros of the simplest response that is sound.
-    poles, zeros
-        Order of the response to fit, 0 where it is flat: one more than the simplest.
-    response
-        Its coefficients a, shape (poles,).
+    `order` has the poles and zeros of the simplest response that is sound; `poles` and `zeros` are those of
+    the one to fit, one more, 0 where it is flat, with coefficients a, shape (poles,).
     """
 
     fraction: float
@@ -68,49 +68,34 @@ class Band:
         return self.poles == 0 and self.fraction == 1.0
 
 
-def response_of(ordinates: Ordinates, fitted: Fitted, band: Band, rate_hz: float) -> Response | None:
+def response_of(fitted: Fitted, band: Band, rate_hz: float) -> Response | None:
     """Return the filter's kind and -3 dB corner, or None where it has none inside the band."""
-    if not band.order[0]:
-        return None
-    frequency = _frequencies(band)
-    power = _power(ordinates, fitted, frequency)
-    corner = _half_power(frequency, power)
-    if corner is None:
+    frequency, power, corner = _fitted_response(fitted, band)
+    if not band.order[0] or corner is None:
         return None
     return Response(kind=_kind(band, frequency, power, corner), cutoff_hz=corner * rate_hz / 2)
 
 
 def corner_of(band: Band) -> float | None:
     """Return the -3 dB corner of a band's response, as a fraction of Nyquist; None where it has none."""
-    if not band.order[0]:
-        return None
-    frequency = _frequencies(band)
-    top = 4 * float(np.sin(np.pi / 2 * band.fraction)) ** 2
-    return _half_power(frequency, _squared_response(band.response, band.zeros, top, frequency))
+    return _response(band, band.response, band.zeros)[2] if band.order[0] else None
 
 
-def _frequencies(band: Band) -> FloatArray:
-    """Return fractions of Nyquist up to the band's end, shape (2000,)."""
-    return np.linspace(0.0, band.fraction, 2001)[1:]
+def _fitted_response(fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray, float | None]:
+    """Return what `_response` does of the response that a fit has."""
+    candidate = fitted.candidate
+    response = fitted.maximum.theta[0, candidate.response :][: int(candidate.poles[0])]
+    return _response(band, response, int(candidate.zeros[0]))
 
 
-def _half_power(frequency: FloatArray, power: FloatArray) -> float | None:
-    below = np.flatnonzero(power < 0.5)
-    return float(frequency[below[0]]) if below.size else None
-
-
-def _power(ordinates: Ordinates, fitted: Fitted, frequency: FloatArray) -> FloatArray:
-    """Return |H|² at fractions of Nyquist."""
-    first = fitted.candidate.response
-    response = fitted.maximum.theta[0, first : first + int(fitted.candidate.poles[0])]
-    return _squared_response(response, int(fitted.candidate.zeros[0]), ordinates.top, frequency)
-
-
-def _squared_response(response: FloatArray, zeros: int, top: float, frequency: FloatArray) -> FloatArray:
+def _response(band: Band, response: FloatArray, zeros: int) -> tuple[FloatArray, FloatArray, float | None]:
+    """Return fractions of Nyquist up to the band's end, |H|² there, shape (2000,) each, and the corner."""
+    frequency = np.linspace(0.0, band.fraction, 2001)[1:]
     lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
-    denominator = 1 + (lam[:, None] / top) ** np.arange(1, response.size + 1) @ response
+    denominator = 1 + (lam[:, None] / band_top(band.fraction)) ** np.arange(1, response.size + 1) @ response
     power: FloatArray = (1 - lam / 4) ** zeros / denominator
-    return power
+    below = np.flatnonzero(power < 0.5)
+    return frequency, power, float(frequency[below[0]]) if below.size else None
 
 
 def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -> str:
@@ -126,7 +111,7 @@ def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -
 
 
 def filter_finding(
-    ordinates: Ordinates, fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
+    fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> tuple[Finding, ...]:
     """Return what is said about an output filter; nothing where the whole band is flat."""
     top = band.fraction * rate_hz / 2
@@ -138,7 +123,7 @@ def filter_finding(
             f"its response is fitted with the noise up to {top:.4g} Hz."
         )
     elif band.order[0]:
-        change = 10 * float(np.log10(_power(ordinates, fitted, np.array([band.fraction]))[0]))
+        change = 10 * float(np.log10(_fitted_response(fitted, band)[1][-1]))
         why = "a resonance or a vibration" if change > 0 else "an output filter"
         text = (
             f"The spectrum is not flat where its noise is white ({change:+.1f} dB at {top:.4g} Hz: {why}); "
@@ -150,7 +135,7 @@ def filter_finding(
             "the fit uses what is below."
         )
     advice = "The model is that of the noise before the filter, right at times beyond the filter's."
-    return (Finding(level="info", code="output-filter", axis=axis, text=text, advice=advice),)
+    return (Finding("info", "output-filter", text, advice, axis=axis),)
 
 
 def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int, room: int) -> FloatArray:
@@ -232,19 +217,17 @@ _WITH_ZEROS: list[Order] = [
     *_ALL_POLES,
     *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
 ]
-#: Most steps of the blind fit, which is a start for others.
-_BLIND = 40
 #: A band needs so many bins.
 _FEWEST = 24
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class _Trial:
     """One description: band, order, fit, and how it does."""
 
     fraction: float
     order: Order
-    maximum: Maximum
+    maximum: Evaluation
     statistic: float
     deviation: float
 
@@ -253,43 +236,34 @@ def find_band(
     ordinates: Ordinates,
     rich: Structure,
     *,
-    shortest: float,
-    common: tuple[str, ...] = (),
     given: Structure | None = None,
     near: float | None = None,
     narrow: bool = True,
 ) -> Band:
     """Return the band, and the response in it, that a rich model describes, which holds all the candidates.
 
-    Its correlation times are `shortest` samples at least; its Q counts only where the response is flat,
+    Its correlation times are `SHORTEST` samples at least; its Q counts only where the response is flat,
     because both bend the top of the spectrum. Terms that the caller gave are believed where those with a
-    time of any length describe the whole band beside white noise. Every model has the regressors `common`.
+    time of any length describe the whole band beside white noise.
     Of ordinates that are known not to be flat the band up to `near`, a fraction of Nyquist, is tried first,
     and taken if it has a sound description; without `narrow` no band but the whole one is.
     """
-    if near is None and (flat := flat_band(ordinates, rich, shortest=shortest, common=common, given=given)):
+    if near is None and (flat := flat_band(ordinates, rich, given=given)):
         return flat
     plain = tuple(symbol for symbol in rich if symbol != "Q")
-    search = _BandSearch(_coarse(ordinates), plain, shortest, common)
+    search = _BandSearch(_coarse(ordinates), plain, SHORTEST)
     return search.filtered(near, BANDS if narrow else BANDS[:1])
 
 
-def flat_band(
-    ordinates: Ordinates,
-    rich: Structure,
-    *,
-    shortest: float,
-    common: tuple[str, ...] = (),
-    given: Structure | None = None,
-) -> Band | None:
+def flat_band(ordinates: Ordinates, rich: Structure, *, given: Structure | None = None) -> Band | None:
     """Return the whole band without a response, as `find_band`; None if the data ask for more."""
     coarse = _coarse(ordinates)
     if given is not None and shaped_symbols(given):
-        own = _BandSearch(coarse, given, 2.0, common)
+        own = _BandSearch(coarse, given, SHORTEST_GIVEN)
         flat = own.flat()
         if flat and (own.white_at_the_top() or "N" not in given):
             return flat
-    return _BandSearch(coarse, rich, shortest, common).flat()
+    return _BandSearch(coarse, rich, SHORTEST).flat()
 
 
 def _coarse(ordinates: Ordinates) -> Ordinates:
@@ -299,11 +273,8 @@ def _coarse(ordinates: Ordinates) -> Ordinates:
 class _BandSearch:
     """Fits of one structure to several bands with several responses."""
 
-    def __init__(
-        self, ordinates: Ordinates, structure: Structure, shortest: float, common: tuple[str, ...]
-    ) -> None:
-        self.ordinates, self.structure = ordinates, structure
-        self.shortest, self.common = shortest, common
+    def __init__(self, ordinates: Ordinates, structure: Structure, shortest: float) -> None:
+        self.ordinates, self.structure, self.shortest = ordinates, structure, shortest
         self.width = SHAPED + 2 * len(shaped_symbols(structure))
 
     def candidates(self, orders: list[Order]) -> Candidates:
@@ -312,40 +283,43 @@ class _BandSearch:
             self.ordinates.names,
             poles=[poles for poles, _ in orders],
             zeros=[zeros for _, zeros in orders],
-            common=self.common,
             room_poles=_ORDERS,
+            shortest=self.shortest,
         )
 
     def blind(self, seen: Ordinates) -> FloatArray:
         """Return parameters of the best blind fit without a response, shape (1, p)."""
         candidate = self.candidates([(0, 0)])
-        owner, theta = find_starts(seen, candidate, shortest=self.shortest, keep=(1, 2, 4))
-        found = maximize(
-            *(seen, candidate.take(owner), theta), shortest=self.shortest, tolerance=1e-3, iterations=_BLIND
-        )
-        return found.theta[[int(np.argmin(found.objective))]]
+        return fit_blindly(seen, candidate, keep=(1, 2, 4), tolerance=1e-3).theta
 
-    def fit(self, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray) -> list[_Trial]:
+    def fit(
+        self,
+        seen: Ordinates,
+        fraction: float,
+        orders: list[Order],
+        starts: FloatArray,
+        *,
+        tolerance: float = 1e-3,
+    ) -> list[_Trial]:
         """Fit one band with some responses, each from its row of `starts`, shape (k, p)."""
-        candidates = self.candidates(orders)
-        found = maximize(seen, candidates, starts, shortest=self.shortest, tolerance=1e-3, iterations=60)
-        rows = [np.array([row]) for row in range(len(orders))]
+        every = maximize(seen, self.candidates(orders), starts, tolerance=tolerance, iterations=60)
         return [
             _Trial(
                 fraction=fraction,
                 order=order,
-                maximum=found.take(row),
-                statistic=misfit(seen, candidates.take(row), found.theta[row]).statistic,
-                deviation=_deviation_of_white(candidates.take(row), found.take(row)),
+                maximum=(found := every[[row]]),
+                statistic=misfit(seen, found).statistic,
+                deviation=_deviation_of_white(found),
             )
-            for order, row in zip(orders, rows, strict=True)
+            for row, order in enumerate(orders)
         ]
 
     def flat(self) -> Band | None:
         """Return the whole band without a response; None if the data ask for more."""
         orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
-        start = self.blind(self.ordinates)
-        trials = self.fit(self.ordinates, 1.0, orders, np.repeat(start, 3, axis=0))
+        start = np.repeat(self.blind(self.ordinates), 3, axis=0)
+        # Gains of ten decide: they need no digits.
+        trials = self.fit(self.ordinates, 1.0, orders, start, tolerance=1e-2)
         quantization = float(np.exp(trials[0].maximum.theta[0, 0])) * self.ordinates.basis[0, -1]
         bent = "Q" in self.structure and quantization > _QUANTIZED * self.level_at_the_top()
         chance = _GAIN_QUANTIZED if bent else _GAIN_FLAT
@@ -431,9 +405,9 @@ def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: fl
     return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))
 
 
-def _deviation_of_white(candidate: Candidates, maximum: Maximum) -> float:
+def _deviation_of_white(maximum: Evaluation) -> float:
     """Return the relative standard error of N; infinite where it is not told."""
-    if not candidate.laws[0, 1]:
+    if not maximum.candidates.laws[0, 1]:
         return float(np.inf)
-    variance = float(covariance(maximum.information[0], candidate.free[0])[1, 1])
+    variance = float(covariance(maximum.information[0], maximum.candidates.free[0])[1, 1])
     return 0.5 * float(np.sqrt(variance))

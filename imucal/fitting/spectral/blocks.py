@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from imucal.allan.dct import DctBins, dct2, dct_bins, fast_length, idct2, own_ordinates, ramp_ordinates
+from imucal.allan.variance import Run, runs_of
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -27,10 +28,12 @@ from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines, with_sines, without_strong_lines
 from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_ordinates
+from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
-#: Rounds at most; the last one is when no part of the spectrum moved by more than this in the one before.
-_ROUNDS, _MOVED = 3, 0.01
+#: Rounds at most; none follows one that moved no part of the spectrum by more than this over the share of the
+#: information there that the gaps took: by that share each round moves less than the one before.
+_ROUNDS, _MOVED = 3, 3e-4
 _STEPS = 40
 _CLOSE = 1e-3
 #: More missing samples, or so many more sines than samples, take longer than transforms do.
@@ -57,10 +60,11 @@ def complete(
     pairs = _Pairs.of(gaps, n, groups)
     # Ordinates 0 … n-1; long arrays are written over, or let go as soon as they are not needed.
     mean_of, error_of = dct2(samples), np.broadcast_to(0.0, n)
-    spectrum = np.zeros(groups.size)
-    for _ in range(_ROUNDS):
+    count, spectrum = np.diff(groups, append=n - 1), np.zeros(groups.size)
+    for number in range(_ROUNDS):
         previous, spectrum = spectrum, _means(mean_of[1:], error_of[1:], groups)
-        if np.all(np.abs(spectrum - previous) < _MOVED * previous):
+        share = np.add.reduceat(error_of[1:], groups) / (spectrum * count)
+        if number and np.all(np.abs(spectrum - previous) * share < _MOVED * previous):
             break
         del error_of
         # The transform of the samples is there already, and that of the draw is the draw.
@@ -80,7 +84,6 @@ def complete(
         np.square(error_of, out=error_of)
         mean_of = dct2(samples)
     ordinates, variance = mean_of[1:], error_of[1:]
-    count = np.diff(groups, append=n - 1)
     share = np.add.reduceat(variance, groups) / (_means(ordinates, variance, groups) * count)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
     return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
@@ -145,8 +148,7 @@ def _precision(
         return lambda values: np.asarray(matrix @ values)
 
     def by_transforms(values: FloatArray) -> FloatArray:
-        result: FloatArray = idct2(_weighed(dct2(_padded(values, gaps, n)), weight, groups))[gaps]
-        return result
+        return np.asarray(idct2(_weighed(dct2(_padded(values, gaps, n)), weight, groups))[gaps])
 
     return by_transforms
 
@@ -238,28 +240,16 @@ _PART = 1 << 16
 _FINE = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Block:
     """The ordinates of one run of samples, in scaled units.
 
-    Attributes
-    ----------
-    offset
-        Place of its first sample on the clock's grid, from the first sample of the record.
-    bins
-        Their bins.
-    ordinates
-        X_k, shape (k,), from k = 1; as many as the bins hold.
-    variance
-        What missing samples add to the expected X_k², shape (k,); None for none.
-    kept
-        Which of them are used, shape (k,); None for all.
-    loss
-        Share of each bin's information that missing samples took, shape (b,); None for none.
-    temperature
-        At each place of the block, shape (bins.n,), or None.
-    drawn
-        The missing samples in order, drawn given the others, shape (g,); None for none.
+    Its first sample has the place `offset` on the clock's grid, from the first sample of the record. The
+    `ordinates` X_k, shape (k,), from k = 1 on, are as many as their `bins` hold. `variance`, shape (k,), is
+    what missing samples add to the expected X_k², `kept`, shape (k,), says which of them are used, `loss`,
+    shape (b,), which share of each bin's information missing samples took, and `drawn`, shape (g,), are the
+    missing samples in order, drawn given the others; None stands for none missing, and for all kept.
+    `temperature` is that at each place of the block, shape (bins.n,), or None.
     """
 
     offset: int
@@ -294,20 +284,12 @@ class Block:
         return replace(self, bins=bins, **{name: getattr(self, name)[:end] for name, end in given.items()})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class SeriesBlocks:
-    """All blocks of a record.
+    """All blocks of a record, in order of time; `scale` is U per scaled unit, a power of two.
 
-    Attributes
-    ----------
-    blocks
-        In order of time.
-    scale
-        U per scaled unit, a power of two.
-    lines
-        Spectral lines that are left out, of the longest block.
-    findings
-        What making them showed.
+    `lines` are the spectral lines that are left out, of the longest block; `findings` what making them
+    showed.
     """
 
     blocks: tuple[Block, ...]
@@ -319,10 +301,7 @@ class SeriesBlocks:
 def scale_of(series: AxisSeries) -> float:
     """Return a power of two near the size of the samples' steps, in U.
 
-    Raises
-    ------
-    DataError
-        If there are too few samples, all of them are equal, or they hold no noise beside a ramp.
+    A DataError refuses too few samples, equal ones, and those that hold no noise beside a ramp.
     """
     samples = series.samples
     if samples.size < _FEWEST:
@@ -368,10 +347,7 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
 def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:
     """Return the ordinates of finite samples, gaps and lines taken care of.
 
-    Raises
-    ------
-    DataError
-        If there are too few samples, all of them are equal, or no run is long enough.
+    A DataError refuses too few samples, equal ones, and those without a run that is long enough.
     """
     scale = scale_of(series)
     runs, lost = _runs(series)
@@ -386,7 +362,7 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     longest = 0
     for run in runs:
         quick = _quick(series, run)
-        block = _transform(series, quick, _bins(quick.size, len(runs)), scale, temperature)
+        block = _transform(series, quick, _bins(quick.end - quick.first, len(runs)), scale, temperature)
         ordinates, sines = without_strong_lines(block.ordinates, block.bins)
         kept, found = find_lines(ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
         blocks.append(replace(block, ordinates=ordinates, kept=kept))
@@ -397,41 +373,22 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Stretch:
-    """Segments that make one block: samples[start:stop], from place `offset` for `size` places."""
-
-    start: int
-    stop: int
-    offset: int
-    size: int
-
-
-def _runs(series: AxisSeries) -> tuple[list[_Stretch], int]:
-    """Return the runs of segments between long gaps, and the number of samples in runs too short."""
-    segments = series.clock.segments
-    gaps = np.array([b.offset - a.offset - a.size for a, b in pairwise(segments)])
-    order = np.argsort(-gaps, kind="stable")[: _MOST - 1] if gaps.size else np.zeros(0, dtype=np.int64)
-    cuts = sorted(int(i) for i in order if gaps[i] > _LONG)
-    runs, first = [], 0
-    for cut in [*cuts, len(segments) - 1]:
-        a, b = segments[first], segments[cut]
-        size = b.offset + b.size - a.offset
-        runs.append(_Stretch(start=a.start, stop=b.stop, offset=a.offset - segments[0].offset, size=size))
-        first = cut + 1
-    long = [run for run in runs if run.stop - run.start >= _FEWEST]
-    return long, sum(run.stop - run.start for run in runs if run not in long)
+def _runs(series: AxisSeries) -> tuple[list[Run], int]:
+    """Return the runs between long gaps, and the number of samples in runs too short."""
+    every = runs_of(series.clock, bridging=_LONG)
+    gaps = [after.first - run.end for run, after in pairwise(every)]
+    # The longest part the record; of gaps as long as each other, the first ones.
+    cuts = sorted(np.argsort(np.negative(gaps), kind="stable")[: _MOST - 1].tolist())
+    ends = zip([0, *(cut + 1 for cut in cuts)], [*cuts, len(every) - 1], strict=True)
+    joined = [every[a]._replace(stop=every[b].stop, end=every[b].end) for a, b in ends]
+    long = [run for run in joined if run.stop - run.start >= _FEWEST]
+    return long, series.n - sum(run.stop - run.start for run in long)
 
 
-def _quick(series: AxisSeries, run: _Stretch) -> _Stretch:
+def _quick(series: AxisSeries, run: Run) -> Run:
     """Return the run without the last few samples that would make its transform slow."""
-    size = fast_length(run.size)
-    if size == run.size:
-        return run
-    unbroken = run.stop - run.start == run.size
-    places = None if unbroken else series.clock.grid()[run.start : run.stop] - run.offset
-    kept = size if places is None else int(np.searchsorted(places, size))
-    return replace(run, size=size, stop=run.start + kept)
+    end = run.first + fast_length(run.end - run.first)
+    return run if end == run.end else run._replace(end=end, stop=series.clock.index_from(end))
 
 
 def _bins(size: int, blocks: int) -> DctBins:
@@ -442,29 +399,29 @@ def _bins(size: int, blocks: int) -> DctBins:
 
 
 def _transform(
-    series: AxisSeries, run: _Stretch, bins: DctBins, scale: float, temperature: FloatArray | None
+    series: AxisSeries, run: Run, bins: DctBins, scale: float, temperature: FloatArray | None
 ) -> Block:
     samples = series.samples[run.start : run.stop]
     if temperature is not None:
         temperature = temperature[run.start : run.stop]
     variance = loss = drawn = None
-    if samples.size == run.size:
+    if samples.size == bins.n:
         # A power of two scales the ordinates without a digit lost.
         ordinates = own_ordinates(samples)
         ordinates /= scale
     else:
-        grid = series.clock.slice(run.start, run.stop).grid()
-        seen = np.zeros(run.size, dtype=bool)
+        grid = series.clock.grid(run.start, run.stop) - run.first
+        seen = np.zeros(bins.n, dtype=bool)
         seen[grid] = True
-        full = np.zeros(run.size)
+        full = np.zeros(bins.n)
         full[grid] = samples
         full /= scale
         if temperature is not None:
-            temperature = np.interp(np.arange(run.size), grid, temperature)
+            temperature = np.interp(np.arange(bins.n), grid, temperature)
         del grid
         ordinates, variance, loss, drawn = complete(full, seen, bins)
     return Block(
-        offset=run.offset,
+        offset=run.first,
         bins=bins,
         ordinates=ordinates,
         variance=variance,
@@ -474,8 +431,8 @@ def _transform(
     )
 
 
-def _gap_findings(series: AxisSeries, runs: list[_Stretch], lost: int) -> tuple[Finding, ...]:
-    completed = sum(run.size - (run.stop - run.start) for run in runs)
+def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Finding, ...]:
+    completed = sum(run.end - run.first - (run.stop - run.start) for run in runs)
     if len(runs) == 1 and not completed and not lost:
         return ()
     parts = []
@@ -488,7 +445,7 @@ def _gap_findings(series: AxisSeries, runs: list[_Stretch], lost: int) -> tuple[
     if lost:
         parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
     text = f"The fit allows for gaps: {'; '.join(parts)}."
-    return (Finding(level="info", code="gaps-in-fit", axis=series.name, text=text),)
+    return (Finding("info", "gaps-in-fit", text, axis=series.name),)
 
 
 #: What a result keeps of its ordinates.
@@ -513,8 +470,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
         kept = None if block.kept is None else block.kept[seen]
 
         def total(values: FloatArray, kept: BoolArray | None = kept, starts: IntArray = starts) -> FloatArray:
-            summed: FloatArray = np.add.reduceat(values if kept is None else values * kept, starts)
-            return summed
+            return np.asarray(np.add.reduceat(values if kept is None else values * kept, starts))
 
         own = block.ordinates[seen]
         square = own * own

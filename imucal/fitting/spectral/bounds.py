@@ -11,26 +11,26 @@ show why a remedy is needed; how well this one covers is measured by `tests/benc
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
+from imucal.fitting.homogeneity import NOUGHT
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import (
+    COLUMN,
     Candidates,
     Structure,
     candidates_of,
-    evaluate,
     shaped_symbols,
 )
-from imucal.fitting.spectral.ordinates import LAWS, SHAPED
-from imucal.fitting.spectral.scoring import bounds, covariance, maximize
+from imucal.fitting.spectral.ordinates import SHAPED
+from imucal.fitting.spectral.scoring import bounds, maximize
 from imucal.fitting.spectral.selection import RankedModels
+from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
-
-#: Symbol of a power-law term -> its column in a row of parameters.
-COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
 
 def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
@@ -72,19 +72,14 @@ def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, .
     """
     gone = [e for e in estimates if e.status == "bounded"]
     timed = [e for e in gone if len(TERMS[e.symbol].parameters()) > 1]
-    if timed or len(gone) < 2 or _may_all_be_absent(problem, fitted, gone):
+    if timed or len(gone) < 2:
         return timed
+    if len(gone) < len(fitted.structure):
+        without = drop_terms(problem, fitted, [e.key for e in gone])
+        drop = float(without.maximum.objective[0] - fitted.maximum.objective[0])
+        if 2 * drop < quantile(problem.level) ** 2:
+            return []
     return gone
-
-
-def _may_all_be_absent(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> bool:
-    """Whether the terms whose intervals hold zero may all be zero together."""
-    keys = [e.key for e in gone]
-    if len(keys) == len(fitted.structure):
-        return False
-    without = drop_terms(problem, fitted, keys)
-    drop = float(without.maximum.objective[0] - fitted.maximum.objective[0])
-    return 2 * drop < quantile(problem.level) ** 2
 
 
 def numbered(
@@ -94,7 +89,7 @@ def numbered(
 
     One that stayed when others were dropped was called by its symbol alone; it comes first.
     """
-    every = sorted(estimates, key=lambda e: (list(TERMS).index(e.symbol), e.key))
+    every = ordered(estimates)
     keys = term_keys(e.symbol for e in every)
     new = {e.key: key for e, key in zip(every, keys, strict=True)}
     result = tuple(replace(e, key=new[e.key]) for e in every)
@@ -103,12 +98,7 @@ def numbered(
 
 def fitted_model(choice: RankedModels, index: int) -> Fitted:
     """Return one of the ranked models, terms of one kind by rising time."""
-    row = np.array([index])
-    return Fitted(
-        structure=choice.structures[index],
-        candidate=choice.candidates.take(row),
-        maximum=choice.maximum.take(row),
-    ).by_time()
+    return Fitted(structure=choice.structures[index], maximum=choice.maximum[[index]]).by_time()
 
 
 def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
@@ -122,8 +112,7 @@ def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
     times = [old.variances + i for i in places]
     columns = [*range(SHAPED), *(SHAPED + i for i in places), *times, *range(old.response, old.width)]
     start = fitted.maximum.theta[:, columns]
-    maximum = maximize(problem.ordinates, candidate, start, shortest=problem.shortest)
-    return Fitted(structure=structure, candidate=candidate, maximum=maximum)
+    return Fitted(structure=structure, maximum=maximize(problem.ordinates, candidate, start))
 
 
 def behind_filter(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> Candidates:
@@ -133,8 +122,8 @@ def behind_filter(problem: Problem, fitted: Fitted, structure: Structure, room: 
         problem.ordinates.names,
         poles=int(fitted.candidate.poles[0]),
         zeros=int(fitted.candidate.zeros[0]),
-        common=problem.common,
         room_shaped=room,
+        shortest=fitted.candidate.shortest,
     )
 
 
@@ -142,14 +131,12 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     """Return the fit with a power-law term added, started from almost none of it."""
     structure = in_order((*fitted.structure, symbol))
     candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
-    low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
+    low, _ = bounds(problem.ordinates, candidate)
     column = COLUMN[symbol]
     starts = np.repeat(fitted.maximum.theta, 2, axis=0)
     starts[:, column] = low[column] + np.array([8.0, 16.0])
-    both = candidate.take(np.zeros(2, dtype=np.int64))
-    found = maximize(problem.ordinates, both, starts, shortest=problem.shortest)
-    best = np.array([int(np.argmin(found.objective))])
-    return Fitted(structure=structure, candidate=candidate, maximum=found.take(best))
+    found = maximize(problem.ordinates, candidate[[0, 0]], starts)
+    return Fitted(structure=structure, maximum=found[[int(np.argmin(found.objective))]])
 
 
 def completed(problem: Problem, fitted: Fitted) -> Fitted:
@@ -171,8 +158,6 @@ def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
 _FULL_SAY, _NO_SAY = 6.0, 9.0
 #: Models whose likelihoods, at two a parameter, are within this tell their terms apart no more.
 _ALIKE = 4.0
-#: A lower limit of less than this part of the upper one is none.
-_NOUGHT = 0.02
 #: A Gauss-Markov term slower than this part of the record is a walk to it: it speaks for K.
 _WALK = 1 / 20
 #: What a model without its full say does not bound, but only draws towards zero. Flicker it bounds, since a
@@ -182,18 +167,11 @@ _FADES = frozenset({"K"})
 _MOST = 16
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Opinion:
-    """What a near model says of its terms.
+    """What a near model says of its terms: its estimates by their keys.
 
-    Attributes
-    ----------
-    say
-        How much it counts: 1 near the best, 0 far from it.
-    terms
-        Its estimates by their keys, with limits as far from the values as its say goes.
-    fitted
-        The model.
+    Its `say` is how much it counts, 1 near the best and 0 far from it; limits are as far from the values.
     """
 
     say: float
@@ -211,7 +189,7 @@ class Opinion:
 
 
 def hull_estimates(
-    problem: Problem, choice: RankedModels, fitted: Fitted, own: tuple[Estimate, ...]
+    problem: Problem, choice: RankedModels
 ) -> tuple[Fitted, tuple[Estimate, ...], tuple[Estimate, ...]]:
     """Return the model to draw, its own estimates, and those whose intervals hold for every near model.
 
@@ -220,6 +198,7 @@ def hull_estimates(
     more than data need to show it, and terms that are printed should add up to the line. Not so a K that
     is the walk of a Gauss-Markov term, which the model has already.
     """
+    fitted, own = estimate_or_bound(problem, choice)
     models = [_opinion(problem, distance, model) for distance, model in _completed(problem, choice)]
     shown = {key for key in ALWAYS if not any(model.vetoes(key) for model in models)}
     walks = "K" not in fitted.structure and models[0].slow
@@ -241,7 +220,11 @@ def _with_rivals(
     others, markov = _alternatives(choice), GaussMarkov.symbol
     horizon = min(model.terms["K"].horizon_s for model in models)
     if markov in others["K"]:
-        horizon = min(horizon, _shortest_rival(problem, choice))
+        # The lower limit of T of the slowest term that the nearest model has in place of K.
+        rivals = (s for s in choice.structures if markov in s and "K" not in s)
+        rival = fitted_model(choice, choice.structures.index(next(rivals)))
+        slowest = [column for name, column in rival.columns() if name.endswith(".T")][-1]
+        horizon = min(horizon, problem.tau0 * float(np.exp(problem.limits(rival, [slowest])[0][0])))
     elif horizon < np.inf:
         others["K"] = (*others["K"], markov)
     if any(model.vetoes("N") for model in models) and markov not in others["N"]:
@@ -258,11 +241,11 @@ def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
 
 def _opinion(problem: Problem, distance: float, model: Fitted) -> Opinion:
     """Return what a model at that distance from the best says; its slowest term may say what K is."""
-    from scipy.special import ndtr
-
     say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
     reach = say * quantile(problem.level)
-    terms = {e.key: e for e in estimate(replace(problem, level=float(2 * ndtr(reach) - 1)), model)}
+    terms = {
+        e.key: e for e in estimate(replace(problem, level=float(2 * scipy.special.ndtr(reach) - 1)), model)
+    }
     slowest = max((e for e in terms.values() if e.value), key=_time_of, default=terms["K"])
     if _may_be_zero(terms["K"]) and _time_of(slowest) > _WALK * problem.ordinates.samples * problem.tau0:
         terms["K"] = _walk(slowest, terms["K"].high, reach, model)
@@ -284,31 +267,16 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
     """
     columns = dict(model.columns())
     sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
-    inverse = covariance(model.maximum.information[0], model.candidate.free[0])
+    inverse = model.covariance
     variance = inverse[sigma, sigma]
     if np.isfinite(inverse[time, time]):
         variance += inverse[time, time] - 2 * inverse[sigma, time]
     factor = float(np.exp(0.5 * reach * np.sqrt(max(variance, 0.0))))
     span = slow.correlation_time
     value = float((slow.value or 0.0) * np.sqrt(2 / _time_of(slow)))
-    walk = Estimate(
-        key="K",
-        symbol="K",
-        status="estimated",
-        value=value,
-        low=value / factor,
-        high=max(value * factor, high),
-    )
+    low, high = value / factor, max(value * factor, high)
+    walk = Estimate(key="K", symbol="K", status="estimated", value=value, low=low, high=high)
     return replace(walk, horizon_s=span.low if span else np.inf)
-
-
-def _shortest_rival(problem: Problem, choice: RankedModels) -> float:
-    """Return the lower limit, in s, of T of the slowest term that the nearest model has in place of K."""
-    rivals = (s for s in choice.structures if GaussMarkov.symbol in s and "K" not in s)
-    model = fitted_model(choice, choice.structures.index(next(rivals)))
-    slowest = [column for name, column in model.columns() if name.endswith(".T")][-1]
-    lows, _ = problem.limits(model, [slowest])
-    return problem.tau0 * float(np.exp(lows[0]))
 
 
 def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
@@ -317,11 +285,10 @@ def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
     Every record has a floor. Where a quick Gauss-Markov term at the end of the band may have all of it, the
     models differ in its name and not in its level.
     """
-    ordinates, none = problem.ordinates, np.zeros(1, dtype=np.int64)
+    ordinates = problem.ordinates
     levels, freedom = [], []
     for model in models:
-        candidate = replace(model.candidate, poles=none, zeros=none)
-        spectrum = evaluate(ordinates, candidate, model.maximum.theta).spectrum[0]
+        spectrum = model.unfiltered(ordinates)
         lowest = int(np.argmin(spectrum))
         octave = np.abs(np.log2(ordinates.fraction / ordinates.fraction[lowest])) < 0.5
         levels.append(problem.deviation("N") * float(np.sqrt(spectrum[lowest])))
@@ -372,7 +339,7 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
     a parameter has the price of Akaike's criterion: what tells two things apart is the record, and not
     that one of them is simpler to write down.
     """
-    fit = 2 * (choice.maximum.objective + choice.candidates.parameters)
+    fit = 2 * (choice.maximum.objective + choice.maximum.candidates.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _ALIKE)]
 
     def replaces(one: str, other: str) -> bool:
@@ -411,7 +378,7 @@ def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
 
 def _may_be_zero(found: Estimate) -> bool:
     """Whether an interval reaches down to zero, or to what is printed as zero beside its upper limit."""
-    return found.low <= _NOUGHT * found.high
+    return found.low <= NOUGHT * found.high
 
 
 def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fitted]]:

@@ -12,7 +12,7 @@ Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bar
 160, 268.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -20,6 +20,7 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.likelihood import regress
 from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.frozen import frozen_alone
 
 #: Logs of the scales stay above this: what is lower is invisible.
 _INVISIBLE = -30.0
@@ -35,22 +36,13 @@ _FIRST_REACH, _WIDER, _GRID, _SCORINGS = 1.2, 12, 32, 3
 _TINY = 1e-12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Parts:
     """The spectra of t tests over g groups of bins, b bins in all.
 
-    Attributes
-    ----------
-    ordinates
-        The bins of all groups, one group after the other.
-    regressors
-        Which of the ordinates' regressors are taken out, shape (r,).
-    first
-        Place of each group's first bin, shape (g,).
-    varied
-        What is scaled in each test, shape (t, q, b); the tested part stands first.
-    held
-        What is not, shape (t, b).
+    The `ordinates` of all groups stand one after the other, each group's `first` bin at a place, shape (g,);
+    `regressors`, shape (r,), says which of theirs are taken out. In each test `varied`, shape (t, q, b), is
+    scaled, the tested part first, and `held`, shape (t, b), is not.
     """
 
     ordinates: Ordinates
@@ -61,8 +53,7 @@ class Parts:
 
     def total(self, values: FloatArray) -> FloatArray:
         """Return the sum over each group's bins, shape (…, g)."""
-        summed: FloatArray = np.add.reduceat(values, self.first, axis=-1)
-        return summed
+        return np.asarray(np.add.reduceat(values, self.first, axis=-1))
 
     def at(self, logs: FloatArray) -> "Scales":
         """Return the likelihood at given logs of the scales, shape (t, g, q)."""
@@ -152,18 +143,13 @@ class Parts:
         return self.at(logs)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Scales:
     """The likelihood at some scales of each group in each test.
 
-    Attributes
-    ----------
-    logs
-        Of the scales, shape (t, g, q), the tested one first.
-    objective
-        -log L of each group, less a constant, shape (t, g).
-    gradient, matrix
-        Its gradient in the logs, shape (t, g, q), and their expected information, (t, g, q, q).
+    At `logs` of them, shape (t, g, q), the tested one first: `objective`, -log L of each group less a
+    constant, shape (t, g), its gradient in the logs, (t, g, q), and `matrix`, their expected information, (t,
+    g, q, q).
     """
 
     logs: FloatArray
@@ -208,7 +194,7 @@ class Scales:
         return np.concatenate([tested, np.clip(beside, -_STEP, _STEP)], axis=-1)
 
 
-def visible(spectra: FloatArray, absent: IntArray) -> FloatArray:
+def visible(spectra: FloatArray, absent: list[int]) -> FloatArray:
     """Return factors on spectra, shape (p, b), that make those `absent` a share of the sum, shape (p,)."""
     factor = np.ones(len(spectra))
     whole = np.delete(spectra, absent, axis=0).sum(axis=0)

@@ -8,18 +8,20 @@ regressor gains is half the square of its correlation with them, less what the r
 fit explain of both.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding, Level
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.likelihood import Candidates, candidates_of, evaluate
+from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates, cycle_ordinates
-from imucal.fitting.spectral.scoring import Maximum, maximize
-from imucal.fitting.spectral.starts import find_starts
+from imucal.fitting.spectral.starts import fit_blindly
+from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
 from imucal.units import pretty
 
@@ -33,20 +35,13 @@ _CLEAR = 0.005
 _ALIKE = 1e-6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Whitened:
-    """Ordinates over the roots of their spectrum, less what the fit's regressors explain.
+    """The lowest ordinates of blocks over the roots of their spectrum, less what the regressors explain.
 
-    Attributes
-    ----------
-    blocks
-        Their lowest ordinates.
-    weight
-        1/sqrt(S) of each block's ordinates, 0 where they are left out; shapes (k,).
-    rest
-        The whitened ordinates of all blocks, shape (K,).
-    base
-        Orthonormal basis of the whitened regressors, shape (K, r).
+    `weight` is 1/sqrt(S) of each block's ordinates, 0 where they are left out, shapes (k,); `rest` the
+    whitened ordinates of all blocks, shape (K,), and `base` an orthonormal basis of the whitened regressors,
+    (K, r).
     """
 
     blocks: tuple[Block, ...]
@@ -57,13 +52,17 @@ class Whitened:
     @classmethod
     def by(cls, blocks: Sequence[Block], spectrum: FloatArray, names: Sequence[str]) -> "Whitened":
         """Return the ordinates whitened by the bins' `spectrum`, shape (b,); the fit has `names`."""
-        stops = np.cumsum([block.bins.size for block in blocks])
-        parts = np.split(spectrum, stops[:-1])
-        weight = tuple(_weight(block, part) for block, part in zip(blocks, parts, strict=True))
-        own = np.concatenate([block.ordinates * w for block, w in zip(blocks, weight, strict=True)])
-        plain = cls(blocks=tuple(blocks), weight=weight, rest=own, base=np.zeros((own.size, 0)))
-        base = np.linalg.qr(plain.columns(names))[0] if names else plain.base
-        return cls(blocks=tuple(blocks), weight=weight, rest=own - base @ (base.T @ own), base=base)
+        parts = np.split(spectrum, np.cumsum([block.bins.size for block in blocks])[:-1])
+        weights = []
+        for block, part in zip(blocks, parts, strict=True):
+            # Less where missing samples took of it.
+            share = 1.0 if block.loss is None else 1 - block.loss
+            own = np.repeat(np.sqrt(share / part), block.bins.count)
+            weights.append(own if block.kept is None else np.where(block.kept, own, 0.0))
+        own = np.concatenate([block.ordinates * w for block, w in zip(blocks, weights, strict=True)])
+        plain = cls(blocks=tuple(blocks), weight=tuple(weights), rest=own, base=np.zeros((own.size, 0)))
+        base = np.linalg.qr(plain.columns(names))[0]
+        return replace(plain, rest=own - base @ (base.T @ own), base=base)
 
     def columns(self, names: Sequence[str]) -> FloatArray:
         """Return whitened regressors, shape (K, r)."""
@@ -85,8 +84,20 @@ class Whitened:
         starts = np.cumsum([0, *sizes[:-1]])
         rows = np.concatenate([s + np.arange(b.ordinates.size) for s, b in zip(starts, blocks, strict=True)])
         weight = [w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True)]
-        shapes = [_cycles(block, omega) * w for block, w in zip(blocks, weight, strict=True)]
-        return _gains_of_pairs(np.concatenate(shapes, axis=-1), self.rest[rows], self.base[rows])
+        # Cosine and sine of each frequency, shapes (2, w, k).
+        shapes, quarter = [], np.array([0.0, -np.pi / 2])[:, np.newaxis, np.newaxis]
+        for block, own in zip(blocks, weight, strict=True):
+            theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
+            shift = omega[:, np.newaxis] * block.offset + quarter
+            shapes.append(cycle_ordinates(block.bins.n, theta, omega[:, np.newaxis], shift) * own)
+        pairs, rest, base = np.concatenate(shapes, axis=-1), self.rest[rows], self.base[rows]
+        pairs -= (pairs @ base) @ base.T
+        products = np.moveaxis(pairs @ rest, 0, -1)
+        size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
+        # Along the axes of each pair; one along which there is next to nothing is no regressor of its own.
+        along = np.einsum("wij,wi->wj", vectors, products)
+        told = size > _ALIKE**2 * size[:, -1:]
+        return np.asarray(np.sum(np.where(told, along**2 / np.where(told, size, 1.0), 0.0), axis=-1))
 
     def step(self, taken: Sequence[float] = (), apart: float = 0.0) -> tuple[float, float, float]:
         """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
@@ -106,32 +117,6 @@ class Whitened:
         return (*best, choice)
 
 
-def _cycles(block: Block, omega: FloatArray) -> FloatArray:
-    """Return a block's ordinates of the cosine and the sine of each angular frequency, shape (2, w, k)."""
-    theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
-    quarter = np.array([0.0, -np.pi / 2])[:, np.newaxis, np.newaxis]
-    shift = omega[:, np.newaxis] * block.offset + quarter
-    return cycle_ordinates(block.bins.n, theta, omega[:, np.newaxis], shift)
-
-
-def _gains_of_pairs(pairs: FloatArray, rest: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the gain of each of w pairs of whitened regressors, shape (2, w, K), together; shape (w,)."""
-    pairs = pairs - (pairs @ base) @ base.T
-    products = np.moveaxis(pairs @ rest, 0, -1)
-    size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
-    # Along the axes of each pair; one along which there is next to nothing is no regressor of its own.
-    along = np.einsum("wij,wi->wj", vectors, products)
-    told = size > _ALIKE**2 * size[:, -1:]
-    return np.asarray(np.sum(np.where(told, along**2 / np.where(told, size, 1.0), 0.0), axis=-1))
-
-
-def _weight(block: Block, spectrum: FloatArray) -> FloatArray:
-    """Return 1/sqrt(S) of each ordinate; less where missing samples took of it, 0 where it is left out."""
-    share = 1.0 if block.loss is None else 1 - block.loss
-    weight: FloatArray = np.repeat(np.sqrt(share / spectrum), block.bins.count)
-    return weight if block.kept is None else np.where(block.kept, weight, 0.0)
-
-
 def _best_step(
     block: Block,
     weight: FloatArray,
@@ -145,8 +130,6 @@ def _best_step(
     at all places at once. The number is how often the root of the gain of a chance step crosses zero, by
     Rice (1945), Bell Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
     """
-    from scipy.fft import dct, dst
-
     n, count = block.bins.n, weight.size
     places = max(_PLACES, 2 * count)
     half = np.pi / (2 * n) * np.arange(1, count + 1)
@@ -156,13 +139,13 @@ def _best_step(
         """Return sum of values_k sin(pi k j / places) at j = 1 … places-1; shape (…, places-1)."""
         padded = np.zeros((*values.shape[:-1], places - 1))
         padded[..., :count] = values
-        return np.asarray(dst(padded, type=1, axis=-1) / 2)
+        return np.asarray(scipy.fft.dst(padded, type=1, axis=-1) / 2)
 
     def of_twice(values: FloatArray) -> FloatArray:
         """Return sum of values_k cos(2 pi k j / places) at j = 1 … places-1."""
         square = np.zeros(places + 1)
         square[2 : 2 * count + 1 : 2] = values
-        return np.asarray((dct(square, type=1) + square[-1]) / 2)[1:-1]
+        return np.asarray((scipy.fft.dct(square, type=1) + square[-1]) / 2)[1:-1]
 
     # sin² = (1 - cos of twice the angle) / 2, and its slope's square is k² cos² = k² (1 + cos) / 2.
     power = 0.5 * (np.sum(size**2) - of_twice(size**2))
@@ -183,9 +166,8 @@ def _best_step(
     return float(where[at]), float(gain[at]), choice
 
 
-#: A rich model, shortest correlation time in it, in samples, and the ordinates that slow shapes live in.
+#: A rich model, and the ordinates that slow shapes live in.
 _STRUCTURE = ("N", "B", "GM", "K", "R")
-_SHORTEST = 2.0
 _LOWEST = 4000
 #: Time constants of a warm-up, and lags of a temperature, as parts of the record.
 _WARM_UPS = np.geomspace(0.01, 0.3, 8)
@@ -219,21 +201,14 @@ _MOST = 8
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Disturbance:
     """A shape of the samples that is no noise.
 
-    Attributes
-    ----------
-    kind
-        ``temperature``, ``warm-up``, ``step`` or ``cycle``.
-    names
-        Its regressors.
-    price
-        What it must gain in twice the log-likelihood, beside a margin. The price of a parameter is the
-        logarithm of the record's length; that of a step or a cycle follows from how often chance makes one.
-    size
-        Coefficients of the regressors, in scaled units; () before it is fitted.
+    Its `kind` is ``temperature``, ``warm-up``, ``step`` or ``cycle``. `names` are its regressors, and `size`
+    their coefficients in scaled units, () before it is fitted. Its `price` is what it must gain in twice the
+    log-likelihood, beside a margin: of a parameter the logarithm of the record's length; that of a step or a
+    cycle follows from how often chance makes one.
     """
 
     kind: str
@@ -296,13 +271,12 @@ def _sized(found: Sequence[Disturbance], fits: "_Fits", row: int = 0) -> tuple[D
     return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class _Fits:
     """A rich structure fitted with sets of regressors, one row each."""
 
     ordinates: Ordinates
-    candidates: Candidates
-    maximum: Maximum
+    maximum: Evaluation
 
     @property
     def objective(self) -> float:
@@ -311,22 +285,18 @@ class _Fits:
     @property
     def spectrum(self) -> FloatArray:
         """Of the first set, at the bins, shape (b,); 1 in bins without ordinates."""
-        row = np.array([0])
-        found = evaluate(self.ordinates, self.candidates.take(row), self.maximum.theta[row])
-        return np.asarray(found.spectrum[0])
+        first = self.maximum[[0]]
+        return np.asarray(evaluate(self.ordinates, first.candidates, first.theta).spectrum[0])
 
 
 def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]]) -> _Fits:
     """Return the best fit of a rich structure with each set of regressors beside the ramp."""
     names = ("R", *dict.fromkeys(name for names in sets for name in names))
     ordinates = bin_blocks(low, 1.0, names)
-    seen = ordinates.take(ordinates.size > 0)
-    candidates = candidates_of([(*_STRUCTURE, *names) for names in sets], names)
-    owner, theta = find_starts(seen, candidates, shortest=_SHORTEST, keep=(1, 2, 2))
-    every = maximize(seen, candidates.take(owner), theta, shortest=_SHORTEST, tolerance=1e-2, iterations=40)
-    rows = [np.flatnonzero(owner == index) for index in range(len(sets))]
-    best = np.array([own[np.argmin(every.objective[own])] for own in rows])
-    return _Fits(ordinates=ordinates, candidates=candidates, maximum=every.take(best))
+    seen = ordinates[ordinates.size > 0]
+    has = np.array([[name in {"R", *own} for name in names] for own in sets])
+    candidates = replace(candidates_of([_STRUCTURE] * len(sets), names), regressors=has)
+    return _Fits(ordinates=ordinates, maximum=fit_blindly(seen, candidates, keep=(1, 2, 2), tolerance=1e-2))
 
 
 def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
@@ -396,12 +366,12 @@ def exact_places(series: AxisSeries) -> ExactPlace:
     """
 
     def exact(about: float, taken: Sequence[float], apart: float) -> int:
-        grid = series.clock.grid()
-        reach = max(int(_COARSE * grid[-1]), 8)
+        clock = series.clock
+        reach = max(int(_COARSE * (clock.grid_size - 1)), 8)
         low = max([about - 2 * reach, *(place for place in taken if place <= about)])
         high = min([about + 2 * reach, *(place for place in taken if place > about)])
-        first, stop = np.searchsorted(grid, [low, high])
-        samples, places = series.samples[first:stop], grid[first + 1 : stop]
+        first, stop = clock.index_from(math.ceil(low)), clock.index_from(math.ceil(high))
+        samples, places = series.samples[first:stop], clock.grid(first + 1, stop)
         allowed = np.abs(places - about) <= reach
         for place in taken:
             allowed &= np.abs(places - place) >= apart
@@ -422,14 +392,8 @@ def disturbance_findings(
 
     Where they are `fitted` with the noise, the finding says so.
     """
-    words = {
-        "temperature": _temperature_finding,
-        "warm-up": _warm_up_finding,
-        "step": _step_finding,
-        "cycle": _cycle_finding,
-    }
-    kinds = {kind: [one for one in found if one.kind == kind] for kind in words}
-    return tuple(words[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
+    kinds = {kind: [one for one in found if one.kind == kind] for kind in _WORDS}
+    return tuple(_WORDS[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
 
 
 def _temperature_finding(
@@ -444,7 +408,7 @@ def _temperature_finding(
     else:
         advice = "Record at a steady temperature, or compensate first; K and B hold the temperature's drift."
     level: Level = "info" if fitted else "warning"
-    return Finding(level=level, code="temperature", axis=series.name, text=f"{text}.", advice=advice)
+    return Finding(level, "temperature", f"{text}.", advice, axis=series.name)
 
 
 def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, fitted: bool) -> Finding:
@@ -456,7 +420,7 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
     text = f"The axis settles exponentially, with a time constant of {time:.3g} s{end}."
     advice = "Leave out the first part of the record, or let the sensor warm up before recording."
     code = "warm-up-fitted" if fitted else "warm-up"
-    return Finding(level="warning", code=code, axis=series.name, text=text, advice=advice, keep_s=keep_s)
+    return Finding("warning", code, text, advice, axis=series.name, keep_s=keep_s)
 
 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
@@ -487,14 +451,23 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *,
     keep_s = (round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1))
     text = f"The level jumps by {', '.join(jumps)}{stays}{taken_out}."
     advice = "Fix the IMU so that nothing tilts it, or look for a bias that switches."
-    return Finding(level="warning", code="step", axis=series.name, text=text, advice=advice, keep_s=keep_s)
+    return Finding("warning", "step", text, advice, axis=series.name, keep_s=keep_s)
 
 
 def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
     taken_out = "; taken out with the fit" if fitted else ""
     text = f"The axis swings with a period of {_periods(found, series, scale)}{taken_out}."
     advice = "Look for a heating or cooling that switches, and record at a steady temperature."
-    return Finding(level="warning", code="cycle", axis=series.name, text=text, advice=advice)
+    return Finding("warning", "cycle", text, advice, axis=series.name)
+
+
+#: Kind of disturbance -> what says it, in the order in which they are said.
+_WORDS = {
+    "temperature": _temperature_finding,
+    "warm-up": _warm_up_finding,
+    "step": _step_finding,
+    "cycle": _cycle_finding,
+}
 
 
 def doubtful_finding(
@@ -508,7 +481,7 @@ def doubtful_finding(
         "much like one in up to 5 of 100 records. The limits of N, B and K hold with and without it."
     )
     advice = "Record for longer to see whether it goes on."
-    return (Finding(level="info", code="cycle-doubtful", axis=series.name, text=text, advice=advice),)
+    return (Finding("info", "cycle-doubtful", text, advice, axis=series.name),)
 
 
 def _periods(found: Sequence[Disturbance], series: AxisSeries, scale: float) -> str:

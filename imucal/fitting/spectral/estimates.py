@@ -9,16 +9,24 @@ of freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.homogeneity import symbol_of
-from imucal.fitting.noise_fit import Estimate, Goodness, Interval
-from imucal.fitting.spectral.likelihood import Candidates, Structure, parameter_columns
+from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, Interval
+from imucal.fitting.spectral.likelihood import (
+    Candidates,
+    Evaluation,
+    Structure,
+    evaluate,
+    parameter_columns,
+)
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit_factors
+from imucal.fitting.spectral.scoring import bounds, covariance, maximize, misfit_factors
+from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
@@ -37,9 +45,7 @@ _FEWEST = 10.0
 
 def quantile(level: float) -> float:
     """Return the two-sided normal quantile z of a confidence level; z² is that of chi-squared."""
-    from scipy.special import ndtri
-
-    return float(ndtri((1 + level) / 2))
+    return float(scipy.special.ndtri((1 + level) / 2))
 
 
 def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
@@ -47,34 +53,23 @@ def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
 
     That of a variance told by n degrees of freedom is the root of 2/n.
     """
-    from scipy.special import stdtrit
-
     freedom = np.maximum(2 / deviation**2, _FEWEST)
-    return np.asarray(stdtrit(freedom, (1 + level) / 2), dtype=np.float64)
+    return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2), dtype=np.float64)
 
 
 def profile_limits(
-    ordinates: Ordinates,
-    candidates: Candidates,
-    maximum: Maximum,
-    columns: IntArray,
-    *,
-    reach: FloatArray,
-    shortest: float,
+    ordinates: Ordinates, maximum: Evaluation, columns: IntArray, *, reach: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
 
     In log units; of a ramp, whose column is `RAMP`, in its own. The lower is -inf where the parameter may
-    vanish, the upper inf where it may grow past its bound. A model stands once among candidates and maximum
-    for each of its parameters that is profiled. The root of twice the drop at the limits is `reach`, shape
+    vanish, the upper inf where it may grow past its bound. A model's maximum stands there once for each of
+    its parameters that is profiled. The root of twice the drop at the limits is `reach`, shape
     (k,): a quantile of the level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
-    search = _ProfileSearch(
-        ordinates, candidates.take(both), maximum, both, columns=columns[both], shortest=shortest
-    )
-    limit = search.run(toward, reach[both])
+    limit = _ProfileSearch(ordinates, maximum[both], columns[both]).run(toward, reach[both])
     return limit[: columns.size], limit[columns.size :]
 
 
@@ -85,44 +80,31 @@ class _ProfileSearch:
     variance, the logarithm for a time, and the slope itself for a ramp.
     """
 
-    def __init__(
-        self,
-        ordinates: Ordinates,
-        candidates: Candidates,
-        maximum: Maximum,
-        rows: IntArray,
-        *,
-        columns: IntArray,
-        shortest: float,
-    ) -> None:
-        self.ordinates, self.candidates, self.shortest = ordinates, candidates, shortest
-        self.columns = columns
-        self.theta = maximum.theta[rows].copy()
-        self.peak = maximum.objective[rows]
+    def __init__(self, ordinates: Ordinates, maximum: Evaluation, columns: IntArray) -> None:
+        self.ordinates, self.columns = ordinates, columns
+        self.candidates = candidates = maximum.candidates
+        self.theta, self.peak = maximum.theta.copy(), maximum.objective
         self.ramp = columns == RAMP
         self.variance = (columns >= 0) & (columns < candidates.variances)
         self.free = candidates.free.copy()
         plain = np.flatnonzero(~self.ramp)
         self.free[plain, columns[plain]] = False
-        low, high = bounds(ordinates, candidates, shortest=shortest)
+        low, high = bounds(ordinates, candidates)
         self.low = np.where(self.ramp, -np.inf, self.to_u(low[columns]))
         self.high = np.where(self.ramp | self.variance, np.inf, high[columns])
-        estimate = self.theta[np.arange(rows.size), columns]
-        self.centre = np.where(self.ramp, maximum.beta[rows, 0], self.to_u(estimate))
-        self.width = self._width(maximum, rows, low)
+        estimate = self.theta[np.arange(columns.size), columns]
+        self.centre = np.where(self.ramp, maximum.beta[:, 0], self.to_u(estimate))
+        self.width = self._width(maximum, low)
 
     def to_u(self, log: FloatArray) -> FloatArray:
         return np.where(self.variance, np.exp(0.5 * np.minimum(log, 600.0)), log)
 
-    def _width(self, maximum: Maximum, rows: IntArray, low: FloatArray) -> FloatArray:
+    def _width(self, maximum: Evaluation, low: FloatArray) -> FloatArray:
         """Return a first guess of the standard error of u."""
-        width = np.empty(rows.size)
-        for i, row in enumerate(rows.tolist()):
-            if self.ramp[i]:
-                width[i] = float(np.sqrt(maximum.beta_covariance[row, 0, 0]))
-                continue
+        width = np.sqrt(maximum.beta_covariance[:, 0, 0])
+        for i in np.flatnonzero(~self.ramp).tolist():
             column = int(self.columns[i])
-            inverse = covariance(maximum.information[row], self.candidates.free[i])
+            inverse = covariance(maximum.information[i], self.candidates.free[i])
             deviation = float(np.sqrt(max(inverse[column, column], 1e-12)))
             if self.variance[i]:
                 told = 0.5 * deviation * float(self.centre[i])
@@ -179,11 +161,10 @@ class _ProfileSearch:
         start[held, self.columns[rows][held]] = self.from_u(rows, u)[held]
         found = maximize(
             self.ordinates,
-            self.candidates.take(rows),
+            self.candidates[rows],
             start,
             free=self.free[rows],
             ramp=np.where(plain, np.nan, u),
-            shortest=self.shortest,
             tolerance=1e-4,
             iterations=50,
         )
@@ -192,17 +173,22 @@ class _ProfileSearch:
         return root, found.theta
 
 
-#: Misfit score from which the model does not describe the record.
-MISFIT = 3.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Fitted:
-    """One candidate at its maximum; candidates and maximum have a single row."""
+    """A structure at its maximum, of a single row."""
 
     structure: Structure
-    candidate: Candidates
-    maximum: Maximum
+    maximum: Evaluation
+
+    @property
+    def candidate(self) -> Candidates:
+        """Its terms and response."""
+        return self.maximum.candidates
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the parameters, shape (p, p), inf for those that the data do not tell."""
+        return covariance(self.maximum.information[0], self.candidate.free[0])
 
     @property
     def missing(self) -> list[str]:
@@ -212,6 +198,17 @@ class Fitted:
     def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
         """Return name and column of each parameter but R, those of power laws `beside` it too."""
         return parameter_columns(in_order((*self.structure, *beside)), self.candidate.room)
+
+    def variances(self, beside: Iterable[str] = ()) -> dict[str, int]:
+        """Return the column of each term's variance by its key, of the terms in `columns`."""
+        first = self.candidate.variances
+        return {name.partition(".")[0]: at for name, at in self.columns(beside) if at < first}
+
+    def unfiltered(self, ordinates: Ordinates) -> FloatArray:
+        """Return the spectrum of the noise before the output filter, shape (b,)."""
+        none = np.zeros(1, dtype=np.int64)
+        bare = replace(self.candidate, poles=none, zeros=none)
+        return np.asarray(evaluate(ordinates, bare, self.maximum.theta).spectrum[0])
 
     def by_time(self) -> "Fitted":
         """Return the same with terms of one kind by rising correlation time."""
@@ -227,56 +224,30 @@ class Fitted:
         return replace(self, maximum=replace(old, theta=old.theta[:, index], information=information))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Problem:
-    """What every estimate of a fit is made with.
+    """What every estimate of a fit is made with: the `ordinates` that are fitted, and a confidence level.
 
-    Attributes
-    ----------
-    ordinates
-        What is fitted.
-    level
-        Confidence level.
-    shortest
-        Shortest correlation time, in samples.
-    common
-        Regressors in every model.
-    unit
-        U per scaled unit.
-    tau0
-        Sampling period, in s.
-    widening
-        Symbol -> factor by which its interval is wider than the likelihood says.
+    `tau0` is in s, and `widening` says by what factor a symbol's interval is wider than the likelihood says.
     """
 
     ordinates: Ordinates
     level: float
-    shortest: float
-    common: tuple[str, ...]
-    unit: float
     tau0: float
     widening: dict[str, float]
 
     def deviation(self, symbol: str) -> float:
         """Return the coefficient, in SI, of a unit deviation per sample."""
-        return self.unit / TERMS[symbol].per_sample(self.tau0)
+        return self.ordinates.scale / TERMS[symbol].per_sample(self.tau0)
 
     def limits(self, fitted: "Fitted", columns: list[int]) -> tuple[FloatArray, FloatArray]:
         """Return the limits of some parameters of a fit, shape (k,) each; see `profile_limits`."""
-        rows, places = np.zeros(len(columns), dtype=np.int64), np.array(columns)
+        places = np.array(columns)
         reach = np.full(places.size, quantile(self.level))
         variances = (places >= 0) & (places < fitted.candidate.variances)
-        inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
-        deviation = np.sqrt(np.diag(inverse)[places[variances]])
+        deviation = np.sqrt(np.diag(fitted.covariance)[places[variances]])
         reach[variances] = student_quantile(self.level, deviation)
-        return profile_limits(
-            self.ordinates,
-            fitted.candidate.take(rows),
-            fitted.maximum.take(rows),
-            places,
-            reach=reach,
-            shortest=self.shortest,
-        )
+        return profile_limits(self.ordinates, fitted.maximum[[0] * places.size], places, reach=reach)
 
 
 def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
@@ -321,13 +292,12 @@ def covariance_of(
     problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of the parameters and their covariance in SI, from the expected information."""
-    known = {e.key: e for e in estimates if e.value is not None}
-    columns = {name: at for name, at in fitted.columns() if name.partition(".")[0] in known}
+    slopes = {name: own for e in estimates if e.value is not None for name, own in e.slopes().items()}
+    columns = {name: at for name, at in fitted.columns() if name in slopes}
     names, places = list(columns), list(columns.values())
-    inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
-    slope = np.array([_slope(name, known) * problem.widening.get(name, 1.0) for name in names])
-    matrix = inverse[np.ix_(places, places)] * np.outer(slope, slope)
-    if "R" in known:
+    slope = np.array([slopes[name] * problem.widening.get(name, 1.0) for name in names])
+    matrix = fitted.covariance[np.ix_(places, places)] * np.outer(slope, slope)
+    if "R" in slopes:
         names.append("R")
         variance = float(fitted.maximum.beta_covariance[0, 0, 0]) * problem.deviation("R") ** 2
         matrix = np.pad(matrix, (0, 1))
@@ -335,25 +305,15 @@ def covariance_of(
     return tuple(names), matrix
 
 
-def _slope(name: str, known: dict[str, Estimate]) -> float:
-    """Return the derivative of a coefficient in the parameter: log variance or log time."""
-    key, _, part = name.partition(".")
-    found = known[key]
-    if part == "T" and found.correlation_time is not None:
-        return found.correlation_time.value
-    return 0.5 * float(found.value or 0.0)
-
-
 def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, float]:
     """Return for each symbol by what factor a misfit makes its interval wider, one at least; {} for none."""
     if found.statistic < MISFIT:
         return {}
-    factors = misfit_factors(problem.ordinates, fitted.candidate, fitted.maximum.theta)
+    factors = misfit_factors(problem.ordinates, fitted.maximum)
     largest: dict[str, float] = {}
-    for name, column in fitted.columns(fitted.missing):
-        if column < factors.size:
-            symbol = symbol_of(name.partition(".")[0])
-            largest[symbol] = max(largest.get(symbol, 1.0), float(factors[column]))
+    for key, column in fitted.variances(fitted.missing).items():
+        symbol = symbol_of(key)
+        largest[symbol] = max(largest.get(symbol, 1.0), float(factors[column]))
     return largest
 
 

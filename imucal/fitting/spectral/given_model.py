@@ -16,10 +16,10 @@ such a mean was half to one deviation of a log too low, however many the logs.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
@@ -30,33 +30,23 @@ from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import completed, estimate_or_bound, fitted_model, numbered, with_absent
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import SHORTEST, SHORTEST_GIVEN, Structure, derivatives, richest
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.likelihood import Structure, derivatives, richest
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.fitting.spectral.scoring import bounds, misfit
 from imucal.fitting.spectral.selection import choose
+from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class BinFit:
-    """A model fitted to bins.
+    """A model fitted to the bins of some records: their ordinates, up to the end of the band, in one scale.
 
-    Attributes
-    ----------
-    records
-        The ordinates of each record, up to the end of the band, in the scale of the first.
-    problem
-        What is fitted, all records as one.
-    band
-        The part of the spectrum, and the response of the output filter in it.
-    whole
-        The fit of the given terms and of N, B and K, at zero where the data want them there.
-    model, estimates
-        What a fit reports: those whose interval holds 0 are bounded, and not in the model.
-    goodness
-        How well the model describes all records.
-    misfits
-        Symbol -> by what factor a misfit makes its limits wider; empty where the model fits.
+    `problem` is all of them as one, `band` the part of the spectrum and the response of the output filter in
+    it, and `whole` the fit of the given terms and of N, B and K, at zero where the data want them there.
+    `model` and `estimates` are what a fit reports: those whose interval holds 0 are bounded, and not in the
+    model. `misfits` says by what factor a misfit makes a symbol's limits wider; it is empty where the model
+    fits.
     """
 
     records: tuple[Ordinates, ...]
@@ -70,12 +60,7 @@ class BinFit:
 
 
 def fit_bins(
-    bins: Sequence[Bins],
-    structure: Structure,
-    *,
-    level: float,
-    max_gm: int = 2,
-    near: float | None = None,
+    bins: Sequence[Bins], structure: Structure, *, level: float, near: float | None = None
 ) -> BinFit:
     """Return the fit of a structure to one or several records: as `fit_mle` from there on.
 
@@ -83,27 +68,23 @@ def fit_bins(
     """
     parts = [ordinates_of(one) for one in bins]
     every = joined(parts) if len(parts) > 1 else parts[0]
-    common = every.names[1:]
-    band = _band(every, parts, structure, max_gm, near)
+    band = _band(every, parts, structure, near)
     seen = every.below(band.fraction)
     # Of all records half the excess kurtosis plus one, weighted by their ordinates.
     surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
     problem = Problem(
         ordinates=seen,
         level=level,
-        shortest=SHORTEST_GIVEN,
-        common=common,
-        unit=every.scale,
         tau0=bins[0].tau0,
         widening={"N": float(np.sqrt(surplus))},
     )
-    choice = choose(seen, [structure], criterion="bic", band=band, common=common, shortest=SHORTEST_GIVEN)
+    choice = choose(seen, [structure], criterion="bic", band=band)
     fitted, own = estimate_or_bound(problem, choice)
     whole = completed(problem, fitted_model(choice, 0))
-    found = misfit(seen, fitted.candidate, fitted.maximum.theta)
+    found = misfit(seen, fitted.maximum)
     estimates, _ = numbered(with_absent(problem, fitted, own), ())
     owner = np.repeat(np.arange(len(parts)), [one.size.size for one in parts])
-    edges = [every.take(owner == i).below(band.fraction) for i in range(len(parts))]
+    edges = [every[owner == i].below(band.fraction) for i in range(len(parts))]
     misfits = misfits_of(problem, fitted, found)
     return BinFit(
         records=tuple(edges),
@@ -117,21 +98,18 @@ def fit_bins(
     )
 
 
-def _band(
-    every: Ordinates, parts: Sequence[Ordinates], structure: Structure, max_gm: int, near: float | None
-) -> Band:
+def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, near: float | None) -> Band:
     """Return the band and response of all records; flat where most records by themselves are.
 
     Records whose coefficients differ fit no one model; together they may look like a filter's doing.
     """
-    rich = richest(structure, max_gm)
-    asked: dict[str, Any] = {"shortest": SHORTEST, "common": every.names[1:], "given": structure}
+    rich = richest(structure)
     if near is not None or len(parts) == 1:
-        return find_band(every, rich, near=near, **asked)
-    if flat := flat_band(every, rich, **asked):
+        return find_band(every, rich, near=near, given=structure)
+    if flat := flat_band(every, rich, given=structure):
         return flat
-    alone = [band for part in parts if (band := flat_band(part, rich, **asked))]
-    return alone[0] if 2 * len(alone) > len(parts) else find_band(every, rich, **asked)
+    alone = [band for part in parts if (band := flat_band(part, rich, given=structure))]
+    return alone[0] if 2 * len(alone) > len(parts) else find_band(every, rich, given=structure)
 
 
 #: A coefficient whose log has less information than this is not told at all.
@@ -140,21 +118,14 @@ _NONE = 1e-8
 _RAISED = 8.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class RecordTest:
     """The test of one term over r records.
 
-    Attributes
-    ----------
-    key, symbol
-        Of the term.
-    statistic, dof, p_value
-        Twice the drop of the log-likelihood with one coefficient for all records; chi-squared with
-        r - 1 degrees of freedom where there is one; the probability of so much by chance.
-    values
-        The coefficient of each record, in SI, shape (r,); 0 where its data want none.
-    log_deviations
-        Standard error of the logarithm of each, shape (r,); inf where it is not told.
+    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared with
+    r - 1 degrees of freedom where there is one; `p_value` the probability of so much by chance. `values` are
+    the coefficients of the records in SI, shape (r,), 0 where the data want none, and `log_deviations` the
+    standard errors of their logarithms, shape (r,), inf where one is not told.
     """
 
     key: str
@@ -170,15 +141,12 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
     """Return the test of each term of a joint fit but the ramp; none for a single record."""
     if len(fit.records) < 2:
         return ()
-    from scipy.special import chdtrc
-
     fitted, dof = fit.whole, len(fit.records) - 1
-    terms = [(name, column) for name, column in fitted.columns() if column < fitted.candidate.variances]
-    parts, logs = _parts(fit, [column for _, column in terms])
+    terms = fitted.variances()
+    parts, logs = _parts(fit, list(terms.values()))
     free, common = (parts.fit(common=held) for held in (False, True))
     tests = []
-    for row, (name, column) in enumerate(terms):
-        key = name.partition(".")[0]
+    for row, (key, column) in enumerate(terms.items()):
         symbol, information = symbol_of(key), free.information[row]
         surplus = fit.problem.widening.get(symbol, 1.0) ** 2
         statistic = max(2 * float(np.sum(common.objective[row] - free.objective[row])) / surplus, 0.0)
@@ -191,7 +159,7 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
                 symbol=symbol,
                 statistic=statistic,
                 dof=dof,
-                p_value=float(chdtrc(dof, statistic)),
+                p_value=float(scipy.special.chdtrc(dof, statistic)),
                 values=fit.problem.deviation(symbol) * deviations,
                 log_deviations=errors,
             )
@@ -211,9 +179,9 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     own = np.ones((rows.size, owner.size))
     own[:count] = owner == np.arange(count)[:, np.newaxis]
     spectra = derivatives(joint, candidate, theta)[: candidate.variances]
-    low, _ = bounds(fit.problem.ordinates, candidate, shortest=fit.problem.shortest)
+    low, _ = bounds(fit.problem.ordinates, candidate)
     absent = [column for column in columns if theta[0, column] < low[column] + _RAISED]
-    factor = visible(spectra, np.array(absent, dtype=np.int64))
+    factor = visible(spectra, absent)
     varied = [[one, *(column for column in columns if column != one)] for one in columns]
     parts = Parts(
         ordinates=replace(
@@ -241,18 +209,11 @@ _FAR = 4.0
 _FLOOR = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SquaredCoefficient:
     """The estimate of a squared coefficient in SI², which may be negative, and its law.
 
-    Attributes
-    ----------
-    value
-        The estimate.
-    deviation
-        Its standard deviation where the coefficient is zero.
-    growth
-        By how much that grows with the square: it is ``deviation + growth * square``.
+    Its standard deviation is ``deviation + growth * square``: `deviation` where the coefficient is zero.
     """
 
     value: float
@@ -268,8 +229,8 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     """
     problem, fitted = found.problem, found.whole
     ordinates, candidate = problem.ordinates, fitted.candidate
-    columns = [(name, column) for name, column in fitted.columns() if column < candidate.variances]
-    places = [column for _, column in columns]
+    columns = fitted.variances()
+    places = list(columns.values())
     unit = fitted.maximum.theta.copy()
     unit[:, : candidate.variances] = 0.0
     slopes = derivatives(ordinates, candidate, unit)
@@ -280,11 +241,16 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     spectrum = reference @ slopes[places]
     weight = 0.5 * ordinates.size / spectrum**2
     variance = _inverse(slopes[places], weight) @ (slopes[places] @ (weight * power / ordinates.size))
-    beside = _nuisance(slopes, fitted, dict(zip(places, reference.tolist(), strict=True)), spectrum)
+    # The slopes in correlation times and response.
+    first, whole = candidate.variances, slopes[: candidate.variances].sum(axis=0)
+    level = dict(zip(places, reference.tolist(), strict=True))
+    times = np.flatnonzero(candidate.free[0, first : candidate.response]).tolist()
+    times_of = [level[SHAPED + term] * slopes[first + term] for term in times]
+    response = candidate.response + np.arange(int(candidate.poles[0]))
+    beside = np.array([*times_of, *(slopes[response] / whole * spectrum)]).reshape(-1, spectrum.size)
     laws = _laws(np.concatenate([slopes[places], beside]), ordinates.size, spectrum, variance)
     result = {}
-    for (name, _), value, (deviation, growth) in zip(columns, variance.tolist(), laws, strict=True):
-        key = name.partition(".")[0]
+    for key, value, (deviation, growth) in zip(columns, variance.tolist(), laws, strict=True):
         symbol = symbol_of(key)
         scale = problem.deviation(symbol) ** 2
         wider = problem.widening.get(symbol, 1.0) * found.misfits.get(symbol, 1.0)
@@ -329,22 +295,6 @@ def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatA
             break
         reference = np.sqrt(reference * wanted)
     return reference
-
-
-def _nuisance(
-    slopes: FloatArray, fitted: Fitted, variance: dict[int, float], spectrum: FloatArray
-) -> FloatArray:
-    """Return the derivatives of the spectrum in correlation times and response, shape (j, b)."""
-    candidate = fitted.candidate
-    room = candidate.response - candidate.variances
-    times = [
-        variance[place - room] * slopes[place]
-        for place in range(candidate.variances, candidate.response)
-        if candidate.free[0, place]
-    ]
-    whole = slopes[: candidate.variances].sum(axis=0)
-    response = [slopes[candidate.response + i] / whole * spectrum for i in range(int(candidate.poles[0]))]
-    return np.array([*times, *response]).reshape(-1, spectrum.size)
 
 
 def _laws(

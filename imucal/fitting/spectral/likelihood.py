@@ -17,13 +17,14 @@ with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i 
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import fields, replace
 from itertools import product
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.ordinates import LAWS, SHAPED, Ordinates
+from imucal.frozen import frozen_alone
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
@@ -36,7 +37,8 @@ SHORTEST = 10.0
 #: Shortest of a given model.
 SHORTEST_GIVEN = 2.0
 
-_SYMBOLS = tuple(law.value for law in LAWS)
+#: Symbol of a power-law term -> its column in a row of parameters.
+COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
 
@@ -46,24 +48,15 @@ _CACHED = 16384
 _BETWEEN = np.linspace(0.4, 1.0, 25)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Candidates:
     """Which terms each of c candidates has.
 
-    Attributes
-    ----------
-    laws
-        Whether Q, N, B, K are in it, shape (c, 4).
-    shaped
-        Which of `kinds` each of its other terms is, -1 for none, shape (c, g).
-    kinds
-        Terms whose shape is no power law: a spectrum with a time in it.
-    poles, zeros
-        Order of the response's denominator and numerator, shape (c,).
-    regressors
-        Which of the ordinates' regressors are in it, shape (c, r).
-    room_poles
-        Columns kept for the response: the greatest of `poles`, or more.
+    `laws`, shape (c, 4), says whether Q, N, B, K are in it; `shaped`, shape (c, g), which of `kinds` each of
+    its other terms is, -1 for none: those whose shape is no power law, a spectrum with a time in it. `poles`
+    and `zeros`, shape (c,), are the order of the response's denominator and numerator, and `room_poles` the
+    columns kept for it: the greatest of `poles`, or more. `regressors`, shape (c, r), says which of the
+    ordinates' own are in it. Correlation times are `shortest` samples at least.
     """
 
     laws: BoolArray
@@ -73,6 +66,7 @@ class Candidates:
     zeros: IntArray
     regressors: BoolArray
     room_poles: int
+    shortest: float
 
     @property
     def count(self) -> int:
@@ -111,10 +105,9 @@ class Candidates:
     @property
     def parameters(self) -> IntArray:
         """Number of parameters of each candidate, regressors included, shape (c,)."""
-        total: IntArray = self.free.sum(axis=1) + self.regressors.sum(axis=1)
-        return total
+        return np.asarray(self.free.sum(axis=1) + self.regressors.sum(axis=1))
 
-    def take(self, index: IntArray | BoolArray) -> "Candidates":
+    def __getitem__(self, index: IntArray | BoolArray | list[int]) -> "Candidates":
         """Return some of the candidates; an index may stand more than once."""
         rows = ("laws", "shaped", "poles", "zeros", "regressors")
         return replace(self, **{name: getattr(self, name)[index] for name in rows})
@@ -122,7 +115,7 @@ class Candidates:
 
 def shaped_symbols(structure: Iterable[str]) -> list[str]:
     """Return the symbols of the terms with a spectrum that is no power law."""
-    return [symbol for symbol in structure if symbol in TERMS and symbol not in (*_SYMBOLS, "R")]
+    return [symbol for symbol in structure if symbol not in {*COLUMN, "R"}]
 
 
 def all_structures(max_gm: int, *, method: str = "mle", quantization: bool = True) -> list[Structure]:
@@ -139,7 +132,7 @@ def all_structures(max_gm: int, *, method: str = "mle", quantization: bool = Tru
     return [structure for structure in every if structure not in {(), ("R",)}]
 
 
-def richest(structure: Structure | None, max_gm: int) -> Structure:
+def richest(structure: Structure | None, max_gm: int = 1) -> Structure:
     """Return a structure that holds every candidate; beside a given one, a term of any slow shape."""
     if structure is None:
         counts = {symbol: max(max_gm, 1) if TERMS[symbol].repeatable else 1 for symbol in _fitted("mle")}
@@ -157,22 +150,22 @@ def candidates_of(
     *,
     poles: int | Sequence[int] = 0,
     zeros: int | Sequence[int] = 0,
-    common: Sequence[str] = (),
     room_shaped: int | None = None,
     room_poles: int | None = None,
+    shortest: float = SHORTEST_GIVEN,
 ) -> Candidates:
-    """Return one candidate for each structure, with those of the ordinates' regressors `names` that it has.
+    """Return one candidate for each structure, with all of the ordinates' regressors `names`.
 
-    Every candidate has the regressors `common`. The order of the output filter's response, `poles` and
-    `zeros`, is one for all or one for each. No more columns than needed are kept, or `room_shaped` for terms
-    of other shapes and `room_poles` for the response.
+    The ramp ``R`` is in those that have it as a term only. The order of the output filter's response, `poles`
+    and `zeros`, is one for all or one for each. No more columns than needed are kept, or `room_shaped` for
+    terms of other shapes and `room_poles` for the response.
     """
     count = len(structures)
     shaped = [shaped_symbols(structure) for structure in structures]
     kinds = in_order({symbol for own in shaped for symbol in own})
     room = max(map(len, shaped), default=0) if room_shaped is None else room_shaped
     return Candidates(
-        laws=np.array([[s in own for s in _SYMBOLS] for own in structures]).reshape(count, len(_SYMBOLS)),
+        laws=np.array([[s in own for s in COLUMN] for own in structures]).reshape(count, SHAPED),
         shaped=np.array(
             [[*map(kinds.index, own), *[-1] * (room - len(own))] for own in shaped], dtype=np.int64
         ).reshape(count, room),
@@ -180,9 +173,10 @@ def candidates_of(
         poles=np.broadcast_to(np.asarray(poles, dtype=np.int64), count),
         zeros=np.broadcast_to(np.asarray(zeros, dtype=np.int64), count),
         regressors=np.array(
-            [[name in structure or name in common for name in names] for structure in structures]
+            [[name != "R" or name in structure for name in names] for structure in structures]
         ).reshape(count, len(names)),
         room_poles=int(np.max(poles)) if room_poles is None else room_poles,
+        shortest=shortest,
     )
 
 
@@ -191,40 +185,36 @@ def parameter_columns(structure: Structure, room_shaped: int) -> list[tuple[str,
 
     One Gauss-Markov term is called ``GM``, several ``GM1``, ``GM2`` …
     """
-    columns = [(s, _SYMBOLS.index(s)) for s in structure if s in _SYMBOLS]
-    keys = [key for key, s in zip(term_keys(structure), structure, strict=True) if s not in (*_SYMBOLS, "R")]
+    columns = [(s, COLUMN[s]) for s in structure if s in COLUMN]
+    keys = [key for key, s in zip(term_keys(structure), structure, strict=True) if s not in {*COLUMN, "R"}]
     for index, (key, symbol) in enumerate(zip(keys, shaped_symbols(structure), strict=True)):
         places = (SHAPED + index, SHAPED + room_shaped + index)
         columns += zip(TERMS[symbol].parameter_names(key), places, strict=False)
     return columns
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Evaluation:
-    """The likelihood at one row of parameters for each candidate.
+    """The likelihood at one row of parameters for each of the candidates, such as where it is greatest.
 
-    Attributes
-    ----------
-    objective
-        -log L less a constant, shape (c,); infinite where the response is not positive.
-    score
-        Its gradient, shape (c, p).
-    information
-        Expected Fisher information, shape (c, p, p).
-    beta
-        Regressors' coefficients, shape (c, r); 0 for those a candidate does not have.
-    beta_covariance
-        Their covariance given the spectrum, shape (c, r, r).
-    spectrum
-        S, shape (c, b).
+    At `theta`, shape (c, p), `objective` is -log L less a constant, shape (c,), infinite where the response
+    is not positive; `score` its gradient, shape (c, p); `information` Fisher's, expected, shape (c, p, p).
+    `beta` are the regressors' coefficients, shape (c, r), 0 for those a candidate does not have,
+    `beta_covariance` their covariance given the `spectrum` S: shapes (c, r, r) and (c, b).
     """
 
+    candidates: Candidates
+    theta: FloatArray
     objective: FloatArray
     score: FloatArray
     information: FloatArray
     beta: FloatArray
     beta_covariance: FloatArray
     spectrum: FloatArray
+
+    def __getitem__(self, index: IntArray | list[int]) -> "Evaluation":
+        """Return some rows; an index may stand more than once."""
+        return Evaluation(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
 def evaluate(
@@ -246,6 +236,8 @@ def evaluate(
         information = np.matmul(slopes, slopes.transpose(0, 2, 1))
     objective[~np.isfinite(objective)] = np.inf
     return Evaluation(
+        candidates=candidates,
+        theta=theta,
         objective=objective,
         score=score,
         information=information,
@@ -261,8 +253,7 @@ def derivatives(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) 
     Those in the logs of the variances are what each term adds, the response included.
     """
     spectrum, slopes = _spectrum(ordinates, candidate, theta)
-    found: FloatArray = slopes[0] * spectrum[0]
-    return found
+    return np.asarray(slopes[0] * spectrum[0])
 
 
 def _spectrum(

@@ -6,14 +6,15 @@ The lowest ordinates are never left out: they carry the random walk and the drif
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.ordinates import cycle_ordinates
+from imucal.frozen import frozen
 
 #: Chance that a record without lines has one found.
 _CHANCE = 0.01
@@ -35,7 +36,7 @@ _TAIL = 0.05
 _LEAST, _MOST = 3, 0.02
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Sine:
     """A steady line: cosine cos(omega (t + 1/2)) + sine sin(omega (t + 1/2)), omega in rad/sample."""
 
@@ -65,16 +66,20 @@ def find_lines(
     size = ordinates.size
     starts = bins.first - 1
     total, peaks = _totals_and_peaks(ordinates, bins)
-    level, sureness = _level_of(total, bins.count.astype(np.float64), bins)
-    if not np.any(peaks > level * _limit(sureness, _CHANCE / max(size, 1))):
-        return None, ()
-    square = ordinates * ordinates
+    count = bins.count.astype(np.float64)
     kept: BoolArray | None = None
     for _ in range(2):
-        level, sureness = _level(square, kept, bins)
+        level, sureness = _level(total, count, bins)
         limit = level * _limit(sureness, _CHANCE / max(size, 1))
         suspects = np.flatnonzero(peaks > limit)
-        found = _beyond(square, bins, suspects, limit)
+        if not suspects.size:
+            break
+        square = ordinates * ordinates
+        spans = [slice(int(starts[at]), int(starts[at] + bins.count[at])) for at in suspects]
+        over = [
+            s.start + np.flatnonzero(square[s] > limit[at]) for at, s in zip(suspects, spans, strict=True)
+        ]
+        found = np.concatenate([starts[:0], *over])
         found = _standing_out(square, found[found >= _LOWEST])
         if not found.size:
             break
@@ -83,18 +88,24 @@ def find_lines(
         reach = np.ceil(np.sqrt(excess / _TAIL) / np.pi)
         reach = np.minimum(np.maximum(reach, _LEAST), np.maximum(_LEAST, _MOST * found)).astype(np.int64)
         kept = outside(np.maximum(found - reach, _LOWEST), found + reach + 1, size)
+        total, count = (np.add.reduceat(values * kept, starts) for values in (square, np.ones(size)))
     if kept is None:
         return None, ()
-    return kept, _describe(square, kept, level, bins, scale=scale, rate_hz=rate_hz)
+    lines = []
+    for start, stop in zip(*(ends.tolist() for ends in left_out(kept)), strict=True):
+        top = start + int(np.argmax(square[start:stop]))
+        at = int(np.searchsorted(starts, top, side="right")) - 1
+        power = max(float(square[start:stop].sum()) - (stop - start) * float(level[at]), 0.0)
+        # A sine of amplitude A has a sum of squares n A²/2.
+        amplitude = scale * float(np.sqrt(2 * power / bins.n))
+        lines.append(Line(frequency_hz=(top + 1) * rate_hz / (2 * bins.n), amplitude=amplitude))
+    return kept, tuple(sorted(lines, key=lambda line: -line.amplitude))
 
 
 def _limit(sureness: FloatArray, chance: float) -> FloatArray:
     """Return how far above the local level a square lies with a probability of `chance`."""
-    from scipy.special import fdtri
-
     # The level is estimated too: F has a far heavier tail than chi-squared where few ordinates make it.
-    limit: FloatArray = fdtri(1.0, sureness, 1.0 - chance)
-    return limit
+    return np.asarray(scipy.special.fdtri(1.0, sureness, 1.0 - chance))
 
 
 def local_level(
@@ -104,15 +115,10 @@ def local_level(
 
     The chance is that of any ordinate of a record without lines.
     """
-    level, sureness = _level(np.square(ordinates), kept, bins)
+    weight = np.ones(ordinates.size) if kept is None else kept.astype(np.float64)
+    total = np.add.reduceat(np.square(ordinates) * weight, bins.first - 1)
+    level, sureness = _level(total, np.add.reduceat(weight, bins.first - 1), bins)
     return level, _limit(sureness, chance / max(ordinates.size, 1))
-
-
-def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
-    weight = np.ones(square.size) if kept is None else kept.astype(np.float64)
-    total, count = (np.add.reduceat(values, bins.first - 1) for values in (square * weight, weight))
-    return _level_of(total, count, bins)
 
 
 def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
@@ -125,8 +131,11 @@ def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray,
     return total, peaks
 
 
-def _level_of(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return what `_level` does, from each bin's sum of squares and number of ordinates."""
+def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
+    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin.
+
+    Each bin's sum of squares is `total`, its number of ordinates `count`, shape (b,).
+    """
     mean = np.log(np.maximum(total, 1e-300) / np.maximum(count, 1.0))
     known = np.flatnonzero(count > 0)
     mean = np.interp(np.arange(mean.size), known, mean[known])
@@ -139,13 +148,6 @@ def _level_of(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[Floa
     return level, np.maximum(_MEDIAN_EFFICIENCY * ordinates, 1.0)
 
 
-def _beyond(square: FloatArray, bins: DctBins, suspects: IntArray, limit: FloatArray) -> IntArray:
-    """Return the ordinates beyond the limit of their bin, looking only into suspect bins."""
-    starts, stops = bins.first - 1, bins.first - 1 + bins.count
-    found = [starts[at] + np.flatnonzero(square[starts[at] : stops[at]] > limit[at]) for at in suspects]
-    return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-
-
 def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
     """Return those found whose surroundings are lower too: an edge or a peak of a filter is no line.
 
@@ -154,30 +156,23 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
     """
     apart = np.maximum(_NEAR, _MOST / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
-    kept = [near for near in groups if near.size and (_is_sharp(square, near) or _is_narrow(square, near))]
+    kept = [near for near in groups if near.size and _is_line(square, near)]
     return np.concatenate(kept) if kept else found[:0]
 
 
-def _is_sharp(square: FloatArray, near: IntArray) -> bool:
-    """Return whether the highest of some ordinates stands out of the nearest ones.
+def _is_line(square: FloatArray, near: IntArray) -> bool:
+    """Return whether the highest of some ordinates stands out of the nearest, or of those beside them all.
 
-    Among the lowest the bins are as narrow as that.
+    Among the lowest the bins are as narrow as the nearest. A line that wanders is as wide as all of them; a
+    resonance is wider, and on one side of an edge the noise is as high.
     """
     top = int(near[np.argmax(square[near])])
     reach = max(_NEAR, int(_NEAR_SHARE * top))
-    around = square[max(top - reach, 0) : top + reach + 1]
-    return top < 4 * _NEAR or _exceeds(square, top, around)
-
-
-def _is_narrow(square: FloatArray, near: IntArray) -> bool:
-    """Return whether some ordinates stand out of those on either side, though the line wanders.
-
-    A resonance is wider than that; on one side of an edge the noise is as high.
-    """
+    if top < 4 * _NEAR or _exceeds(square, top, square[max(top - reach, 0) : top + reach + 1]):
+        return True
     first, last = int(near[0]), int(near[-1])
     reach = max(_NEAR, last - first + 1, int(_MOST * last))
     sides = square[max(first - reach, 0) : first], square[last + 1 : last + 1 + reach]
-    top = int(near[np.argmax(square[near])])
     return last - first < 2 * _MOST * last and all(
         side.size and _exceeds(square, top, side) for side in sides
     )
@@ -194,29 +189,13 @@ def outside(first: IntArray, stop: IntArray, size: int) -> BoolArray:
     steps = np.zeros(size + 1, dtype=np.int64)
     np.add.at(steps, np.clip(first, 0, size), 1)
     np.add.at(steps, np.clip(stop, 0, size), -1)
-    free: BoolArray = np.cumsum(steps[:size]) == 0
-    return free
+    return np.asarray(np.cumsum(steps[:size]) == 0)
 
 
 def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
     """Return where each run of places that are not kept begins, and the place after its end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], kept, [True]]).astype(np.int8)))
     return edges[::2], edges[1::2]
-
-
-def _describe(
-    square: FloatArray, kept: BoolArray, level: FloatArray, bins: DctBins, *, scale: float, rate_hz: float
-) -> tuple[Line, ...]:
-    """Return frequency and amplitude of each run of ordinates that was left out."""
-    lines = []
-    for start, stop in zip(*(ends.tolist() for ends in left_out(kept)), strict=True):
-        top = start + int(np.argmax(square[start:stop]))
-        at = int(np.searchsorted(bins.first - 1, top, side="right")) - 1
-        power = max(float(square[start:stop].sum()) - (stop - start) * float(level[at]), 0.0)
-        # A sine of amplitude A has a sum of squares n A²/2.
-        amplitude = scale * float(np.sqrt(2 * power / bins.n))
-        lines.append(Line(frequency_hz=(top + 1) * rate_hz / (2 * bins.n), amplitude=amplitude))
-    return tuple(sorted(lines, key=lambda line: -line.amplitude))
 
 
 def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
@@ -228,7 +207,7 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
     found: list[Sine] = []
     for _ in range(_MOST_SINES):
         total, peaks = _totals_and_peaks(ordinates, bins)
-        level, sureness = _level_of(total, bins.count.astype(np.float64), bins)
+        level, sureness = _level(total, bins.count.astype(np.float64), bins)
         at = int(np.argmax(np.where(bins.first > _LOWEST, peaks / level, 0.0)))
         first, stop = int(bins.first[at]) - 1, int(bins.first[at] + bins.count[at]) - 1
         top = first + int(np.argmax(np.abs(ordinates[first:stop])))
@@ -248,8 +227,6 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
 
 def _fitted_sine(ordinates: FloatArray, n: int, top: int) -> Sine:
     """Return the sine nearest to the ordinates about index `top`."""
-    from scipy.optimize import minimize_scalar
-
     first = max(top - _ABOUT, 0)
     seen = ordinates[first : top + _ABOUT + 1]
     theta = np.asarray(np.pi / n * np.arange(first + 1, first + 1 + seen.size), dtype=np.float64)
@@ -264,7 +241,7 @@ def _fitted_sine(ordinates: FloatArray, n: int, top: int) -> Sine:
     grid = top + 1 + np.linspace(-1, 1, 17)
     nearest = grid[int(np.argmin([misfit(place) for place in grid.tolist()]))]
     place = float(
-        minimize_scalar(
+        scipy.optimize.minimize_scalar(
             misfit, bounds=(nearest - 0.15, nearest + 0.15), method="bounded", options={"xatol": 1e-7}
         ).x
     )

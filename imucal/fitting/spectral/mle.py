@@ -9,7 +9,7 @@ S_seen the model behind its filter, and above the band what was measured there. 
 bins are in both and cancel.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,19 +26,13 @@ from imucal.fitting.homogeneity import (
     widened,
     widened_covariance,
 )
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, Segments
+from imucal.fitting.noise_fit import MISFIT, Goodness, NoiseFit, Segments
 from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
-from imucal.fitting.spectral.bounds import (
-    either,
-    estimate_or_bound,
-    hull_estimates,
-    numbered,
-    with_absent,
-)
-from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
+from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
+from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import (
     SHORTEST,
     SHORTEST_GIVEN,
@@ -48,15 +42,16 @@ from imucal.fitting.spectral.likelihood import (
     richest,
 )
 from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_finding
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import Ordinates, band_top
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
+from imucal.frozen import frozen_alone
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class View:
     """What part of the spectrum is fitted, and with what beside the noise."""
 
@@ -64,7 +59,6 @@ class View:
     band: Band
     ordinates: Ordinates
     whole: Ordinates
-    common: tuple[str, ...]
     doubtful: tuple[str, ...]
     findings: tuple[Finding, ...]
 
@@ -74,42 +68,36 @@ def fit_mle(
 ) -> NoiseFit:
     """Fit a noise model to finite samples, gaps allowed, by maximum likelihood.
 
-    Their Allan curve is for the picture: the fit does not use it. `temperature`, shape (n,), is in degrees
-    Celsius at the samples.
-
-    Raises
-    ------
-    ValueError
-        If there are no samples, only a curve.
-    DataError
-        If there are too few samples, or they are all equal.
+    Their Allan curve is for the picture: the fit does not use it, and a ValueError refuses a curve alone.
+    Samples that are too few or all equal are a DataError. `temperature`, shape (n,), is in degrees Celsius at
+    the samples.
     """
     if series is None:
         msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
         raise ValueError(msg)
     structure = settings.structure
     view = spectral_view(series, settings, temperature)
-    shortest = SHORTEST if structure is None else SHORTEST_GIVEN
     band = view.band
     problem = Problem(
         ordinates=view.ordinates,
         level=settings.level,
-        shortest=shortest,
-        common=view.common,
-        unit=view.blocks.scale,
         tau0=series.tau0,
         widening={"N": heavy_tails(series.samples)},
     )
     choice = _choice(problem, band, settings)
-    fitted, own = estimate_or_bound(problem, choice)
     if structure is None:
-        fitted, own, estimates = hull_estimates(problem, choice, fitted, own)
+        fitted, own, estimates = hull_estimates(problem, choice)
         if view.doubtful:
-            estimates = either(estimates, _beside_doubtful(problem, view, settings))
+            # With the doubtful cycle taken out too.
+            names = (*view.whole.names, *view.doubtful)
+            other = bin_blocks(view.blocks.blocks, view.blocks.scale, names).below(band.fraction)
+            beside = replace(problem, ordinates=other)
+            estimates = either(estimates, hull_estimates(beside, _choice(beside, band, settings))[2])
     else:
+        fitted, own = estimate_or_bound(problem, choice)
         estimates = with_absent(problem, fitted, own)
-    found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
-    response = response_of(view.ordinates, fitted, band, series.rate_hz)
+    found = misfit(view.ordinates, fitted.maximum)
+    response = response_of(fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
 
@@ -141,9 +129,7 @@ def fit_mle(
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
     findings += line_finding(view.blocks.lines, series)
-    findings += filter_finding(
-        view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
-    )
+    findings += filter_finding(fitted, band, response, rate_hz=series.rate_hz, axis=series.name)
     findings += _misfit_findings(found, misfits, str(model), series.name)
     findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
     if structure is None:
@@ -158,7 +144,8 @@ def fit_mle(
             axis=series.name,
         )
     nyquist = series.rate_hz / 2
-    beta = dict(zip(view.ordinates.names, fitted.maximum.beta[0].tolist(), strict=True))
+    coefficients = (fitted.maximum.beta[0] * view.whole.scale).tolist()
+    taken_out = dict(zip(view.whole.names[1:], coefficients[1:], strict=True))
     return NoiseFit(
         method="mle",
         sensor=series.sensor,
@@ -183,10 +170,10 @@ def fit_mle(
             "band_fraction": band.fraction,
             "response_poles": band.poles,
             "response_zeros": band.zeros,
-            "regressors": list(view.common),
+            "regressors": [*taken_out],
         },
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
-        taken_out={name: beta[name] * view.blocks.scale for name in view.common},
+        taken_out=taken_out,
         segments=segments,
         bins=bins_of(view.whole, view.blocks, tau0=series.tau0, widening=problem.widening["N"]),
     )
@@ -199,18 +186,8 @@ def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels
         _structures(settings.structure, settings.max_gm, filtered=band.poles > 0),
         criterion=settings.criterion,
         band=band,
-        common=problem.common,
-        shortest=problem.shortest,
+        shortest=SHORTEST if settings.structure is None else SHORTEST_GIVEN,
     )
-
-
-def _beside_doubtful(problem: Problem, view: View, settings: FitSettings) -> tuple[Estimate, ...]:
-    """Return the estimates with the doubtful cycle taken out too."""
-    common = (*view.common, *view.doubtful)
-    ordinates = bin_blocks(view.blocks.blocks, view.blocks.scale, ("R", *common)).below(view.band.fraction)
-    problem = replace(problem, ordinates=ordinates, common=common)
-    choice = _choice(problem, view.band, settings)
-    return hull_estimates(problem, choice, *estimate_or_bound(problem, choice))[2]
 
 
 def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
@@ -224,7 +201,7 @@ def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) 
     sizes = [block.bins.size for block in view.blocks.blocks]
     longest = int(np.argmax([block.bins.n for block in view.blocks.blocks]))
     bins = view.blocks.blocks[longest].bins
-    whole = view.whole.take(np.repeat(np.arange(len(sizes)), sizes) == longest)
+    whole = view.whole[np.repeat(np.arange(len(sizes)), sizes) == longest]
     model, seen = _spectra(whole, fitted, view.band)
     half = np.pi * np.array([line.frequency_hz for line in lines]) / rate_hz
     square = (np.array([line.amplitude for line in lines]) / whole.scale) ** 2
@@ -239,15 +216,12 @@ def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) 
 
 def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray]:
     """Return the model's spectrum in every bin, and that which the curve holds; shape (b,) each."""
-    theta = fitted.maximum.theta
-    none = np.zeros(1, dtype=np.int64)
-    model = evaluate(whole, replace(fitted.candidate, poles=none, zeros=none), theta).spectrum[0]
+    model = fitted.unfiltered(whole)
     inside = whole.fraction <= band.fraction * (1 + 1e-9)
-    top = 4 * float(np.sin(np.pi / 2 * band.fraction)) ** 2
-    part = replace(whole.take(inside), top=top)
+    part = replace(whole[inside], top=band_top(band.fraction))
     measured = np.where(whole.size > 0, whole.power / np.maximum(whole.size, 1e-12), model)
     seen = np.where(inside, model, measured)
-    seen[inside] = evaluate(part, fitted.candidate, theta).spectrum[0]
+    seen[inside] = evaluate(part, fitted.candidate, fitted.maximum.theta).spectrum[0]
     return model, seen
 
 
@@ -260,8 +234,6 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
     band = find_band(
         whole,
         richest(settings.structure, settings.max_gm),
-        shortest=SHORTEST,
-        common=common,
         given=settings.structure,
         narrow=settings.still,
     )
@@ -270,7 +242,6 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
         band=band,
         ordinates=whole.below(band.fraction),
         whole=whole,
-        common=common,
         doubtful=may_be,
         findings=blocks.findings + findings,
     )
@@ -301,4 +272,4 @@ def _misfit_findings(
         f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).{allow}"
     )
     advice = "Look at the spectrum for what is not noise of these kinds."
-    return (Finding(level="warning", code="model-misfit", axis=axis, text=text, advice=advice),)
+    return (Finding("warning", "model-misfit", text, advice, axis=axis),)

@@ -20,7 +20,7 @@ from imucal.fitting.spectral.disturbances import (
     exact_places,
     find_disturbances,
 )
-from imucal.fitting.spectral.likelihood import SHORTEST, richest
+from imucal.fitting.spectral.likelihood import richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.processes import try_side_work
@@ -38,16 +38,8 @@ _VISIBLE = 0.1
 def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tuple[Finding, ...]:
     """Return what is not noise in an axis at rest; nothing of one that is too short for a noise model.
 
-    Parameters
-    ----------
-    series
-        Finite samples; gaps are allowed.
-    temperature
-        In degrees Celsius at the samples, shape (n,), or None.
-
-    Notes
-    -----
-    Takes about a quarter of the time of `fit_mle`, whose first steps these are.
+    Samples are finite, gaps are allowed; `temperature`, shape (n,), is in degrees Celsius at the samples, or
+    None. Takes about a quarter of the time of `fit_mle`, whose first steps these are.
     """
     try:
         blocks = make_blocks(series, temperature)
@@ -56,7 +48,7 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
     found, _ = find_disturbances(blocks.blocks, exact=exact_places(series))
     common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
-    band = find_band(whole, richest(None, 1), shortest=SHORTEST, common=common)
+    band = find_band(whole, richest(None))
     return (
         *tone_finding(blocks, series, fitted=False),
         *disturbance_findings(found, series, blocks.scale, fitted=False),
@@ -68,20 +60,16 @@ def find_shapes(
     series: AxisSeries, blocks: SeriesBlocks
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...], tuple[Finding, ...]]:
     """Return what is to be taken out with the fit, what may be, and what to say of it and of two levels."""
-    levels, no_levels = try_side_work(
-        lambda: find_telegraph(series),
-        None,
-        what="No look for two levels",
-        code="not-checked",
-        axis=series.name,
-    )
     nothing: tuple[Disturbance, ...] = ()
+    say = {"code": "not-checked", "axis": series.name}
+    levels, no_levels = try_side_work(
+        lambda: find_telegraph(series), None, what="No look for two levels", **say
+    )
     (found, doubtful), no_shapes = try_side_work(
         lambda: find_disturbances(blocks.blocks, steps=levels is None, exact=exact_places(series)),
         (nothing, nothing),
         what="No look for steps and cycles",
-        code="not-checked",
-        axis=series.name,
+        **say,
     )
     said = telegraph_finding(levels, series)
     said += disturbance_findings(found, series, blocks.scale, fitted=True)
@@ -100,7 +88,7 @@ def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ..
     more = f" and {len(lines) - _NAMED} weaker ones" if len(lines) > _NAMED else ""
     text = f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit."
     advice = "Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines."
-    return (Finding(level="info", code="line", axis=series.name, text=text, advice=advice),)
+    return (Finding("info", "line", text, advice, axis=series.name),)
 
 
 def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> tuple[Finding, ...]:
@@ -127,7 +115,7 @@ def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> t
     level: Level = "warning" if visible else "info"
     text = f"{series.name} holds {count}{effect}: {'; '.join(named)}."
     advice = "Remove the source and record again; the fit leaves lines out." if visible else ""
-    return (Finding(level=level, code="tone", axis=series.name, text=text, advice=advice),)
+    return (Finding(level, "tone", text, advice, axis=series.name),)
 
 
 def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], float]:
@@ -170,4 +158,4 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
     else:
         return ()
     advice = "Read N from the flat part below the filter, not from the first points of the curve."
-    return (Finding(level="info", code="roll-off", text=text, advice=advice, axis=series.name),)
+    return (Finding("info", "roll-off", text, advice, axis=series.name),)

@@ -15,14 +15,16 @@ places and times are in samples, from the first sample of the record:
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 
 from imucal.allan.dct import DctBins, dct_ordinates, ramp_ordinates
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.frozen import frozen_alone
 from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
@@ -35,32 +37,19 @@ _FEW_BLOCKS = 2
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Ordinates:
     """Binned DCT ordinates, in scaled units: samples divided by `scale`, sampling period 1.
 
-    Attributes
-    ----------
-    scale
-        U per scaled unit: a power of two, so that scaling costs no digit.
-    size
-        Degrees of freedom of each bin, shape (b,): ordinates kept, less what a gap has taken.
-    power
-        Sum of their squares, shape (b,).
-    lam
-        Mean of 4 sin²(theta/2) over each bin, shape (b,).
-    length, sign
-        Samples of the bin's block; (-1)^k for bins of one ordinate, else 0; shape (b,).
-    basis
-        Expected square per unit variance parameter of each of `LAWS`, shape (4, b).
-    names
-        Regressors: what is taken out by generalised least squares; ``R`` is the ramp.
-    cross
-        Sums of ordinate times regressor's ordinate, shape (r, b).
-    gram
-        Sums of products of regressors' ordinates, shape (r, r, b).
-    top
-        lam at the upper end of the band, which a response's coefficients refer to.
+    `scale` is U per scaled unit: a power of two, so that scaling costs no digit. Each bin, shape (b,), has
+    `size` degrees of freedom (ordinates kept, less what a gap has taken), `power`, the sum of their squares,
+    `lam`, the mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k of a bin of
+    one ordinate, else 0. `basis`, shape (4, b), is the expected square per unit variance parameter of each of
+    `LAWS`.
+
+    The regressors `names` are taken out by generalised least squares; ``R`` is the ramp. `cross`, shape (r,
+    b), are sums of ordinate times regressor's ordinate, `gram`, shape (r, r, b), of products of regressors'
+    ordinates. `top` is lam at the upper end of the band, which a response's coefficients refer to.
     """
 
     scale: float
@@ -90,7 +79,7 @@ class Ordinates:
         """Frequency of each bin as a fraction of Nyquist, shape (b,)."""
         return 2 / np.pi * np.arcsin(np.sqrt(np.minimum(self.lam, 4.0)) / 2)
 
-    def take(self, select: BoolArray) -> "Ordinates":
+    def __getitem__(self, select: BoolArray) -> "Ordinates":
         """Return the bins where `select`, shape (b,), is true."""
         return replace(self, **{name: getattr(self, name)[..., select] for name in _BINNED})
 
@@ -104,13 +93,19 @@ class Ordinates:
 
     def below(self, fraction: float) -> "Ordinates":
         """Return the bins up to a fraction of Nyquist that hold any ordinate."""
-        chosen = self.take((self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0))
-        return replace(chosen, top=4 * float(np.sin(np.pi / 2 * fraction)) ** 2)
+        chosen = self[(self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0)]
+        return replace(chosen, top=band_top(fraction))
 
     def rest(self, beta: FloatArray) -> FloatArray:
         """Return the squares that regressors of coefficients `beta`, shape (r,), leave, shape (b,)."""
         drift: FloatArray = np.einsum("i,ijb,j->b", beta, self.gram, beta) - 2 * beta @ self.cross
         return self.power + drift
+
+    def unfiltered(self, response: FloatArray, zeros: int) -> "Ordinates":
+        """Return the ordinates as before an output filter, for starting values: less its |H|² in the mean."""
+        denominator = 1 + (self.lam[:, None] / self.top) ** np.arange(1, response.size + 1) @ response
+        inverse = denominator / np.maximum(1 - self.lam / 4, 1e-12) ** zeros
+        return replace(self, power=self.power * inverse, cross=self.cross * inverse, gram=self.gram * inverse)
 
     def detrended(self) -> "Ordinates":
         """Return the ordinates less a roughly fitted ramp, for starting values only."""
@@ -121,6 +116,11 @@ class Ordinates:
         slope = (self.cross[at] @ weight) / (self.gram[at, at] @ weight)
         power = self.power - 2 * slope * self.cross[at] + slope**2 * self.gram[at, at]
         return replace(self, power=np.maximum(power, 1e-9 * self.power))
+
+
+def band_top(fraction: float) -> float:
+    """Return lam at the upper end of a band that reaches to a fraction of Nyquist."""
+    return 4 * float(np.sin(np.pi / 2 * fraction)) ** 2
 
 
 def bin_shapes(bins: DctBins) -> dict[str, Any]:
@@ -167,8 +167,7 @@ def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
     single = np.diff(first, append=size.size) == 1
 
     def mean(values: FloatArray) -> FloatArray:
-        weighed: FloatArray = np.add.reduceat(values * size, first, axis=-1) / total
-        return weighed
+        return np.asarray(np.add.reduceat(values * size, first, axis=-1) / total)
 
     return replace(
         ordinates,
@@ -212,15 +211,23 @@ def regressor_ordinates(
     kind, value = _parsed(name)
     if kind == "temperature":
         if temperature is None:
-            msg = f"regressor {name!r} needs the temperature of the samples, got none"
-            raise ValueError(msg)
-        return temperature_ordinates(temperature, count, value)
+            raise ValueError(f"regressor {name!r} needs the temperature of the samples, got none")
+        # Where few are asked for, of means over spans of equal length: the transform of those is the same at
+        # frequencies far below theirs, and quick.
+        spans = min(n, _MEANS * (count + 1))
+        if spans < n:
+            total = np.concatenate([[0.0], np.cumsum(temperature - temperature[0])])
+            edges = np.interp(np.linspace(0, n, spans + 1), np.arange(n + 1.0), total)
+            temperature = np.diff(edges) * (spans / n)
+        ordinates = dct_ordinates(lagged(temperature, value * spans / n))[:count]
+        return np.asarray(ordinates * np.sqrt(n / spans))
+    if kind in {"cos", "sin"}:
+        theta, quarter = np.pi / n * np.arange(1.0, count + 1), np.pi / 2 if kind == "sin" else 0.0
+        return cycle_ordinates(n, theta, value, value * offset - quarter)
     closed: dict[str, Callable[[], FloatArray]] = {
         "R": lambda: ramp_ordinates(n, count),
         "exp": lambda: exponential_ordinates(n, count, value, offset),
         "step": lambda: step_ordinates(n, count, value - offset),
-        "cos": lambda: cycle_ordinates(n, _angles(n, count), value, value * offset),
-        "sin": lambda: cycle_ordinates(n, _angles(n, count), value, value * offset - np.pi / 2),
     }
     return closed[kind]()
 
@@ -253,12 +260,7 @@ def step_ordinates(n: int, count: int, place: float) -> FloatArray:
     if not 0 < place < n:
         return np.zeros(count)
     half = np.pi / (2 * n) * np.arange(1, count + 1, dtype=np.float64)
-    ordinates: FloatArray = -np.sqrt(2 / n) * np.sin(2 * half * place) / (2 * np.sin(half))
-    return ordinates
-
-
-def _angles(n: int, count: int) -> FloatArray:
-    return np.asarray(np.pi / n * np.arange(1, count + 1, dtype=np.float64))
+    return np.asarray(-np.sqrt(2 / n) * np.sin(2 * half * place) / (2 * np.sin(half)))
 
 
 def cycle_ordinates(
@@ -278,28 +280,10 @@ def cycle_ordinates(
     return np.asarray(np.sqrt(2 / n) / 2 * total)
 
 
-def temperature_ordinates(temperature: FloatArray, count: int, lag: float) -> FloatArray:
-    """Return the ordinates k = 1 … count of the temperature behind a first-order lag, in samples.
-
-    Where few are asked for, of means over spans of equal length: the transform of those is the same
-    at frequencies far below theirs, and quick.
-    """
-    n = temperature.size
-    spans = min(n, _MEANS * (count + 1))
-    if spans < n:
-        total = np.concatenate([[0.0], np.cumsum(temperature - temperature[0])])
-        edges = np.interp(np.linspace(0, n, spans + 1), np.arange(n + 1.0), total)
-        temperature = np.diff(edges) * (spans / n)
-    ordinates = dct_ordinates(lagged(temperature, lag * spans / n))[:count]
-    return np.asarray(ordinates * np.sqrt(n / spans))
-
-
 def lagged(samples: FloatArray, lag: float) -> FloatArray:
     """Return what follows `samples` with a first-order lag, in samples, at rest before the first."""
     if not lag > 0:
         return samples
-    from scipy.signal import lfilter
-
     phi = float(np.exp(-1 / lag))
-    followed = lfilter([1 - phi], [1.0, -phi], samples - samples[0])
+    followed = scipy.signal.lfilter([1 - phi], [1.0, -phi], samples - samples[0])
     return np.asarray(samples[0] + followed)

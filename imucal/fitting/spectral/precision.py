@@ -13,7 +13,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins
+from imucal.allan.dct import dct_bins
 from imucal.arrays import FloatArray
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
@@ -32,19 +32,9 @@ def relative_deviations(
 ) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
-    The same for every unit. Infinite for a term of coefficient 0, and for a record of fewer samples
-    than parameters.
-
-    Parameters
-    ----------
-    model
-        The noise; every term is unknown.
-    rate_hz
-        Sampling rate.
-    duration_s
-        Length of the record, in s.
-    beside
-        Symbols of power laws that may be there too: zero in this noise, but the fit does not know that.
+    Every term of the model is unknown, and the power laws `beside` it may be there too: zero in this noise,
+    but the fit does not know that. The same for every unit. Infinite for a term of coefficient 0, and for a
+    record of fewer samples than parameters.
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
@@ -67,7 +57,12 @@ def relative_deviations(
             result[names[place]] = deviation
     for term in model.terms:
         if isinstance(term, RateRamp) and term.value:
-            result["R"] = _ramp_deviation(bins, spectrum) * rate_hz / abs(term.value)
+            # Of a ramp per sample: its ordinates are odd, and fall as 1/k².
+            half = bins.omega / 2
+            squares = 2 / bins.n * np.cos(half) ** 2 / (4 * np.sin(half) ** 4)
+            odd = np.where(bins.count == 1, bins.first % 2, bins.count / 2)
+            told = float(1 / np.sqrt(np.sum(odd * squares / spectrum))) if np.all(spectrum > 0) else 0.0
+            result["R"] = told * rate_hz / abs(term.value)
     return result
 
 
@@ -84,13 +79,3 @@ def _deviations(scaled: FloatArray, length: FloatArray) -> list[float]:
         return [math.inf] * length.size
     inverse = np.linalg.inv(factor)
     return [float(d) for d in np.sqrt(np.einsum("ij,ij->i", inverse, inverse)) / length]
-
-
-def _ramp_deviation(bins: DctBins, spectrum: FloatArray) -> float:
-    """Return the standard error of a ramp per sample: its ordinates are odd, and fall as 1/k^2."""
-    if not np.all(spectrum > 0):
-        return 0.0
-    half = bins.omega / 2
-    squares = 2 / bins.n * np.cos(half) ** 2 / (4 * np.sin(half) ** 4)
-    odd = np.where(bins.count == 1, bins.first % 2, bins.count / 2)
-    return float(1 / np.sqrt(np.sum(odd * squares / spectrum)))

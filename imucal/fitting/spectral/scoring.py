@@ -1,8 +1,9 @@
 """Fisher scoring, damped as by Levenberg and Marquardt, of many candidates side by side."""
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Goodness
@@ -23,32 +24,6 @@ _CATCHING_UP = 0.1
 _JOIN = 8.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Maximum:
-    """Where the likelihood of each candidate is greatest.
-
-    Attributes
-    ----------
-    theta
-        Parameters, shape (c, p).
-    objective, information, beta, beta_covariance
-        As in `Evaluation`.
-    converged
-        Whether scoring came to rest, shape (c,).
-    """
-
-    theta: FloatArray
-    objective: FloatArray
-    information: FloatArray
-    beta: FloatArray
-    beta_covariance: FloatArray
-    converged: BoolArray
-
-    def take(self, index: IntArray) -> "Maximum":
-        """Return some rows; an index may stand more than once."""
-        return Maximum(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
-
-
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
     """Return which candidates of a race are far behind the best and do not catch up, shape (c,).
 
@@ -57,15 +32,14 @@ def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
     """
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
-    hopeless: BoolArray = (behind > (most[-1] if most else np.inf)) & (gain < _CATCHING_UP * behind)
-    return hopeless
+    return np.asarray((behind > (most[-1] if most else np.inf)) & (gain < _CATCHING_UP * behind))
 
 
-def bounds(ordinates: Ordinates, candidates: Candidates, *, shortest: float) -> tuple[FloatArray, FloatArray]:
+def bounds(ordinates: Ordinates, candidates: Candidates) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and highest values of each parameter, each of shape (p,).
 
     A variance may fall until its term is invisible in every bin; a correlation time lies between
-    `shortest` samples and twice the record.
+    the candidates' shortest and twice the record.
     """
     times = slice(candidates.variances, candidates.response)
     eighths = np.arange(0, ordinates.size.size, 8)
@@ -76,7 +50,7 @@ def bounds(ordinates: Ordinates, candidates: Candidates, *, shortest: float) -> 
     high = np.full(candidates.width, np.inf)
     low[:SHAPED] = visible - _ABSENT
     low[SHAPED : candidates.variances] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
-    low[times] = np.log(shortest)
+    low[times] = np.log(candidates.shortest)
     high[times] = np.log(2 * ordinates.samples)
     return low, high
 
@@ -86,24 +60,22 @@ def maximize(
     candidates: Candidates,
     start: FloatArray,
     *,
-    shortest: float,
     free: BoolArray | None = None,
     ramp: FloatArray | None = None,
     iterations: int = 100,
     tolerance: float = 1e-7,
     handicap: FloatArray | None = None,
-) -> Maximum:
+) -> Evaluation:
     """Maximise the likelihood of each candidate from its row of `start`, shape (c, p).
 
-    Correlation times are `shortest` samples at least. Of the parameters that a candidate has, those `free`,
-    shape (c, p), are moved; `ramp` are ramps to hold, see `evaluate`. A step that gains less log-likelihood
-    than `tolerance` ends the search. A `handicap`, shape (c,), is added to the objectives in a race of which
-    only the best matter: those far behind are given up on the way.
+    Of the parameters that a candidate has, those `free`, shape (c, p), are moved; `ramp` are ramps to hold,
+    see `evaluate`. A step that gains less log-likelihood than `tolerance` ends the search. A `handicap`,
+    shape (c,), is added to the objectives in a race of which only the best matter: those far behind are given
+    up on the way.
     """
-    low, high = bounds(ordinates, candidates, shortest=shortest)
+    low, high = bounds(ordinates, candidates)
     moving = candidates.free if free is None else free & candidates.free
-    theta = np.clip(start, low, high)
-    state = evaluate(ordinates, candidates, theta, ramp=ramp)
+    state = evaluate(ordinates, candidates, np.clip(start, low, high), ramp=ramp)
     damping = np.full(candidates.count, 1e-3)
     last = np.full(candidates.count, np.inf)
     active = np.isfinite(state.objective) & moving.any(axis=1)
@@ -113,34 +85,30 @@ def maximize(
         rows = np.flatnonzero(active)
         if not rows.size:
             break
-        trial = _step(state, theta, rows, moving, damping, limits=(low, high))
-        found = evaluate(ordinates, candidates.take(rows), trial, ramp=None if ramp is None else ramp[rows])
+        trial = _step(state, rows, moving, damping, limits=(low, high))
+        every = rows.size == candidates.count
+        own = candidates if every else candidates[rows]
+        found = evaluate(ordinates, own, trial, ramp=None if ramp is None else ramp[rows])
         gain = state.objective[rows] - found.objective
         noise = 1e-14 * np.abs(state.objective[rows])
         better = gain >= -noise
-        moved = np.max(np.abs(trial - theta[rows]), axis=1)
-        theta[rows[better]] = trial[better]
+        moved = np.max(np.abs(trial - state.theta[rows]), axis=1)
         last[rows[better]] = gain[better]
-        for name in ("objective", "score", "information", "beta", "beta_covariance"):
-            getattr(state, name)[rows[better]] = getattr(found, name)[better]
+        if every and better.all():
+            state = found
+        else:
+            for field in fields(state)[1:]:
+                getattr(state, field.name)[rows[better]] = getattr(found, field.name)[better]
         damping[rows] = np.where(better, np.maximum(damping[rows] * 0.2, 1e-9), damping[rows] * 6)
         done = (better & ((gain < tolerance) & (moved < 1e-3) | (gain < 0.01 * tolerance + noise))) | (
             damping[rows] > 1e7
         )
         active[rows[done]] = False
-    return Maximum(
-        theta=theta,
-        objective=state.objective,
-        information=state.information,
-        beta=state.beta,
-        beta_covariance=state.beta_covariance,
-        converged=~active & np.isfinite(state.objective),
-    )
+    return state
 
 
 def _step(
     state: Evaluation,
-    at: FloatArray,
     rows: IntArray,
     moving: BoolArray,
     damping: FloatArray,
@@ -149,7 +117,7 @@ def _step(
 ) -> FloatArray:
     """Return the damped scoring step from where the rows stand, inside the bounds."""
     low, high = limits
-    theta, score = at[rows], state.score[rows]
+    theta, score = state.theta[rows], state.score[rows]
     at_bound = (theta <= low) & (score > 0) | (theta >= high) & (score < 0)
     move = moving[rows] & ~at_bound
     matrix = np.where(move[:, :, None] & move[:, None, :], state.information[rows], 0.0)
@@ -182,48 +150,42 @@ def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
     return result
 
 
-def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Goodness:
-    """Return how far one candidate at `theta`, shape (1, p), is from the ordinates.
+def misfit(ordinates: Ordinates, found: Evaluation) -> Goodness:
+    """Return how far one candidate is from the ordinates that its likelihood was `found` with.
 
     Each group's sum of X²/S is chi-squared with its n degrees of freedom: mean n, variance 2n, and
     the squared standardised residual has mean 1 and variance 2 + 12/n.
     """
-    from scipy.special import ndtr
-
-    _, size, residual, _ = _residuals(ordinates, candidate, theta)
+    _, size, residual = _residuals(ordinates, found)
     square = float(np.mean(residual**2))
     statistic = (square - 1) * size.size / float(np.sqrt(np.sum(2 + 12 / size)))
-    return Goodness(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)
+    return Goodness(statistic=statistic, p_value=float(scipy.special.ndtr(-statistic)), chi2_per_bin=square)
 
 
-def misfit_factors(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
+def misfit_factors(ordinates: Ordinates, found: Evaluation) -> FloatArray:
     """Return by what factor each variance parameter is less sure than the likelihood says, shape (p,).
 
     The root of the mean squared residual where the parameter's information lies: the variance that holds
     for a model which is only nearly right (Huber 1967, Proc. 5th Berkeley Symposium 1, 221) for one
     parameter by itself. Of a power law that the candidate lacks, where its information would lie.
     """
-    first, _, residual, spectrum = _residuals(ordinates, candidate, theta)
-    parts = derivatives(ordinates, candidate, theta)[: candidate.variances]
+    first, _, residual = _residuals(ordinates, found)
+    parts = derivatives(ordinates, found.candidates, found.theta)[: found.candidates.variances]
     laws = ordinates.basis.shape[0]
     absent = np.flatnonzero(np.max(parts[:laws], axis=1) <= 0)
     parts[absent] = ordinates.basis[absent]
     # The largest is one, so that the squares of what is far below the line stay numbers.
-    share = parts / spectrum
+    share = parts / found.spectrum[0]
     share /= np.maximum(share.max(axis=1, keepdims=True), 1e-300)
     weight = np.add.reduceat(share**2 * ordinates.size, first, axis=1)
-    factors: FloatArray = np.sqrt(weight @ residual**2 / np.maximum(weight.sum(axis=1), 1e-300))
-    return factors
+    return np.asarray(np.sqrt(weight @ residual**2 / np.maximum(weight.sum(axis=1), 1e-300)))
 
 
-def _residuals(
-    ordinates: Ordinates, candidate: Candidates, theta: FloatArray
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Return groups of bins: the first of each, its degrees of freedom, its residual; and the spectrum."""
-    found = evaluate(ordinates, candidate, theta)
-    power, spectrum = ordinates.rest(found.beta[0]), found.spectrum[0]
+def _residuals(ordinates: Ordinates, found: Evaluation) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return groups of bins: the first of each, its degrees of freedom, its residual."""
+    ratio = ordinates.rest(found.beta[0]) / found.spectrum[0]
     group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
     first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
     size = np.add.reduceat(ordinates.size, first)
-    residual = (np.add.reduceat(power / spectrum, first) - size) / np.sqrt(2 * size)
-    return first, size, residual, spectrum
+    residual = (np.add.reduceat(ratio, first) - size) / np.sqrt(2 * size)
+    return first, size, residual

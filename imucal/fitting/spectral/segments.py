@@ -9,7 +9,6 @@ blamed on the term; white noise itself with all slower terms free in one.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,13 +18,14 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.homogeneity import SURE, bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
-from imucal.fitting.spectral.bounds import COLUMN, behind_filter
+from imucal.fitting.spectral.bounds import behind_filter
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, quantile, student_quantile
-from imucal.fitting.spectral.likelihood import derivatives
+from imucal.fitting.spectral.likelihood import COLUMN, derivatives
 from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
-from imucal.fitting.spectral.scoring import bounds, covariance
+from imucal.fitting.spectral.scoring import bounds
+from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import in_order, term_keys
 from imucal.recording import AxisSeries
@@ -40,18 +40,12 @@ _SINGLES, _PER_OCTAVE = 16, 12
 _REACH = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class SegmentOrdinates:
-    """The ordinates of each segment.
+    """The ordinates of all segments, one after the other, without regressors.
 
-    Attributes
-    ----------
-    ordinates
-        Those of all segments, one after the other; no regressors.
-    first
-        Place of each segment's first bin, shape (s,).
-    start_s, end_s
-        When each segment begins and ends, shape (s,), in s from the first sample.
+    Each segment's `first` bin stands at a place, and it begins and ends at a time in s from the first sample;
+    shape (s,) each.
     """
 
     ordinates: Ordinates
@@ -67,13 +61,7 @@ def number_of_segments(samples: int, wanted: int) -> int:
 
 
 def segment_ordinates(
-    series: AxisSeries,
-    blocks: tuple[Block, ...],
-    *,
-    drift: Mapping[str, float],
-    scale: float,
-    wanted: int,
-    fraction: float,
+    series: AxisSeries, blocks: SeriesBlocks, *, drift: Mapping[str, float], wanted: int, fraction: float
 ) -> SegmentOrdinates | None:
     """Return the ordinates of each segment of finite samples; None where they are too few for any.
 
@@ -90,12 +78,12 @@ def segment_ordinates(
     kept: list[int] = []
     for number, (start, stop) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
         pieces = []
-        for block in blocks:
+        for block in blocks.blocks:
             low, high = max(start, block.offset), min(stop, block.offset + block.bins.n)
-            piece = _piece(series, block, drift=drift, scale=scale, place=low, size=high - low)
+            piece = _piece(series, block, drift=drift, scale=blocks.scale, place=low, size=high - low)
             pieces += [piece] if piece else []
         if sum(piece.bins.n for piece in pieces) >= _FEWEST // 2:
-            parts.append(bin_blocks(pieces, scale, ()).below(fraction))
+            parts.append(bin_blocks(pieces, blocks.scale, ()).below(fraction))
             kept.append(number)
     if len(kept) < 2:
         return None
@@ -122,29 +110,24 @@ def _piece(
     missing = size - samples.size
     if missing and block.drawn is not None:
         before = place - block.offset - (first - clock.index_from(block.offset))
-        own = clock.slice(first, stop)
-        at = own.grid() + (own.segments[0].offset - clock.segments[0].offset - place)
+        at = clock.grid(first, stop) - place
         samples = _between(samples, at, block.drawn[before : before + missing])
     for name, coefficient in drift.items():
-        samples -= coefficient * _regressor(name, block, place, size)
-    bins = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE)
+        # What lags is followed from the beginning of the block on.
+        before = place - block.offset
+        start = 0 if name.startswith("temperature") else before
+        places = block.offset + np.arange(start, before + size, dtype=np.float64)
+        temperature = None if block.temperature is None else block.temperature[start : before + size]
+        samples -= coefficient * regressor_samples(name, places, temperature)[before - start :]
+    bins, loss = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE), None
+    if missing:
+        # The share of information lost is the block's at the same frequency, as the gaps are spread.
+        whole = np.zeros(block.bins.size) if block.loss is None else block.loss
+        share = missing / size * block.bins.n / block.drawn.size if block.drawn is not None else 0.0
+        loss = np.clip(share * np.interp(bins.omega, block.bins.omega, whole), 0.0, 0.99)
     return Block(
-        offset=place,
-        bins=bins,
-        ordinates=dct_ordinates(samples),
-        kept=_kept(block, size),
-        loss=_loss(block, bins.omega, missing / size) if missing else None,
+        offset=place, bins=bins, ordinates=dct_ordinates(samples), kept=_kept(block, size), loss=loss
     )
-
-
-def _regressor(name: str, block: Block, place: int, size: int) -> FloatArray:
-    """Return a regressor at places of the grid; what lags, from the beginning of the block on."""
-    first = place - block.offset
-    stop = first + size
-    start = 0 if name.startswith("temperature") else first
-    places = block.offset + np.arange(start, stop, dtype=np.float64)
-    temperature = None if block.temperature is None else block.temperature[start:stop]
-    return regressor_samples(name, places, temperature)[first - start :]
 
 
 def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray:
@@ -173,14 +156,6 @@ def _kept(block: Block, size: int) -> BoolArray | None:
     return outside(low, high, size - 1)
 
 
-def _loss(block: Block, omega: FloatArray, missing: float) -> FloatArray:
-    """Return the share of information lost: the block's at the same frequency, as the gaps are spread."""
-    bins = block.bins
-    share = missing * bins.n / block.drawn.size if block.drawn is not None else 0.0
-    whole = np.zeros(bins.size) if block.loss is None else block.loss
-    return np.clip(share * np.interp(omega, bins.omega, whole), 0.0, 0.99)
-
-
 #: Longest averaging time of the floor, as a part of a segment.
 _PART = 0.25
 
@@ -202,14 +177,8 @@ def fit_segments(
     is the averaging time of the floor. `wanted` and `fraction` as in `segment_ordinates`.
     """
     names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
-    found = segment_ordinates(
-        series,
-        blocks.blocks,
-        drift={name: value for name, value in zip(names, beta, strict=True) if value},
-        scale=blocks.scale,
-        wanted=wanted,
-        fraction=fraction,
-    )
+    drift = {name: value for name, value in zip(names, beta, strict=True) if value}
+    found = segment_ordinates(series, blocks, drift=drift, wanted=wanted, fraction=fraction)
     if found is None:
         return None
     tests = _Tests(problem, fitted, found)
@@ -233,17 +202,18 @@ class _Tests:
         structure = in_order((*fitted.structure, *fitted.missing))
         candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
         theta = fitted.maximum.theta.copy()
-        low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
+        low, _ = bounds(problem.ordinates, candidate)
         theta[:, absent] = low[absent]
         spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
-        spectra *= visible(spectra, np.array(absent, dtype=np.int64))[:, np.newaxis]
+        spectra *= visible(spectra, absent)[:, np.newaxis]
         self.spectra = spectra
         whole = np.delete(spectra, absent, axis=0).sum(axis=0)
-        columns = {n: c for n, c in fitted.columns(fitted.missing) if not n.endswith(".T")}
+        columns = fitted.variances(fitted.missing)
         self.names = list(columns)
-        beside = [
-            spectra[self.beside(column, absent, len(spectra))].sum(axis=0) for column in columns.values()
-        ]
+        # Free beside a term is white noise, and beside that all slower ones in one.
+        n = COLUMN["N"]
+        white, slower = (set(rows).difference(absent) for rows in ([n], range(n + 1, len(spectra))))
+        beside = [spectra[sorted(slower if at == n else white)].sum(axis=0) for at in columns.values()]
         varied = np.stack([spectra[list(columns.values())], beside], axis=1)
         inside = [column not in absent for column in columns.values()]
         held = whole - varied[:, 1] - np.where(np.array(inside)[:, np.newaxis], varied[:, 0], 0.0)
@@ -271,18 +241,12 @@ class _Tests:
                 weight = 4 * common.information[row] / surplus
                 statistic = 2 * float(np.sum(common.objective[row] - self.free.objective[row])) / surplus
                 statistic /= bartlett_correction(common.information[row])
-            tests.append(homogeneity(name.partition(".")[0], statistic, logs, weight, self.spans))
+            tests.append(homogeneity(name, statistic, logs, weight, self.spans))
         return tuple(tests)
 
     def surplus(self, name: str) -> float:
         """Return by what factor the variance of a log is larger than the likelihood's: heavy tails."""
         return self.problem.widening.get(name, 1.0) ** 2
-
-    def beside(self, column: int, absent: list[int], count: int) -> list[int]:
-        """Return what is free beside a term: white noise, or beside that all slower ones in one."""
-        white = COLUMN["N"]
-        rows = range(white + 1, count) if column == white else [white]
-        return [row for row in rows if row not in absent]
 
     def traces(
         self, model: NoiseModel, curve: AllanCurve, series: AxisSeries
@@ -306,7 +270,9 @@ class _Tests:
         sure = self.parts.at(np.zeros(self.free.logs.shape))
         z, surplus = quantile(self.problem.level), self.surplus("N")
         fast = self.free.logs[row, :, 0]
-        n = _trace(abs(white.values[0]), fast, z * np.sqrt(surplus / sure.information[row]))
+        wide = z * np.sqrt(surplus / sure.information[row])
+        value, low, high = (abs(white.values[0]) * np.exp(x / 2) for x in (fast, fast - wide, fast + wide))
+        n = Trace(value=value, low=low, high=high)
         if not slow:
             return n, None, np.nan
         # What tells the slow part is a few ordinates: Student's quantile of the freedom that it has.
@@ -324,7 +290,7 @@ class _Tests:
         The segments have the ratios of the slow terms from the whole record. Where a term is larger than
         there, each segment's scales make up for it at the frequencies that tell them, not at the floor's.
         """
-        own = {name.partition(".")[0]: column for name, column in self.fitted.columns() if name[-2:] != ".T"}
+        own = self.fitted.variances()
         keys = [key for key in shares if key in own]
         columns = [own[key] for key in keys]
         varied = self.parts.varied[row]
@@ -332,12 +298,5 @@ class _Tests:
         scales = (weight * varied) @ varied.T
         response = np.linalg.solve(scales, (weight * varied) @ self.spectra[columns].T)
         slope = np.array([shares[key] for key in keys]) - np.array([shares["N"], slow]) @ response
-        inverse = covariance(self.fitted.maximum.information[0], self.fitted.candidate.free[0])
-        variance = float(slope @ inverse[np.ix_(columns, columns)] @ slope)
+        variance = float(slope @ self.fitted.covariance[np.ix_(columns, columns)] @ slope)
         return math.sqrt(max(variance, 0.0)) / (slow + shares["N"] + shares.get("Q", 0.0))
-
-
-def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:
-    """Return `unit` times the root of squares whose logs are known to within `reach`."""
-    value, low, high = (unit * np.exp(x / 2) for x in (logs, logs - reach, logs + reach))
-    return Trace(value=value, low=low, high=high)

@@ -1,7 +1,5 @@
 """Choice among structures by an information criterion, and which models it can't tell apart."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
@@ -10,14 +8,16 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.settings import CRITERIA
 from imucal.fitting.spectral.band import Band
-from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of
+from imucal.fitting.spectral.likelihood import SHORTEST_GIVEN, Evaluation, Structure, candidates_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.scoring import Maximum, maximize
+from imucal.fitting.spectral.scoring import maximize
 from imucal.fitting.spectral.starts import find_starts
+from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 
-#: Candidates within this much of the best of the coarse bins are fitted on all bins.
-_REFINED_WITHIN = 25.0
+#: Candidates within this much of the best of the coarse bins are fitted on all bins; behind an output filter,
+#: whose response was found with other terms and bends to theirs only then, within more.
+_REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
 #: Most candidates fitted on all bins.
 _MOST_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
@@ -26,25 +26,16 @@ _LISTED_WITHIN = 6.0
 _AS_GOOD = 4.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class RankedModels:
-    """Fitted candidates, the best first.
+    """Fitted candidates, the best first: what each is made of, and where its likelihood is greatest.
 
-    Attributes
-    ----------
-    structures
-        What each is made of.
-    candidates, maximum
-        The same, and where their likelihood is greatest, one row each.
-    criterion
-        Value of the information criterion, shape (c,), rising.
-    modes
-        Objective of the second best maximum of each less its best, shape (c,); inf for none.
+    One row each, by a rising value of the information `criterion`, shape (c,); `modes` is the objective of
+    the second best maximum of each less its best, shape (c,), inf for none.
     """
 
     structures: list[Structure]
-    candidates: Candidates
-    maximum: Maximum
+    maximum: Evaluation
     criterion: FloatArray
     modes: FloatArray
 
@@ -54,21 +45,21 @@ def choose(
     structures: list[Structure],
     *,
     criterion: str,
-    shortest: float,
+    shortest: float = SHORTEST_GIVEN,
     band: Band | None = None,
-    common: tuple[str, ...] = (),
 ) -> RankedModels:
     """Fit every structure and return them by rising criterion.
 
-    Correlation times are `shortest` samples at least, `band` has the order of the output filter's response
-    and coefficients to start from, and every candidate has the regressors `common`.
+    Correlation times are `shortest` samples at least, and `band` has the order of the output filter's
+    response and coefficients to start from.
     """
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
-    candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)
+    candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, shortest=shortest)
     coarse = coarser(ordinates, singles=48, merge=3)
-    owner, theta = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3), quick=True)
+    response = _positive(band.response, ordinates) if band else np.zeros(0)
+    owner, theta = find_starts(coarse, candidates, keep=(1, 2, 3), quick=True, response=response)
     if band:
-        theta[:, candidates.width - poles :] = _positive(band.response, ordinates)
+        theta[:, candidates.width - poles :] = response
     # The response was found with the richest model: it stays as it is in the first round.
     free = candidates.free[owner]
     if band:
@@ -77,10 +68,9 @@ def choose(
     rough = maximize(
         # Fewer bins yet: the spectra of the candidates are smooth, and the near ones are fitted on all bins.
         coarser(ordinates, singles=24, merge=8),
-        candidates.take(owner),
+        candidates[owner],
         theta,
         free=free,
-        shortest=shortest,
         tolerance=1e-3,
         iterations=40,
         handicap=cost[owner] / 2,
@@ -95,11 +85,12 @@ def choose(
     np.minimum.at(best, owner, 2 * rough.objective)
     value = best + cost
     order = np.argsort(value, kind="stable")
-    near = order[value[order] <= value[order[0]] + _REFINED_WITHIN][:_MOST_REFINED]
+    reach = _REFINED_BEHIND if poles else _REFINED_WITHIN
+    near = order[value[order] <= value[order[0]] + reach][:_MOST_REFINED]
     rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
-    fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
-    return _ranked(structures, candidates, fine, owner=owner[index], near=near, cost=cost)
+    fine = maximize(ordinates, candidates[owner[index]], rough.theta[index])
+    return _ranked(structures, fine, owner=owner[index], near=near, cost=cost)
 
 
 def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
@@ -120,13 +111,7 @@ def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:
 
 
 def _ranked(
-    structures: list[Structure],
-    candidates: Candidates,
-    fine: Maximum,
-    *,
-    owner: IntArray,
-    near: IntArray,
-    cost: FloatArray,
+    structures: list[Structure], fine: Evaluation, *, owner: IntArray, near: IntArray, cost: FloatArray
 ) -> RankedModels:
     best, modes = [], []
     for index in near:
@@ -140,8 +125,7 @@ def _ranked(
     rows = np.array(best, dtype=np.int64)[order]
     return RankedModels(
         structures=[structures[i] for i in near[order]],
-        candidates=candidates.take(near[order]),
-        maximum=fine.take(rows),
+        maximum=fine[rows],
         criterion=value[order],
         modes=np.array(modes)[order],
     )
@@ -167,14 +151,14 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
             f"The record does not tell {near[0].structure} from {others}: {_difference(choice, len(near))}."
         )
         advice = "Record for longer, or give the model if it is known."
-        findings.append(Finding(level="info", code="model-choice", axis=axis, text=text, advice=advice))
+        findings.append(Finding("info", "model-choice", text, advice, axis=axis))
     if choice.modes[0] < _AS_GOOD / 2:
         text = (
             f"{near[0].structure} explains the record in two ways about as well; "
             "the better one is reported, and its intervals do not cover the other."
         )
         advice = "Record for longer, or give a simpler model."
-        findings.append(Finding(level="warning", code="two-maxima", axis=axis, text=text, advice=advice))
+        findings.append(Finding("warning", "two-maxima", text, advice, axis=axis))
     return tuple(findings)
 
 

@@ -14,10 +14,10 @@ Source: Machlup (1954), J. Appl. Phys. 25, 341 (the spectrum); Bar-Shalom, Li & 
 with Applications to Tracking and Navigation, sec. 11.6.4 (the filter).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import BoolArray, FloatArray
@@ -26,8 +26,9 @@ from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.disturbances import Whitened, best_cycle
 from imucal.fitting.spectral.likelihood import candidates_of, evaluate
 from imucal.fitting.spectral.starts import find_starts
-from imucal.noise.bank import gauss_markov_bank
+from imucal.frozen import frozen, frozen_alone
 from imucal.noise.term import gauss_markov_dct
+from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
 from imucal.units import pretty
 
@@ -72,8 +73,12 @@ def _filtered(samples: FloatArray, mixtures: Mixtures, two_levels: BoolArray) ->
     """Return the log-likelihood of each sample given those before, shape (n, r), of samples (n, r)."""
     n, rows = samples.shape
     decay, start, drive = _states(mixtures, two_levels, n, float(samples.var()))
-    size = np.where(two_levels, np.sqrt(mixtures.markov), 0.0)
-    offset, spread, jump = _pairs(size, mixtures)
+    # Of each level before and now, (2, 2, r): the chance, and a sample's mean and variance. One that holds a
+    # jump lies anywhere between the levels.
+    size, stay = np.where(two_levels, np.sqrt(mixtures.markov), 0.0), 0.5 * (1 + np.exp(-1 / mixtures.time))
+    same = np.eye(2, dtype=bool)[:, :, np.newaxis]
+    jump, offset = np.where(same, stay, 1 - stay), np.diag([-1.0, 1.0])[:, :, np.newaxis] * size
+    spread = mixtures.white + np.where(same, 0.0, size**2 / 3)
     decays, own = decay[:, np.newaxis] * decay, range(len(decay))
     # Of the states for either level: means, shape (2, d, r), covariances, (2, d, d, r), and its chance.
     mean = np.zeros((2, len(decay), rows))
@@ -115,7 +120,7 @@ def _states(
     the variance of the samples, `total`, that is not the Markov part's: were it unknown, either level would
     do, and what is merged would never tell them apart.
     """
-    bank = gauss_markov_bank(1.0, 0.5, n / 3, _PER_DECADE)
+    bank = GaussMarkov.bank(1.0, 0.5, n / 3, _PER_DECADE)
     rows = two_levels.size
     times = np.stack([*(np.full(rows, term.T) for term in bank), mixtures.time])
     flicker = [term.sigma**2 * mixtures.flicker for term in bank]
@@ -125,18 +130,6 @@ def _states(
     drive = start * (1 - decay**2)
     drive[-1] = mixtures.walk
     return decay, start, drive
-
-
-def _pairs(size: FloatArray, mixtures: Mixtures) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean and variance that a sample has, and the chance, of each level before and now, (2, 2, r).
-
-    A sample that holds a jump lies anywhere between the levels.
-    """
-    stay = 0.5 * (1 + np.exp(-1 / mixtures.time))
-    same = np.eye(2, dtype=bool)[:, :, np.newaxis]
-    offset = np.diag([-1.0, 1.0])[:, :, np.newaxis] * size
-    spread = mixtures.white + np.where(same, 0.0, size**2 / 3)
-    return offset, spread, np.where(same, stay, 1 - stay)
 
 
 #: Spans, and fewest samples of one; a span is short against the time between jumps that can be told.
@@ -166,7 +159,7 @@ _EVERY = 99
 _ABOUT = np.array([[1, 1, 1, 1, size**2, time] for size in (0.85, 1.0, 1.15) for time in (0.75, 1.0, 1.35)])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TwoLevels:
     """A level that jumps: half the distance of the levels, in U, and the mean time between jumps, in s.
 
@@ -197,21 +190,14 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
     if found is None:
         return None
     size, time = found
-    return TwoLevels(
-        amplitude=scale * size,
-        dwell_s=2 * width * series.tau0 * time,
-        sawtooth=_lopsidedness(flat, max(round(time / 2), 1)) > _LOPSIDED,
-    )
-
-
-def _lopsidedness(means: FloatArray, lag: int) -> float:
-    """Return the skewness, without its sign, of the differences of means `lag` and twice that apart.
-
-    Of two levels as many jump up as down; a sawtooth has many small differences and few large ones back.
-    """
-    every = (means[apart:] - means[:-apart] for apart in (lag, 2 * lag))
+    # Of two levels as many jump up as down; a sawtooth has many small differences and few large ones back.
+    lag = max(round(time / 2), 1)
+    every = (flat[apart:] - flat[:-apart] for apart in (lag, 2 * lag))
     centred = (steps - steps.mean() for steps in every)
-    return abs(float(np.mean([np.mean(d**3) / np.mean(d**2) ** 1.5 for d in centred])))
+    skewness = float(np.mean([np.mean(d**3) / np.mean(d**2) ** 1.5 for d in centred]))
+    return TwoLevels(
+        amplitude=scale * size, dwell_s=2 * width * series.tau0 * time, sawtooth=abs(skewness) > _LOPSIDED
+    )
 
 
 def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Finding, ...]:
@@ -222,24 +208,28 @@ def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Find
     if found.sawtooth:
         text = f"The level ramps and jumps back, by some {size} and {often}, as the estimate of a bias does."
         advice = "Record the samples without the device's own bias estimate; the fit takes it for B or GM."
-        return (Finding(level="warning", code="sawtooth", axis=series.name, text=text, advice=advice),)
+        return (Finding("warning", "sawtooth", text, advice, axis=series.name),)
     text = f"The level jumps to and fro between two values, ±{size}, {often}: random telegraph noise."
     advice = "The fit takes it for B or GM: its spectrum is right, but no Gaussian noise jumps."
-    return (Finding(level="warning", code="telegraph", axis=series.name, text=text, advice=advice),)
+    return (Finding("warning", "telegraph", text, advice, axis=series.name),)
 
 
 def _two_levels(means: FloatArray) -> tuple[float, float] | None:
     """Return half the distance of the levels and half the mean spans between jumps; None where none are."""
     block = Block(offset=0, bins=dct_bins(means.size), ordinates=dct_ordinates(means))
     sharings = _Sharings.of(block)
-    gaussian = sharings.best
+    likeliest = np.unravel_index(np.argmin(sharings.distance), sharings.distance.shape)
+    gaussian = sharings.weights[likeliest]
     rows = sharings.worth_a_try(block)
     if not len(rows):
         return None
     likelihood = _likelihoods(means, gaussian, rows)
     found = rows[int(np.argmax(likelihood))]
-    gain = float(likelihood.max())
-    if gain < max(_MARGIN, _ON_PLAIN - sharings.on_plain, _gain_of_a_cycle(block, sharings)):
+    # What a cycle gains beside Gaussian noise, less half of ln n for each of its period, amplitude and phase.
+    spectrum = sharings.spectrum[likeliest][block.bins.first - 1]
+    cycle, _ = best_cycle(Whitened.by([block], spectrum, ()), means.size)
+    cycle = 0.5 * (cycle - 3 * float(np.log(means.size)))
+    if likelihood.max() < max(_MARGIN, _ON_PLAIN - sharings.on_plain, cycle):
         return None
     # About the best, and one that jumps so seldom that each jump is a step of its own.
     about = np.concatenate([found[np.newaxis] * _ABOUT, found[np.newaxis]])
@@ -251,20 +241,13 @@ def _two_levels(means: FloatArray) -> tuple[float, float] | None:
     return float(np.sqrt(about[best, _MARKOV])), float(about[best, _TIME])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class _Sharings:
     """What each of N, B, K and GM may make of a record, for t correlation times, with B and without.
 
-    Attributes
-    ----------
-    weights
-        Variances per span and times, in the columns of the likelihood, shape (2, t, p).
-    distance
-        -log L above the least, shape (2, t).
-    on_plain
-        What the best gains in log-likelihood on N, B and K alone.
-    spectrum, markov
-        S and GM's part of it at each ordinate, shape (2, t, n-1).
+    `weights` are variances per span and times, in the columns of the likelihood, shape (2, t, p), `distance`
+    is -log L above the least, shape (2, t), `spectrum` and `markov` are S and GM's part of it at each
+    ordinate, shape (2, t, n-1). `on_plain` is what the best gains in log-likelihood on N, B and K alone.
     """
 
     weights: FloatArray
@@ -277,10 +260,10 @@ class _Sharings:
     def of(cls, block: Block) -> "_Sharings":
         seen = bin_blocks([block], 1.0)
         candidates = candidates_of([*_STRUCTURES, _PLAIN], seen.names)
-        owner, theta = find_starts(seen, candidates, shortest=2.0, keep=(1, _EVERY, 1))
+        owner, theta = find_starts(seen, candidates, keep=(1, _EVERY, 1))
         order = np.lexsort((theta[:, _TIME], owner))
         owner, theta = owner[order], theta[order]
-        found = evaluate(seen, candidates.take(owner), theta)
+        found = evaluate(seen, candidates[owner], theta)
         with_markov = owner < len(_STRUCTURES)
         least = float(found.objective[with_markov].min())
         shape, _ = gauss_markov_dct(theta[:, _TIME, np.newaxis], seen.lam, seen.length, seen.sign)
@@ -299,31 +282,21 @@ class _Sharings:
             markov=parted(np.repeat(markov, count, axis=1)),
         )
 
-    @property
-    def best(self) -> FloatArray:
-        """The likeliest, shape (p,)."""
-        return np.asarray(self.weights[np.unravel_index(np.argmin(self.distance), self.distance.shape)])
-
     def worth_a_try(self, block: Block) -> FloatArray:
         """Return those whose Markov part may be two levels, and sharings between them, shape (r, p)."""
         times = self.weights[0, :, _TIME]
         likely = self.distance <= _NEAR
         likely &= self.weights[..., _MARKOV] > _APART**2 * self.weights[..., _WHITE]
-        likely &= self._flatness(block) > _FLAT
+        # And 3 less the kurtosis of that part's best linear estimate.
+        estimate = np.zeros((*self.distance.shape, block.bins.n))
+        estimate[..., 1:] = block.ordinates * self.markov / self.spectrum
+        samples = scipy.fft.idct(estimate, norm="ortho")
+        square = samples * samples
+        likely &= 3 - np.mean(square * square, axis=-1) / np.mean(square, axis=-1) ** 2 > _FLAT
         chosen = np.flatnonzero(likely.any(axis=0) & (times <= block.bins.n / (2 * _JUMPS)))
         some = np.linspace(0, chosen.size - 1, min(chosen.size, _MOST_TIMES)).round().astype(int)
         with_flicker, without = self.weights[:, chosen[some]]
         return np.concatenate([with_flicker, (with_flicker + without) / 2, without])
-
-    def _flatness(self, block: Block) -> FloatArray:
-        """Return 3 less the kurtosis of the Markov part's best linear estimate, shape (2, t)."""
-        from scipy.fft import idct
-
-        estimate = np.zeros((*self.distance.shape, block.bins.n))
-        estimate[..., 1:] = block.ordinates * self.markov / self.spectrum
-        samples = idct(estimate, norm="ortho")
-        square = samples * samples
-        return np.asarray(3 - np.mean(square * square, axis=-1) / np.mean(square, axis=-1) ** 2)
 
 
 def _likelihoods(means: FloatArray, gaussian: FloatArray, rows: FloatArray) -> FloatArray:
@@ -331,12 +304,3 @@ def _likelihoods(means: FloatArray, gaussian: FloatArray, rows: FloatArray) -> F
     every = np.concatenate([gaussian[np.newaxis], rows])
     found = log_likelihoods(means, Mixtures(*every[:, _WHITE:].T), np.arange(len(every)) > 0)
     return np.asarray(found[1:] - found[0])
-
-
-def _gain_of_a_cycle(block: Block, sharings: _Sharings) -> float:
-    """Return what a cycle gains in log-likelihood beside Gaussian noise, beyond what it costs."""
-    # Half of ln n for each of its period, amplitude and phase.
-    at = np.unravel_index(np.argmin(sharings.distance), sharings.distance.shape)
-    spectrum = sharings.spectrum[at][block.bins.first - 1]
-    gain, _ = best_cycle(Whitened.by([block], spectrum, ()), block.bins.n)
-    return 0.5 * (gain - 3 * float(np.log(block.bins.n)))

@@ -5,7 +5,7 @@ rate and each sample's place on the even grid come from `imucal.readers.clocks.p
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, median
 from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
+from imucal.frozen import frozen_alone
 from imucal.readers.clocks.period import Period, estimate_period, evened
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
@@ -51,23 +52,23 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
             f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
             f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
         )
-        notes.append(_info("coarse-stamps", text))
+        notes.append(Finding("info", "coarse-stamps", text))
     if period.burst > 1:
         text = (
             f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
             f"{1e9 / tau:.6g} Hz."
         )
-        notes.append(_info("bursts", text))
+        notes.append(Finding("info", "bursts", text))
     elif same and not period.loose and (doubled or period.resolution_ns < tau / 50):
         fate = f"{doubled} that are one too many are dropped" if doubled else "all are kept"
         text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
-        notes.append(_warning("duplicate-stamps", text))
+        notes.append(Finding("warning", "duplicate-stamps", text))
     elif doubled:
         text = f"{doubled} of {n} samples are one too many for the clock and are dropped."
-        notes.append(_warning("extra-samples", text))
+        notes.append(Finding("warning", "extra-samples", text))
     if back:
         text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
-        notes.append(_info("stamps-out-of-order", text))
+        notes.append(Finding("info", "stamps-out-of-order", text))
     return notes
 
 
@@ -98,15 +99,7 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
             f"The rate is the mean; at that of the steps N would be {np.sqrt(usual / tau) - 1:+.1%}."
         )
     advice = "Log the samples as the sensor gives them; give the sampling rate if you know it."
-    return [Finding(level="warning", code="uneven-stamps", text=text, advice=advice)] if text else []
-
-
-def _info(code: str, text: str) -> Finding:
-    return Finding(level="info", code=code, text=text)
-
-
-def _warning(code: str, text: str) -> Finding:
-    return Finding(level="warning", code=code, text=text)
+    return [Finding("warning", "uneven-stamps", text, advice)] if text else []
 
 
 def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
@@ -121,7 +114,7 @@ def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
         f"The clock was set {times}, at most by {step / 1e9:+.6g} s at sample {at}; "
         "samples before and after are kept apart."
     )
-    return [_warning("clock-jump", text)]
+    return [Finding("warning", "clock-jump", text)]
 
 
 def repeats(
@@ -167,32 +160,25 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     text = f"Messages were recorded {usual * 1e3:.4g} ms after their stamps, at most {most * 1e3:.4g} ms."
     if abs(usual) > 86_400:
         text = f"Stamps and log time count from different times: {usual:.6g} s apart."
-    findings = [_info("delay", text)]
+    findings = [Finding("info", "delay", text)]
     own, other = (int(some[-1]) - int(some[0])) / 1e9, (int(recorded[-1]) - int(recorded[0])) / 1e9
     if min(own, other) > _SHORTEST and abs(own / other - 1) > _DRIFT:
         ratio = f"{own / other - 1:+.2%}"
         text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
-        findings.append(_warning("clocks-differ", text))
+        findings.append(Finding("warning", "clocks-differ", text))
     return findings
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class ClockReading:
-    """What stamps say.
+    """What stamps say."""
 
-    Attributes
-    ----------
-    clock
-        The clock of the samples that are kept.
-    order
-        Samples to keep, in order, shape (clock.n,); None where all are kept as they are.
-    findings
-        What was seen; `Finding.axis` is None.
-    """
-
+    #: The clock of the samples that are kept.
     clock: Clock
-    order: IntArray | None
-    findings: tuple[Finding, ...]
+    #: Samples to keep, in order, shape (clock.n,); None where all are kept as they are.
+    order: IntArray | None = None
+    #: What was seen; `Finding.axis` is None.
+    findings: tuple[Finding, ...] = ()
 
 
 def clock_from_stamps(
@@ -207,38 +193,22 @@ def clock_from_stamps(
 ) -> ClockReading:
     """Return the clock of samples from their stamps.
 
-    Parameters
-    ----------
-    stamps_ns
-        Shape (n,), int64, in ns, in the order of the log.
-    source
-        What the stamps are, in words: ``header stamp``, ``log time``, ``column time_us``.
-    where
-        What stands in front of an error's message, such as the file.
-    log_ns
-        When each sample was recorded, shape (n,); used where stamps are zero or constant, and to measure
-        how far a clock was set.
-    rate_hz
-        Sampling rate that overrides the measured one.
-    repeated
-        Samples with the stamp *and* the values of the one before, shape (n,); they are dropped.
-    room
-        Where arrays as long as the stamps are made; None for the usual limit.
+    Stamps are in ns, int64, shape (n,), in the order of the log. `source` says what they are, such as
+    ``header stamp`` or ``column time_us``; `where`, such as the file, stands in front of an error's message.
+    The log times, shape (n,), are used where stamps are zero or constant, and to measure how far a clock was
+    set. A `rate_hz` overrides the measured one. Samples that are `repeated`, shape (n,), have the stamp *and*
+    the values of the one before, and are dropped. `room` makes arrays as long as the stamps; None for one of
+    the usual limit.
 
-    Raises
-    ------
-    DataError
-        If there is no sample, or no rate can be measured and none is given.
-    ChoiceError
-        If the stamps have two rates, and none is given.
+    Raises DataError if there is no sample, or no rate can be measured and none is given; ChoiceError if the
+    stamps have two rates, and none is given.
     """
     try:
         return _Stamps(stamps_ns, source, log_ns, room or Room()).read(rate_hz, repeated)
     except (ChoiceError, DataError) as error:
         if not where:
             raise
-        msg = f"{where}: {error}"
-        raise type(error)(msg) from error
+        raise type(error)(f"{where}: {error}") from error
 
 
 class _Stamps:
@@ -254,8 +224,7 @@ class _Stamps:
 
     def read(self, rate_hz: float | None, repeated: BoolArray | None) -> ClockReading:
         if not self.stamps.size:
-            msg = f"no samples to take the {self.source} of; expected at least two"
-            raise DataError(msg)
+            raise DataError(f"no samples to take the {self.source} of; expected at least two")
         if repeated is not None and (twice := count(repeated)):
             self._drop(repeated, twice)
         self._replace_zeros()
@@ -270,13 +239,12 @@ class _Stamps:
             clock = Clock.even(n, float(rate_hz))
         else:
             less = "one sample" if n == 1 else f"{n} samples whose stamps do not advance"
-            msg = f"{less} ({self.source}); expected stamps that give a rate, or the rate itself"
-            raise DataError(msg)
+            raise DataError(f"{less} ({self.source}); expected stamps that give a rate, or the rate itself")
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
     def _drop(self, repeated: BoolArray, twice: int) -> None:
         text = f"{twice} of {self.stamps.size} samples repeat the stamp and the values of the one before"
-        self.notes.append(_warning("duplicate-stamps", f"{text}; they are dropped."))
+        self.notes.append(Finding("warning", "duplicate-stamps", f"{text}; they are dropped."))
         keep = self.room.made(repeated.size, np.bool_, lambda part: ~repeated[part], repeated)
         self.order = self.room.places(keep)
         self.stamps = self.room.chosen(self.stamps, keep)
@@ -296,13 +264,13 @@ class _Stamps:
         elif 0 < zeros <= _ZEROS * n:
             self.stamps = _filled(stamps, self.room)
             text = f"{zeros} of {n} stamps are zero; those samples are placed between their neighbours."
-            self.notes.append(_info("zero-stamps", text))
+            self.notes.append(Finding("info", "zero-stamps", text))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
         """Take log time instead of the stamps."""
         text = f"The stamps ({self.source}) {why}; the time at which messages were recorded is used instead."
         advice = "Log time carries the delays of the computer; let the driver stamp the messages."
-        self.notes.append(Finding(level="warning", code="log-time-used", text=text, advice=advice))
+        self.notes.append(Finding("warning", "log-time-used", text, advice))
         self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
 
     def _clock(self, period: Period, rate_hz: float | None) -> Clock:
@@ -312,8 +280,7 @@ class _Stamps:
         resets = steps.resets
         if resets.size > max(1000, stamps.size // _RESETS):
             times = f"{resets.size} times in {stamps.size} samples"
-            msg = f"the stamps ({self.source}) go back {times}; expected a clock"
-            raise DataError(msg)
+            raise DataError(f"the stamps ({self.source}) go back {times}; expected a clock")
         breaks = NO_BREAKS
         stamps = evened(stamps, period, self.room)
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
@@ -334,7 +301,7 @@ class _Stamps:
         measured = 1e9 / period.tau_ns
         if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
             text = f"The rate given, {rate_hz:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
-            notes.append(_warning("rate-given", text))
+            notes.append(Finding("warning", "rate-given", text))
         clock = Clock(
             source=self.source,
             rate_hz=rate_hz or measured,
@@ -408,7 +375,7 @@ def _segments(n: int, breaks: Breaks, missing: IntArray, jumps: dict[int, int]) 
     segments, start, offset = [], 0, 0
     for stop, end in zip(stops, ends, strict=True):
         if stop > start:
-            segments.append(Segment(start=start, stop=stop, offset=offset))
+            segments.append(Segment(start, stop, offset))
         offset += stop - start + lost.get(end, 0)
         start = stop
     return tuple(segments)

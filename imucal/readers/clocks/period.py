@@ -12,13 +12,14 @@ a random walk. Of a batch one stamp counts, with its first or its last sample: w
 Where most samples would be missing and none of the two explains the stamps, both are for the caller to name.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product, repeat
 
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, median, percentile
 from imucal.errors import ChoiceError
+from imucal.frozen import frozen
 from imucal.readers.store import Room
 
 #: Runs of neighbouring samples by which the period is estimated, and samples in each; all samples where there
@@ -47,47 +48,33 @@ REACH = 1 << 13
 BLOCK = 1 << 16
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Period:
-    """A first estimate of the sampling period, and what explains the stamps.
+    """A first estimate of the sampling period, and what explains the stamps."""
 
-    Attributes
-    ----------
-    tau_ns
-        Sampling period, in ns; good to about one percent.
-    jitter
-        Standard deviation of a stamp about its neighbours, in samples.
-    resolution_ns
-        Greatest common divisor of the steps, in ns.
-    burst
-        Samples that arrive together; 1 where they arrive one by one.
-    last_stamp, last_place
-        Whether a batch was read when its last stamp says, or its first; and whether its last sample was
-        taken then, or its first.
-    pause_ns
-        The step above which a batch ends, in ns.
-    usual_ns, regular
-        The usual step, in ns, and whether most steps are as long to a twentieth.
-    loose
-        Samples by which a stamp may be late without any missing: of a batch by how long its last one waited,
-        of a coarse clock by its tick; 0 where the stamps are fine.
-    bounded
-        Whether batches stay near their places; where they do not, nothing explains the stamps.
-    coherent
-        Whether the period is that of the stamps' phases, which needs no count of what is missing.
-    """
-
+    #: Sampling period, in ns; good to about one percent.
     tau_ns: float
+    #: Standard deviation of a stamp about its neighbours, in samples.
     jitter: float = 0.0
+    #: Greatest common divisor of the steps, in ns.
     resolution_ns: int = 1
+    #: Samples that arrive together; 1 where they arrive one by one.
     burst: int = 1
+    #: Whether a batch was read when its last stamp says, or its first; and whether its last sample was taken
+    #: then, or its first.
     last_stamp: bool = True
     last_place: bool = True
+    #: The step above which a batch ends, in ns.
     pause_ns: float = 0.0
+    #: The usual step, in ns, and whether most steps are as long to a twentieth.
     usual_ns: float = 0.0
     regular: bool = False
+    #: Samples by which a stamp may be late without any missing: of a batch by how long its last one waited,
+    #: of a coarse clock by its tick; 0 where the stamps are fine.
     loose: float = 0.0
+    #: Whether batches stay near their places; where they do not, nothing explains the stamps.
     bounded: bool = True
+    #: Whether the period is that of the stamps' phases, which needs no count of what is missing.
     coherent: bool = False
 
     @property
@@ -99,10 +86,8 @@ class Period:
 def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | None:
     """Return the sampling period of stamps in ns, shape (n,); None where they don't advance.
 
-    Raises
-    ------
-    ChoiceError
-        If most samples are missing, or none and they came in batches, and no `rate_hz` says which.
+    Raises ChoiceError if most samples are missing, or none and they came in batches, and no `rate_hz` says
+    which.
     """
     runs = _runs(stamps)
     steps = np.concatenate([np.diff(run) for run in runs])

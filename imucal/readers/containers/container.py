@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
+from imucal.frozen import frozen, frozen_alone
+from imucal.readers.files import LogFile, Scratch, damaged_if
 from imucal.readers.read_options import Progress
 
 #: A position from the start of a record, and the bytes that every record has there.
@@ -65,7 +66,7 @@ class Alike:
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Loss:
     """A part of a log that could not be read as it should: the finding's code, why, and messages lost."""
 
@@ -74,7 +75,7 @@ class Loss:
     messages: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Batch:
     """Messages of one channel."""
 
@@ -130,34 +131,35 @@ class Batch:
         """Return where each payload starts, shape (n,)."""
         return self.starts + np.int64(self.header)
 
-    def first(self) -> bytes:
-        """Return the payload of the first message of a checked batch."""
-        start = int(self.starts[0]) + self.header
-        size = self.sizes if isinstance(self.sizes, int) else int(self.sizes[0])
-        return bytes(memoryview(self.buffer)[start : start + size])
+    def messages(self) -> Iterator[memoryview]:
+        """Yield the payload of each message of a checked batch."""
+        starts, view = self.payload(), memoryview(self.buffer)
+        for start, end in zip(starts.tolist(), (starts + self.sizes).tolist(), strict=True):
+            yield view[start:end]
 
 
-def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
-    """Copy `width` bytes from each place in `at`, shape (n,), into one array of n items.
+def gather(buffer: Bytes, at: IntArray, width: int, offset: int = 0) -> NDArray[np.void]:
+    """Copy `width` bytes from `offset` behind each place in `at`, shape (n,), into one array of n items.
 
-    Item i of the view below starts at byte i, so that indexing it is one copy per message, at any
-    alignment. (`take` would copy the whole view first.)
+    Item i of the view below starts `offset` behind byte i, so that indexing it is one copy per message, at
+    any alignment. (`take` would copy the whole view first.)
 
-    Raises
-    ------
-    DamagedError
-        If a place lies outside the buffer.
+    Raises DamagedError if a place lies outside the buffer.
     """
-    count = len(buffer) - width + 1
-    damaged_if(
-        at.size and (count <= 0 or int(at.min()) < 0 or int(at.max()) >= count),
-        "a message reaches beyond its chunk",
-    )
-    view: NDArray[np.void] = np.ndarray((max(count, 0),), f"V{width}", buffer=buffer, strides=(1,))
+    count = max(len(buffer) - offset - width + 1, 0)
+    # As unsigned numbers, negative ones lie beyond any buffer.
+    beyond = at.size and int(at.view(np.uint64).max()) >= count
+    damaged_if(beyond, "a message reaches beyond its chunk")
+    view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=offset, strides=(1,))
     return view[at]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
+    """Return the number that stands `at` so many bytes in each row that was gathered; copies nothing."""
+    return np.ndarray(rows.shape, dtype, buffer=rows, offset=at, strides=rows.strides)
+
+
+@frozen
 class Channel:
     """A stream of messages of one type."""
 
@@ -195,7 +197,7 @@ class Task(Protocol):
         """Yield the messages of each wanted channel; raises DamagedError if the chunk can't be read."""
 
 
-class Container(Protocol):
+class Container(ABC):
     """A file of messages, its index read."""
 
     path: Path
@@ -205,31 +207,30 @@ class Container(Protocol):
     channels: list[Channel]
     findings: list[Finding]
     #: First and last time of any message, in ns; None where unknown.
-    start_ns: int | None
-    end_ns: int | None
+    start_ns: int | None = None
+    end_ns: int | None = None
     #: Whether the tasks may run in several threads at once.
-    parallel: bool
+    parallel: bool = True
 
+    @abstractmethod
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         """Yield the chunks that hold messages of some channels."""
 
+    @abstractmethod
     def close(self) -> None:
         """Close the file."""
 
 
-class MessageFile(ABC):
-    """A container that is read by the bytes of its one file: by default that at `path`."""
+#: Opens the files of a log; also returns the name of its format.
+OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
 
-    format: str
-    compression: str
-    channels: list[Channel]
-    start_ns: int | None = None
-    end_ns: int | None = None
-    parallel = True
+
+class MessageFile(Container):
+    """A container that is read by the bytes of its one file: by default that at `path`."""
 
     def __init__(self, path: Path, file: LogFile | None = None) -> None:
         self.path = path
-        self.findings: list[Finding] = []
+        self.findings = []
         self._file = file or LogFile(path)
         self.size = self._file.size
         try:
@@ -245,22 +246,8 @@ class MessageFile(ABC):
         return [cls(path)], cls.format
 
     @abstractmethod
-    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        """Yield the chunks that hold messages of some channels."""
-
-    @abstractmethod
     def _read_index(self) -> None:
         """Read all that the file says of itself."""
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
-
-
-def scan_finding(reason: DamagedError, end: int, size: int) -> Finding:
-    """Return the finding of a file of `size` bytes whose records were scanned up to `end`."""
-    text = f"The index can't be used ({reason}); all records were scanned instead."
-    if end < size:
-        text += f" The last {size - end} of {size} bytes are cut or damaged."
-    code = "truncated" if end < size else reason.code
-    return Finding(level="warning", code=code, text=text)

@@ -8,28 +8,19 @@ an object for each record. Source: MCAP specification 0, https://mcap.dev/spec.
 
 import struct
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS, check_crc, crc32, decompress, decompress_prefix
-from imucal.readers.containers.container import (
-    Batch,
-    Bytes,
-    Channel,
-    Loss,
-    MessageFile,
-    Task,
-    gather,
-    scan_finding,
-)
-from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
+from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, gather
+from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if, refused
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
@@ -42,6 +33,14 @@ _PAIR = struct.Struct("<HQ")
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
 _MESSAGE = 31
 _RECORD = struct.Struct("<BQH")
+_HEADS = np.dtype(
+    {
+        "names": ["opcode", "length", "channel", "log"],
+        "formats": ["u1", "<i8", "<u2", "<i8"],
+        "offsets": [0, 1, 9, 15],
+        "itemsize": _MESSAGE,
+    }
+)
 #: A chunk's message index has this many bytes in front of its entries of 16.
 _INDEX_HEAD = 15
 _FOOTER_SIZE = 9 + 20 + 8
@@ -57,29 +56,7 @@ _WINDOW = 1 << 20
 _HEAD_BLOCK = 128
 
 
-@dataclass(frozen=True, slots=True)
-class Schema:
-    """A message definition."""
-
-    id: int
-    name: str
-    encoding: str
-    text: str
-    raw: bytes = field(default=b"", compare=False, repr=False)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChunkHead:
-    """The fields of a chunk in front of its data, which start `data` bytes after the record's start."""
-
-    size: int
-    crc: int
-    compression: str
-    data: int
-    stored: int
-
-
-@dataclass(slots=True, kw_only=True)
+@dataclass(slots=True)
 class ChunkIndex:
     """Where a chunk lies; `indexes` is channel -> position of its message index."""
 
@@ -102,88 +79,55 @@ def each_record(data: Bytes) -> Iterator[tuple[int, int, int]]:
         at = after
 
 
-class _Fields:
-    """The fields of a record, taken one behind the other."""
+def parse(opcode: int, record: Bytes) -> tuple[list[Any], int]:
+    """Return the fields of a record by `RECORDS`, and where the last one ends; raises DamagedError."""
+    name, form, at = RECORDS[opcode]
+    damage = f"a {name} record is damaged"
 
-    def __init__(self, record: Bytes, name: str, at: int = 0) -> None:
-        self.at = at
-        self._record = record
-        self._damage = f"a {name} record is damaged"
+    def take(size: int) -> bytes:
+        nonlocal at
+        start, at = at, at + size
+        damaged_if(at > len(record), damage)
+        return bytes(record[start:at])
 
-    def bytes(self, size: int) -> bytes:
-        """Take `size` bytes; raises DamagedError where the record ends before."""
-        start, self.at = self.at, self.at + size
-        damaged_if(self.at > len(self._record), self._damage)
-        return bytes(self._record[start : self.at])
-
-    def number(self, size: int) -> int:
-        """Take a number of `size` bytes."""
-        return int.from_bytes(self.bytes(size), "little")
-
-    def text(self) -> str:
-        """Take a text behind its length."""
-        return self.bytes(self.number(4)).decode("utf-8", "replace")
-
-    def map(self) -> dict[int, int]:
-        """Take a map of channels behind its length."""
-        data = self.bytes(self.number(4))
-        damaged_if(len(data) % _PAIR.size, self._damage)
-        return dict(_PAIR.iter_unpack(data))
+    found: list[Any] = []
+    for kind in form:
+        data = take(int(kind) if kind.isdigit() else int.from_bytes(take(4), "little"))
+        damaged_if(kind == "m" and len(data) % _PAIR.size, damage)
+        found.append(_TAKEN[kind](data) if kind in _TAKEN else int.from_bytes(data, "little"))
+    return found, at
 
 
-def parse_schema(body: Bytes) -> Schema:
-    """Parse a Schema record."""
-    fields = _Fields(body, "schema")
-    number, name, encoding = fields.number(2), fields.text(), fields.text()
-    raw = fields.bytes(fields.number(4))
-    return Schema(number, name, encoding, raw.decode("utf-8", "replace"), raw)
-
-
-def parse_channel(body: Bytes) -> tuple[int, Channel]:
-    """Return the number of a channel's schema (0 for none), and the channel; its metadata is not needed."""
-    fields = _Fields(body, "channel")
-    key, number, topic = fields.number(2), fields.number(2), fields.text()
-    return number, Channel(key=key, topic=topic, type="", encoding=fields.text())
-
-
-def parse_chunk_head(record: Bytes) -> ChunkHead:
-    """Parse the head of a Chunk record, its opcode and length included."""
-    fields = _Fields(record, "chunk", at=25)
-    size, crc, compression, stored = fields.number(8), fields.number(4), fields.text(), fields.number(8)
-    return ChunkHead(size=size, crc=crc, compression=compression, data=fields.at, stored=stored)
-
-
-def parse_chunk_index(body: Bytes) -> ChunkIndex:
-    """Parse a ChunkIndex record."""
-    fields = _Fields(body, "chunk index", at=16)
-    start, length, indexes = fields.number(8), fields.number(8), fields.map()
-    index_length = fields.number(8)
-    return ChunkIndex(
-        start=start, length=length, index_length=index_length, indexes=indexes, compression=fields.text()
-    )
-
-
-def parse_statistics(body: Bytes) -> tuple[int, int, int, int, dict[int, int]]:
-    """Return messages, chunks, first and last time in ns, and messages of each channel."""
-    fields = _Fields(body, "statistics")
-    messages = fields.number(8)
-    fields.at = 22
-    return messages, fields.number(4), fields.number(8), fields.number(8), fields.map()
+#: Opcode -> name of the record, its fields, and where they begin. A number stands for an integer of so many
+#: bytes; ``t`` for a text, ``b`` for bytes and ``m`` for a map of channels, each behind its length.
+RECORDS = {
+    SCHEMA: ("schema", "2ttb", 0),
+    CHANNEL: ("channel", "22tt", 0),
+    # Opcode and length included; it ends where the data start.
+    CHUNK: ("chunk", "84t8", 25),
+    CHUNK_INDEX: ("chunk index", "88m8t", 16),
+    # Messages, four other counts, chunks, first and last time in ns, and messages of each channel.
+    STATISTICS: ("statistics", "82444488m", 0),
+}
+_TAKEN: dict[str, Callable[[bytes], Any]] = {
+    "t": lambda data: data.decode("utf-8", "replace"),
+    "b": bytes,
+    "m": lambda data: dict(_PAIR.iter_unpack(data)),
+}
 
 
 class ChunkTask:
     """A chunk to load."""
 
     def __init__(self, file: LogFile, chunk: ChunkIndex, keys: frozenset[int]) -> None:
-        self._file = file
-        self._chunk = chunk
+        self._file, self._chunk = file, chunk
         self.size = chunk.length + chunk.index_length
         counts = index_counts(file, chunk, keys)
         self._indexed = counts is not None
         if counts is None:
             try:
                 walked = walk_records(_read_chunk(file, chunk))
-                counts = {key: len(walked[key]) for key in keys if key in walked}
+                counts = {key: len(places) for key, places in walked.items() if key in keys}
             except DamagedError:
                 # One message at least, so that the chunk is tried, and its loss is told.
                 counts = dict.fromkeys(keys, 1)
@@ -243,7 +187,7 @@ def index_count(file: LogFile, key: int, position: int) -> int:
     damaged_if(
         opcode != MESSAGE_INDEX or channel != key or size + 6 != length or size % 16 or not whole,
         "a message index is damaged",
-        code="index",
+        "index",
     )
     return size // 16
 
@@ -276,16 +220,14 @@ def _read_chunk(file: LogFile, chunk: ChunkIndex) -> memoryview:
 
 def unpack(record: memoryview, *, cut: bool = False) -> memoryview:
     """Return what a Chunk record holds; of a `cut` one what is left."""
-    head = parse_chunk_head(record)
-    data = record[head.data : head.data + head.stored]
+    (size, crc, compression, stored), at = parse(CHUNK, record)
+    data = record[at : at + stored]
     if cut:
-        return memoryview(decompress_prefix(head.compression, data, head.size))
-    opcode, length = HEAD.unpack_from(record, 0)
-    damaged_if(
-        opcode != CHUNK or length + 9 != len(record) or len(data) != head.stored, "a chunk's head is damaged"
-    )
-    raw = decompress(head.compression, data, head.size)
-    check_crc(raw, head.crc)
+        return memoryview(decompress_prefix(compression, data, size))
+    head = HEAD.unpack_from(record, 0)
+    damaged_if(head != (CHUNK, len(record) - 9) or len(data) != stored, "a chunk's head is damaged")
+    raw = decompress(compression, data, size)
+    check_crc(raw, crc)
     return raw
 
 
@@ -300,18 +242,14 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
 
 def batch_of(raw: Bytes, positions: Sequence[int]) -> Batch:
     """Return the messages whose whole records start at `positions`."""
-    starts = np.array(positions, dtype=np.int64)
-    heads = gather(raw, starts, _MESSAGE)
-    sizes = _column(heads, 1, "<i8") - (_MESSAGE - 9)
-    return Batch.of(raw, starts, sizes, _column(heads, 15, "<i8"), header=_MESSAGE)
+    starts = np.array(positions, np.int64)
+    heads = gather(raw, starts, _MESSAGE).view(_HEADS)
+    return Batch.of(raw, starts, heads["length"] - (_MESSAGE - 9), heads["log"], header=_MESSAGE)
 
 
 def _indexed(raw: memoryview, starts: IntArray, key: int) -> Batch:
     """Return the messages of an index, whose records are taken to be like the first."""
-
-    def check() -> Batch:
-        return _checked(raw, starts, key)
-
+    check = partial(_checked, raw, starts, key)
     try:
         # What else the first record may be is no matter: the guards compare it with a message.
         length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
@@ -332,31 +270,24 @@ def _indexed(raw: memoryview, starts: IntArray, key: int) -> Batch:
 def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
     """Check every record of an index; where one is none of the channel's, walk the chunk."""
     with suppress(DamagedError):
-        heads = gather(raw, starts, _MESSAGE)
-        length = _column(heads, 1, "<i8")
-        right = (_column(heads, 0, "u1") == MESSAGE) & (_column(heads, 9, "<u2") == key)
+        heads = gather(raw, starts, _MESSAGE).view(_HEADS)
+        length = heads["length"]
+        right = (heads["opcode"] == MESSAGE) & (heads["channel"] == key)
         right &= (length >= _MESSAGE - 9) & (length <= len(raw) - starts - 9)
         if right.all():
             return batch_of(raw, starts.tolist())
-    loss = Loss(code="index", text="a message index points to other records; its chunk was walked instead")
+    loss = Loss("index", "a message index points to other records; its chunk was walked instead")
     return replace(batch_of(raw, walk_records(raw).get(key, [])), loss=loss)
-
-
-def _column(heads: NDArray[np.void], at: int, dtype: str) -> IntArray:
-    """Return a field of gathered heads, shape (n,), as int64."""
-    if not heads.size:
-        return np.zeros(0, dtype=np.int64)
-    view: IntArray = np.ndarray(heads.shape, dtype, buffer=heads, offset=at, strides=heads.strides)
-    return view.astype(np.int64)
 
 
 @dataclass(slots=True)
 class Bookkeeping:
     """What an MCAP file says about itself."""
 
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    #: Channel -> the number of its schema, and what its record says.
-    channels: dict[int, tuple[int, Channel]] = field(default_factory=dict)
+    #: Number of a schema -> name, encoding and bytes.
+    schemas: dict[int, list[Any]] = field(default_factory=dict)
+    #: Channel -> the number of its schema (0 for none), topic and encoding.
+    channels: dict[int, list[Any]] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     loose: list[LooseTask] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
@@ -366,12 +297,8 @@ class Bookkeeping:
 
     def define(self, opcode: int, body: Bytes) -> None:
         """Take a Schema or Channel record, unless its number is known."""
-        if opcode == SCHEMA:
-            schema = parse_schema(body)
-            self.schemas.setdefault(schema.id, schema)
-        else:
-            number, channel = parse_channel(body)
-            self.channels.setdefault(channel.key, (number, channel))
+        (number, *said), _ = parse(opcode, body)
+        (self.schemas if opcode == SCHEMA else self.channels).setdefault(number, said)
 
     def define_all(self, raw: memoryview) -> None:
         """Take all definitions among the records of a chunk, up to the first that is damaged."""
@@ -387,14 +314,13 @@ def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
     end, book = found.visit_records(), found.book
     found.define_from_chunks()
     if not book.channels:
-        msg = f"{file.path}: {reason}, and no whole record was found; expected an MCAP file"
-        raise ReadError(msg)
+        raise refused(file.path, f"{reason}, and no whole record was found; expected an MCAP file")
     known = frozenset(book.channels)
     for chunk in book.chunks:
         book.counts.update(index_counts(file, chunk) or ChunkTask(file, chunk, known).counts)
     for loose in book.loose:
         book.counts.update(loose.counts)
-    book.findings.append(scan_finding(reason, end, file.size))
+    book.findings.append(file.scan_finding(reason, end))
     return book
 
 
@@ -437,8 +363,8 @@ class _Scan:
         if opcode in DEFINITIONS and length <= _MAX_DEFINITION:
             self.book.define(opcode, self._take(at + 9, length))
         elif opcode == CHUNK:
-            head = parse_chunk_head(self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
-            chunks.append(ChunkIndex(start=at, length=9 + length, compression=head.compression))
+            (_, _, kind, _), _ = parse(CHUNK, self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
+            chunks.append(ChunkIndex(at, 9 + length, kind))
         elif opcode == MESSAGE_INDEX and chunks:
             chunk = chunks[-1]
             key = int.from_bytes(self._take(at + 9, 2), "little")
@@ -447,16 +373,17 @@ class _Scan:
                 if length > 6:
                     chunk.indexes[key] = at
         elif opcode == MESSAGE and length >= _MESSAGE - 9:
-            self._add_loose(int.from_bytes(self._take(at + 9, 2), "little"), at, at + 9 + length)
-
-    def _add_loose(self, key: int, at: int, end: int) -> None:
-        """Take a message that lies outside chunks."""
-        loose = self.book.loose
-        if not loose or end - loose[-1].position > _PART:
-            loose.append(LooseTask(self._file, at))
-        part = loose[-1]
-        part.starts.setdefault(key, []).append(at - part.position)
-        part.size = end - part.position
+            # A message that lies outside chunks.
+            key, end, loose = (
+                int.from_bytes(self._take(at + 9, 2), "little"),
+                at + 9 + length,
+                self.book.loose,
+            )
+            if not loose or end - loose[-1].position > _PART:
+                loose.append(LooseTask(self._file, at))
+            part = loose[-1]
+            part.starts.setdefault(key, []).append(at - part.position)
+            part.size = end - part.position
 
     def _salvage(self, at: int) -> None:
         """Keep the whole messages of a chunk that the end of the file cuts."""
@@ -494,8 +421,7 @@ class McapFile(MessageFile):
         self.compression = ", ".join(kinds) or "none"
         unknown = [kind for kind in kinds if kind not in KINDS]
         if unknown:
-            msg = f"{self.path}: chunks are compressed by {unknown[0]!r}; expected none, lz4 or zstd"
-            raise ReadError(msg)
+            raise refused(self.path, f"chunks are compressed by {unknown[0]!r}; expected none, lz4 or zstd")
         self.channels = self._channels()
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
@@ -516,17 +442,17 @@ class McapFile(MessageFile):
             "the file does not start and end as an MCAP file",
         )
         tail = self._file.read(size - _FOOTER_SIZE, _FOOTER_SIZE)
-        damaged_if(tail[-8:] != MAGIC, "the end of the file is missing", code="truncated")
+        damaged_if(tail[-8:] != MAGIC, "the end of the file is missing", "truncated")
         start, _, crc = struct.unpack_from("<QQI", tail, HEAD.size)
         damaged_if(HEAD.unpack_from(tail, 0) != (FOOTER, 20), "the footer is damaged")
-        damaged_if(not start, "the file has no index", code="unindexed")
+        damaged_if(not start, "the file has no index", "unindexed")
         damaged_if(
             not len(MAGIC) <= start <= size - _FOOTER_SIZE or size - start > _MAX_SUMMARY,
             "the footer points beyond the file",
         )
         summary = self._file.read(start, size - _FOOTER_SIZE - start)
         damaged_if(
-            crc and crc32(tail[:25], crc32(summary)) != crc, "the index's checksum does not match", code="crc"
+            crc and crc32(tail[:25], crc32(summary)) != crc, "the index's checksum does not match", "crc"
         )
         return self._parse(memoryview(summary))
 
@@ -539,20 +465,17 @@ class McapFile(MessageFile):
             if opcode in DEFINITIONS:
                 book.define(opcode, body)
             elif opcode == CHUNK_INDEX:
-                book.chunks.append(parse_chunk_index(body))
+                (start, size, indexes, behind, kind), _ = parse(opcode, body)
+                book.chunks.append(ChunkIndex(start, size, kind, behind, indexes))
             elif opcode == STATISTICS:
-                total, chunks, book.start_ns, book.end_ns, counts = parse_statistics(body)
+                (total, *_, chunks, book.start_ns, book.end_ns, counts), _ = parse(opcode, body)
                 book.counts = Counter(counts)
         damaged_if(end + 9 <= len(summary), "the index is cut")
-        self._check(book, total, chunks)
-        return book
-
-    def _check(self, book: Bookkeeping, total: int, chunks: int) -> None:
-        """Refuse an index that leaves out what the statistics count, or points nowhere."""
+        # An index that leaves out what the statistics count, or points nowhere, is of no use.
         damaged_if(
             len(book.chunks) < chunks or (total and not book.chunks) or not book.channels,
             "the index leaves out chunks",
-            code="unindexed",
+            "unindexed",
         )
         damaged_if(
             sum(chunk.length + chunk.index_length for chunk in book.chunks) > self.size,
@@ -566,29 +489,32 @@ class McapFile(MessageFile):
                 book.counts.update(
                     {key: index_count(self._file, key, at) for key, at in chunk.indexes.items()}
                 )
+        return book
 
     def _channels(self) -> list[Channel]:
         book, spans = self._book, self._spans()
         channels = []
-        for key, (number, channel) in sorted(book.channels.items()):
-            schema = book.schemas.get(number, Schema(0, "", "", ""))
-            first, last = spans.get(key, (None, None))
+        for key, (number, topic, encoding) in sorted(book.channels.items()):
+            name, form, schema = book.schemas.get(number, ("", "", b""))
+            times = spans.get(key, ())
             channels.append(
-                replace(
-                    channel,
-                    type=schema.name,
-                    definition=schema.text,
-                    definition_kind=schema.encoding,
-                    schema=schema.raw,
+                Channel(
+                    key=key,
+                    topic=topic,
+                    type=name,
+                    encoding=encoding,
+                    definition=schema.decode("utf-8", "replace"),
+                    definition_kind=form,
+                    schema=schema,
                     count=book.counts[key],
-                    first_ns=first,
-                    last_ns=last,
+                    first_ns=min(times, default=None),
+                    last_ns=max(times, default=None),
                 )
             )
         return channels
 
-    def _spans(self) -> dict[int, tuple[int, int]]:
-        """Return first and last time of each channel: of its first and last chunk, and outside of chunks."""
+    def _spans(self) -> dict[int, list[int]]:
+        """Return times of each channel: of its first and last chunk, and outside of chunks."""
         ends: dict[int, tuple[ChunkIndex, ChunkIndex]] = {}
         for chunk in self._book.chunks:
             for key in chunk.indexes:
@@ -600,7 +526,7 @@ class McapFile(MessageFile):
         for loose in self._book.loose:
             for key, batch in loose.load(Scratch()):
                 times.setdefault(key, []).extend([int(batch.log_ns.min()), int(batch.log_ns.max())])
-        return {key: (min(values), max(values)) for key, values in times.items() if values}
+        return times
 
 
 open_files = McapFile.open_files

@@ -7,19 +7,16 @@ refuses unindexed and cut ones, and builds an object for each message when it op
 """
 
 import struct
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from imucal.arrays import IntArray
-from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS, decompress, decompress_prefix
 from imucal.readers.containers.container import (
@@ -30,11 +27,10 @@ from imucal.readers.containers.container import (
     Guard,
     Loss,
     MessageFile,
-    Task,
+    cells,
     gather,
-    scan_finding,
 )
-from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
+from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if, refused
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -150,7 +146,7 @@ def _broken() -> DamagedError:
     return DamagedError("a record header is damaged")
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(slots=True)
 class BagChunk:
     """Where a chunk and its index records lie."""
 
@@ -171,9 +167,7 @@ class BagChunkTask:
     """A chunk to load."""
 
     def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
-        self._file = file
-        self._chunk = chunk
-        self.size = chunk.size
+        self._file, self._chunk, self.size = file, chunk, chunk.size
         # An index entry has 12 bytes: a count beyond them is not believed.
         most = chunk.size // 12 if chunk.indexed else chunk.size
         self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
@@ -183,26 +177,21 @@ class BagChunkTask:
         region = scratch.buffer(self.size)
         self._file.into(self._chunk.start, region)
         raw, end = unpack(region, cut=self._chunk.cut)
-        indexes = self._indexes(region[end:]) if self._chunk.indexed else {}
+        indexes: dict[int, memoryview] = {}
+        # Behind the chunk stand its index records: up to the last wanted one.
+        with suppress(DamagedError):
+            for opcode, entry in walk(region[end:]) if self._chunk.indexed else ():
+                if opcode != INDEX or entry.end - entry.start != 12 * number(entry.head, b"count", 4):
+                    break
+                indexes[entry.key] = region[end + entry.start : end + entry.end]
+                if self.counts.keys() <= indexes.keys():
+                    break
         for key in self.counts:
             if key in indexes:
                 yield key, _indexed(raw, key, indexes[key])
             else:
-                loss = Loss(code="index", text="an index record is missing; its chunk was walked instead")
+                loss = Loss("index", "an index record is missing; its chunk was walked instead")
                 yield key, _walked(raw, key, loss if self._chunk.indexed else None)
-
-    def _indexes(self, behind: memoryview) -> dict[int, memoryview]:
-        """Return connection -> entries of its index record behind the chunk, up to the last wanted one."""
-        found: dict[int, memoryview] = {}
-        with suppress(DamagedError):
-            for opcode, entry in walk(behind):
-                size = entry.end - entry.start
-                if opcode != INDEX or size != 12 * number(entry.head, b"count", 4):
-                    break
-                found[entry.key] = behind[entry.start : entry.end]
-                if self.counts.keys() <= found.keys():
-                    break
-        return found
 
 
 def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
@@ -213,7 +202,7 @@ def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
     size = number(entry.head, b"size", 4)
     if cut:
         return memoryview(decompress_prefix(entry.compression, data, size)), entry.end
-    damaged_if(entry.end > len(region), "a chunk is cut", code="truncated")
+    damaged_if(entry.end > len(region), "a chunk is cut", "truncated")
     return decompress(entry.compression, data, size), entry.end
 
 
@@ -223,22 +212,16 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
     All records are compared with the last one, whose header repeats but for the time; the first may have
     the connection's own record in front.
     """
-    table = np.frombuffer(entries, "<u4").reshape(-1, 3)
-    starts = table[:, 2].astype(np.int64)
-    log_ns = table[:, 0].astype(np.int64)
-    log_ns *= 1_000_000_000
-    log_ns += table[:, 1]
-
-    def check() -> Batch:
-        return _checked(raw, key, starts, log_ns)
-
+    seconds, rest, starts = np.frombuffer(entries, "<u4").reshape(-1, 3).T.astype(np.int64, order="C")
+    log_ns = seconds * 1_000_000_000 + rest
+    check = partial(_checked, raw, key, starts, log_ns)
     if not starts.size:
-        return Batch(buffer=raw, starts=starts, header=0, sizes=0, log_ns=log_ns)
+        return Batch.of(raw, starts, starts, log_ns)
     last = int(starts[-1])
     size = int.from_bytes(raw[last : last + 4], "little")
     head = bytes(raw[last : last + size + 8])
-    time = head.find(b"time=") + 5
-    common = _message_head(head[:time] + bytes(8) + head[time + 8 :]) if time >= 5 else None
+    before, time, value = head.partition(b"time=")
+    common = _message_head(before + time + bytes(len(value[:8])) + value[8:])
     if common is None or common[0] != key:
         return check()
     return Batch(
@@ -255,52 +238,39 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
 @lru_cache(maxsize=64)
 def _message_head(head: bytes) -> tuple[int, int, tuple[Guard, ...]] | None:
     """Return connection, bytes of data and guards by a message's header, its time blank; None for others."""
-    guards = _guards(head)
     with suppress(DamagedError):
         entry = record(head, 0)
-        if guards is not None and entry.opcode == MESSAGE and entry.start == len(head):
-            return entry.key, entry.end - entry.start, guards
+        if entry.opcode == MESSAGE and entry.start == len(head):
+            return entry.key, entry.end - entry.start, _guards(head)
     return None
 
 
-def _guards(head: bytes) -> tuple[Guard, ...] | None:
+def _guards(head: bytes) -> tuple[Guard, ...]:
     """Return the bytes of a header, its lengths too, except the value of its time."""
-    at = head.find(b"time=") + 5
-    if at < 5:
-        return None
-    return tuple((start, part) for start, part in ((0, head[:at]), (at + 8, head[at + 8 :])) if part)
+    before, time, value = head.partition(b"time=")
+    at = len(before + time)
+    return tuple((start, part) for start, part in ((0, head[:at]), (at + 8, value[8:])) if part)
 
 
 def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> Batch:
     """Check the header of every record; skip connection records; walk the chunk where that fails."""
-    payloads, sizes = starts.copy(), np.zeros(starts.size, dtype=np.int64)
+    payloads, sizes = starts.copy(), np.zeros_like(starts)
     try:
-        for row in _take_alike(raw, key, payloads, sizes).tolist():
+        # Those whose header is that of the last are taken at once.
+        last = int(starts[-1])
+        head = bytes(raw[last : _message(raw, key, last)[0]])
+        rows = np.flatnonzero((starts >= 0) & (starts <= len(raw) - len(head)))
+        heads = gather(raw, starts[rows], len(head))
+        length = cells(heads, len(head) - 4, "<u4")
+        payloads[rows] += len(head)
+        alike = Alike(_guards(head[:-4]), len(head)).each(heads) & (payloads[rows] + length <= len(raw))
+        sizes[rows] = length
+        for row in np.delete(np.arange(starts.size), rows[alike]).tolist():
             payloads[row], sizes[row] = _message(raw, key, int(starts[row]))
     except DamagedError:
-        loss = Loss(code="index", text="an index points to other records; its chunk was walked instead")
+        loss = Loss("index", "an index points to other records; its chunk was walked instead")
         return _walked(raw, key, loss)
-    return Batch(buffer=raw, starts=payloads, header=0, sizes=sizes, log_ns=log_ns)
-
-
-def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) -> IntArray:
-    """Turn the starts of messages whose header is that of the last into their payloads; return the others.
-
-    Raises DamagedError if the last is no message of the connection.
-    """
-    last = int(payloads[-1])
-    head = bytes(raw[last : _message(raw, key, last)[0]])
-    guards = _guards(head[:-4])
-    if guards is None:
-        return np.arange(payloads.size)
-    rows = np.flatnonzero((payloads >= 0) & (payloads <= len(raw) - len(head)))
-    heads = gather(raw, payloads[rows], len(head))
-    length = np.ndarray(heads.shape, "<u4", buffer=heads, offset=len(head) - 4, strides=heads.strides).copy()
-    alike = Alike(guards, len(head)).each(heads) & (payloads[rows] + len(head) + length <= len(raw))
-    rows = rows[alike]
-    payloads[rows] += len(head)
-    sizes[rows] = length[alike]
-    return np.delete(np.arange(payloads.size), rows)
+    return Batch.of(raw, payloads, sizes, log_ns)
 
 
 def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
@@ -311,8 +281,7 @@ def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
         if entry.opcode != CONNECTION:
             break
         at = entry.end
-    msg = "an index points to another record"
-    raise DamagedError(msg, code="index")
+    raise DamagedError("an index points to another record", "index")
 
 
 def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
@@ -322,8 +291,8 @@ def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
         for opcode, entry in walk(raw)
         if opcode == MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key
     ]
-    starts, sizes, times = np.array(found, dtype=np.int64).reshape(-1, 3).T.copy()
-    return Batch(buffer=raw, starts=starts, header=0, sizes=sizes, log_ns=times, loss=loss)
+    starts, sizes, times = np.array(found, np.int64).reshape(-1, 3).T.copy()
+    return replace(Batch.of(raw, starts, sizes, times), loss=loss)
 
 
 class BagFile(MessageFile):
@@ -336,19 +305,28 @@ class BagFile(MessageFile):
         self._chunks: list[BagChunk] = []
         magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
         if magic != MAGIC:
-            _refuse(self.path, magic)
+            if magic.startswith(b"#ROSBAG V"):
+                version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
+                why = f"a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
+                raise refused(self.path, why)
+            raise refused(self.path, f"not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}")
         try:
             self._read_section()
         except (DamagedError, struct.error) as error:
             self._connections.clear()
             self._chunks.clear()
-            self._scan(error if isinstance(error, DamagedError) else DamagedError("it is damaged"))
+            reason = error if isinstance(error, DamagedError) else DamagedError("it is damaged")
+            end = self._visit_all()
+            if not self._connections:
+                why = f"{reason}, and no whole chunk was found; expected a ROS 1 bag"
+                raise refused(self.path, why) from None
+            self.findings.append(self._file.scan_finding(reason, end))
         self.compression = self._compression()
         self.channels = self._channels()
         self.start_ns = min((chunk.first_ns for chunk in self._chunks if chunk.first_ns), default=None)
         self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
 
-    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+    def tasks(self, keys: frozenset[int]) -> Iterator[BagChunkTask]:
         """Yield the chunks that hold messages of some connections."""
         for chunk in self._chunks:
             task = BagChunkTask(self._file, chunk, keys)
@@ -357,74 +335,48 @@ class BagFile(MessageFile):
 
     def _read_section(self) -> None:
         """Read the index section; raises DamagedError if there is none, or it is damaged."""
-        head = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
-        if head.get(b"encryptor"):
-            name = head[b"encryptor"].decode("utf-8", "replace")
-            msg = f"{self.path}: the bag is encrypted by {name}; expected a plain bag, decrypt it first"
-            raise ReadError(msg)
-        start = number(head, b"index_pos", 8)
-        damaged_if(not start, "the bag was not closed and has no index", code="unindexed")
+        bag = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
+        if name := bag.get(b"encryptor", b"").decode("utf-8", "replace"):
+            raise refused(
+                self.path, f"the bag is encrypted by {name}; expected a plain bag, decrypt it first"
+            )
+        start = number(bag, b"index_pos", 8)
+        damaged_if(not start, "the bag was not closed and has no index", "unindexed")
         damaged_if(
             not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX,
             "the index lies beyond the end of the file",
-            code="truncated",
+            "truncated",
         )
         section = memoryview(self._file.read(start, self.size - start))
         at = 0
         while at < len(section):
-            at = self._read_entry(section, at)
-        chunks, connections = number(head, b"chunk_count", 4), number(head, b"conn_count", 4)
-        damaged_if(
-            len(self._chunks) < chunks or len(self._connections) < connections,
-            "the index is cut",
-            code="truncated",
-        )
-        self._set_ends(start)
-
-    def _read_entry(self, section: memoryview, at: int) -> int:
-        """Take one record of the index section; return where it ends."""
-        entry = record(section, at)
-        head, data, opcode = entry.head, section[entry.start : entry.end], entry.opcode
-        damaged_if(entry.end > len(section), "the index is cut", code="truncated")
-        if opcode == CONNECTION:
-            found = connection(head, data)
-            self._connections[found.key] = found
-        elif opcode == CHUNK_INFO:
-            damaged_if(len(data) % PAIR.size, "a chunk's entry in the index is damaged")
-            self._chunks.append(
-                BagChunk(
-                    start=number(head, b"chunk_pos", 8),
-                    size=0,
-                    counts=dict(PAIR.iter_unpack(data)),
-                    first_ns=time_ns(head, b"start_time"),
-                    last_ns=time_ns(head, b"end_time"),
+            entry = record(section, at)
+            head, data, at, opcode = entry.head, section[entry.start : entry.end], entry.end, entry.opcode
+            damaged_if(at > len(section), "the index is cut", "truncated")
+            if opcode == CONNECTION:
+                self._connections[entry.key] = connection(head, data)
+            elif opcode == CHUNK_INFO:
+                damaged_if(len(data) % PAIR.size, "a chunk's entry in the index is damaged")
+                first, last = time_ns(head, b"start_time"), time_ns(head, b"end_time")
+                counts = dict(PAIR.iter_unpack(data))
+                self._chunks.append(
+                    BagChunk(number(head, b"chunk_pos", 8), 0, counts, first_ns=first, last_ns=last)
                 )
-            )
-        return entry.end
-
-    def _set_ends(self, index: int) -> None:
-        """Let each chunk reach to the next one, the last to the index section."""
+        cut = len(self._chunks) < number(bag, b"chunk_count", 4)
+        cut |= len(self._connections) < number(bag, b"conn_count", 4)
+        damaged_if(cut, "the index is cut", "truncated")
+        # Each chunk reaches to the next one, the last to the index section.
         starts = sorted({chunk.start for chunk in self._chunks})
         damaged_if(len(starts) != len(self._chunks), "the index lists chunks twice")
         damaged_if(
-            starts and (starts[0] <= len(MAGIC) or starts[-1] >= index), "the index points beyond the file"
+            starts and (starts[0] <= len(MAGIC) or starts[-1] >= start), "the index points beyond the file"
         )
-        ends = dict(pairwise([*starts, index]))
+        ends = dict(pairwise([*starts, start]))
         for chunk in self._chunks:
             chunk.size = ends[chunk.start] - chunk.start
 
-    # Without an index
-
-    def _scan(self, reason: DamagedError) -> None:
-        """Visit the records of the file."""
-        end = self._visit_all()
-        if not self._connections:
-            msg = f"{self.path}: {reason}, and no whole chunk was found; expected a ROS 1 bag"
-            raise ReadError(msg)
-        self.findings.append(scan_finding(reason, end, self.size))
-
     def _visit_all(self) -> int:
-        """Visit records up to the first that is not whole; return where that is."""
+        """Visit records without an index, up to the first that is not whole; return where that is."""
         at = len(MAGIC)
         while True:
             try:
@@ -449,7 +401,7 @@ class BagFile(MessageFile):
 
     def _add_chunk(self, at: int, size: int, *, cut: bool) -> None:
         """Count the messages of a chunk, and learn the connections defined in it."""
-        chunk = BagChunk(start=at, size=size, indexed=False, cut=cut)
+        chunk = BagChunk(at, size, indexed=False, cut=cut)
         self._chunks.append(chunk)
         try:
             raw, _ = unpack(memoryview(self._file.read(at, size)), cut=cut)
@@ -464,22 +416,21 @@ class BagFile(MessageFile):
         except DamagedError as error:
             if not cut:
                 text = f"The log is damaged in one place: {error}."
-                self.findings.append(Finding(level="warning", code=error.code, text=text))
+                self.findings.append(Finding("warning", error.code, text))
 
     def _channels(self) -> list[Channel]:
-        counts: Counter[int] = Counter()
-        spans: dict[int, tuple[int, int]] = {}
+        held: dict[int, list[BagChunk]] = {key: [] for key in self._connections}
         for chunk in self._chunks:
-            counts.update(chunk.counts)
-            for key in chunk.counts:
-                first, last = spans.get(key, (chunk.first_ns, chunk.last_ns))
-                spans[key] = (min(first, chunk.first_ns), max(last, chunk.last_ns))
-        none = (None, None)
+            for key in chunk.counts.keys() & held.keys():
+                held[key].append(chunk)
         return [
             replace(
-                found, count=counts[key], first_ns=spans.get(key, none)[0], last_ns=spans.get(key, none)[1]
+                self._connections[key],
+                count=sum(chunk.counts[key] for chunk in chunks),
+                first_ns=min((chunk.first_ns for chunk in chunks), default=None),
+                last_ns=max((chunk.last_ns for chunk in chunks), default=None),
             )
-            for key, found in sorted(self._connections.items())
+            for key, chunks in sorted(held.items())
         ]
 
     def _compression(self) -> str:
@@ -492,18 +443,8 @@ class BagFile(MessageFile):
         except DamagedError:
             return "unknown"
         if kind not in KINDS:
-            msg = f"{self.path}: chunks are compressed by {kind!r}; expected none, lz4 or bz2"
-            raise ReadError(msg)
+            raise refused(self.path, f"chunks are compressed by {kind!r}; expected none, lz4 or bz2")
         return kind
-
-
-def _refuse(path: Path, magic: bytes) -> None:
-    if magic.startswith(b"#ROSBAG V"):
-        version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
-        msg = f"{path}: a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
-        raise ReadError(msg)
-    msg = f"{path}: not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}"
-    raise ReadError(msg)
 
 
 open_files = BagFile.open_files

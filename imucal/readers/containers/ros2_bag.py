@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from inspect import get_annotations
 from pathlib import Path
 
 from imucal.errors import ReadError
@@ -11,7 +12,7 @@ from imucal.readers.containers.container import Batch, Container, Task
 from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.rosbag2_folder import Folder, open_folder
 from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
-from imucal.readers.files import DamagedError, Scratch, damaged_if
+from imucal.readers.files import DamagedError, Scratch, damaged_if, refused
 from imucal.readers.read_options import Progress
 
 #: First bytes of a zstd frame.
@@ -40,7 +41,7 @@ def open_parts(folder: Folder, opened: Callable[[Path], Container]) -> tuple[lis
     if folder.missing:
         names = ", ".join(folder.missing[:5])
         text = f"{len(folder.missing)} files of the bag are missing: {names}; their time is a gap."
-        containers[0].findings.append(Finding(level="warning", code="file-missing", text=text))
+        containers[0].findings.append(Finding("warning", "file-missing", text))
     form = containers[0].format
     return containers, "rosbag2-mcap" if form == "mcap" else form
 
@@ -66,15 +67,13 @@ def mcap_part(folder: Folder, log: McapFile) -> Container:
     return _ZstdMessages(log) if folder.per_message else log
 
 
-class _Wrapped:
+class _Wrapped(Container):
     """A container that gives what another one holds."""
 
     def __init__(self, inner: Container) -> None:
         self._inner = inner
-        self.path, self.format, self.size = inner.path, inner.format, inner.size
-        self.compression, self.parallel = inner.compression, inner.parallel
-        self.channels, self.findings = inner.channels, inner.findings
-        self.start_ns, self.end_ns = inner.start_ns, inner.end_ns
+        for name in get_annotations(Container):
+            setattr(self, name, getattr(inner, name))
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         return self._inner.tasks(keys)
@@ -100,8 +99,7 @@ class _Unpacked(_Wrapped):
             damage = error
         except OSError as error:
             self._folder.cleanup()
-            msg = f"{path}: can't be unpacked to {target.parent}: {error.strerror or error}"
-            raise ReadError(msg) from error
+            raise refused(path, f"can't be unpacked to {target.parent}: {error.strerror or error}") from error
         try:
             super().__init__(open_inner(target))
         except ReadError as error:
@@ -111,7 +109,7 @@ class _Unpacked(_Wrapped):
         self.path, self.size, self.compression = path, size, "zstd, whole file"
         if damage is not None:
             text = f"The file is cut or damaged: {damage}; what came before is read."
-            self.findings.append(Finding(level="warning", code="truncated", text=text))
+            self.findings.append(Finding("warning", "truncated", text))
 
     def close(self) -> None:
         super().close()
@@ -146,19 +144,14 @@ def _decompressed(batch: Batch) -> Batch:
     import zstandard
 
     machine = zstandard.ZstdDecompressor()
-    starts = batch.payload()
-    ends = (starts + batch.sizes).tolist()
-    view = memoryview(batch.buffer)
     blobs = []
     try:
-        for start, end in zip(starts.tolist(), ends, strict=True):
-            frame = view[start:end]
+        for frame in batch.messages():
             damaged_if(
                 zstandard.frame_content_size(frame) > _MAX_MESSAGE,
                 "a compressed message claims an impossible size",
             )
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
     except (zstandard.ZstdError, MemoryError) as error:
-        msg = f"a compressed message is damaged: {error}"
-        raise DamagedError(msg) from error
+        raise DamagedError(f"a compressed message is damaged: {error}") from error
     return batch_of_blobs(blobs, batch.log_ns.tolist())

@@ -9,7 +9,8 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate, chain, pairwise
 from pathlib import Path
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
+from imucal.frozen import frozen_alone
 from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, gather
 from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if
 
@@ -30,7 +32,9 @@ _START = 1 << 22
 #: Types of the pages that hold rows of a table, and the tree above them.
 LEAF, _INTERIOR = 0x0D, 0x05
 #: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.
-_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0], dtype=np.int64)
+_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0], np.int64)
+#: Serial type -> bits of eight bytes that its integer leaves.
+_SPARE = np.array([64, 56, 48, 40, 32, 16, 0, 64], np.int64)
 #: Leaf pages of one task: about 2 MB of the usual 4 kB pages.
 _GROUP = 512
 #: A b-tree deeper than this is damage.
@@ -64,7 +68,7 @@ def connect_alone(path: Path, findings: list[Finding]) -> sqlite3.Connection:
     if wal is not None:
         text = f"{wal.name} can't be read here, so messages that are only in it are left out."
         advice = "Copy the bag to a folder that can be written to."
-        findings.append(Finding(level="warning", code="wal-ignored", text=text, advice=advice))
+        findings.append(Finding("warning", "wal-ignored", text, advice))
     return base
 
 
@@ -113,7 +117,7 @@ def _page_bytes(head: Bytes) -> int:
     return 65536 if size == 1 else size
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Rows:
     """Rows of `messages`."""
 
@@ -131,7 +135,7 @@ class Rows:
 
 def parse_rows(buffer: memoryview, page: int, usable: int) -> Rows:
     """Parse the cells of leaf pages: payload size, row, then a record of id, topic, time and data."""
-    data = np.frombuffer(buffer, dtype=np.uint8)
+    data = np.frombuffer(buffer, np.uint8)
     cells, ends, wrong = _cells(data, page)
     size, at = varint(data, cells)
     ids, record = varint(data, at)
@@ -201,29 +205,17 @@ def varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArray:
-    """Return integer columns of the given serial types, shape (n,)."""
-    result = np.zeros(at.size, dtype=np.int64)
-    same = bool((kinds == kinds[:1]).all())
-    # There are ten types: a count of each is quicker than a search. Negative ones are damage.
-    for kind in (kinds[:1] if same else np.flatnonzero(np.bincount(np.maximum(kinds, 0)))).tolist():
-        chosen = slice(None) if same else kinds == kind
-        if kind == 9:
-            result[chosen] = 1
-        elif 1 <= kind <= 6:
-            size = int(_SIZES[kind])
-            words = gather(data.data, at[chosen], size)
-            if size in {1, 2, 4, 8}:
-                result[chosen] = words.view(f">i{size}")
-                continue
-            raw = words.view(np.uint8).reshape(-1, size)
-            value = raw[:, 0].astype(np.int8).astype(np.int64)
-            for column in range(1, size):
-                value = (value << 8) | raw[:, column]
-            result[chosen] = value
-    return result
+    """Return integer columns of the given serial types, shape (n,); 0 where a type is none."""
+    spare = _SPARE.take(kinds, mode="clip")
+    # Eight bytes that end with the number, which a page's head allows: what stands before it is shifted out.
+    words = gather(data.data, at - (spare >> 3), 8).view(">i8").astype(np.int64)
+    words <<= spare
+    words >>= spare
+    words[kinds == 9] = 1
+    return words
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Leaves:
     """Leaf pages of a table, in the order of its rows."""
 
@@ -255,7 +247,7 @@ def page_size(file: LogFile) -> tuple[int, int]:
 def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves:
     """Return the leaf pages below the page `root`; raises DamagedError if a page is damaged or missing."""
     size, _ = page_size(file)
-    pages, ids = [np.array([root], dtype=np.int64)], [np.array([last_id], dtype=np.int64)]
+    pages, ids = [np.array([root], np.int64)], [np.array([last_id], np.int64)]
     for _ in range(_DEEP):
         level, bounds = pages[-1], ids[-1]
         first = int(level[0])
@@ -267,8 +259,7 @@ def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves
         ids.append(np.concatenate([bound for _, bound in children]))
         if pages[-1].size * size > file.size:
             break
-    msg = "the tree of pages is damaged"
-    raise DamagedError(msg)
+    raise DamagedError("the tree of pages is damaged")
 
 
 def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
@@ -281,7 +272,7 @@ def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
     count = file.size // size
     for first in range(0, count, _GROUP):
         part = min(_GROUP, count - first)
-        data = np.frombuffer(file.read(first * size, part * size), dtype=np.uint8).reshape(part, size)
+        data = np.frombuffer(file.read(first * size, part * size), np.uint8).reshape(part, size)
         chosen = np.flatnonzero(data[:, 0] == LEAF)
         if chosen.size:
             cells = _pair(data[chosen, 3], data[chosen, 4])
@@ -317,7 +308,7 @@ class PageTask:
         rows = parse_rows(buffer, self._page, self._usable)
         loss = None
         if rows.damaged and self._fetch is not None:
-            loss = Loss(code="damaged", text="rows of the database are damaged", messages=rows.damaged)
+            loss = Loss("damaged", "rows of the database are damaged", rows.damaged)
         for key in self.counts:
             chosen = np.flatnonzero(rows.topics == key)
             batch = Batch.of(buffer, rows.starts[chosen], rows.sizes[chosen], rows.times[chosen])
@@ -344,9 +335,7 @@ def _joined(parts: Sequence[Batch]) -> Batch:
     sizes = np.concatenate([np.broadcast_to(part.sizes, part.n) for part in parts])
     buffer = b"".join(part.buffer for part in parts)
     times = np.concatenate([part.log_ns for part in parts])
-    return Batch(buffer=buffer, starts=starts, header=0, sizes=sizes, log_ns=times).part(
-        np.argsort(times, kind="stable")
-    )
+    return Batch.of(buffer, starts, sizes, times).part(np.argsort(times, kind="stable"))
 
 
 def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray, IntArray]:
@@ -406,7 +395,7 @@ class SqliteFile(MessageFile):
             # The first page says how many pages there are.
             stated = int.from_bytes(self._file.read(28, 4), "big") * page_size(self._file)[0]
             code = "truncated" if stated > self.size else "damaged"
-            self.findings.append(Finding(level="warning", code=code, text=text))
+            self.findings.append(Finding("warning", code, text))
 
     def close(self) -> None:
         """Close the database."""
@@ -431,8 +420,7 @@ class SqliteFile(MessageFile):
     @property
     def _database(self) -> sqlite3.Connection:
         if self._base is None:
-            msg = f"{self.path}: the database is closed"
-            raise ValueError(msg)
+            raise ValueError(f"{self.path}: the database is closed")
         return self._base
 
     def _needs_sqlite(self) -> bool:
@@ -447,22 +435,16 @@ class SqliteFile(MessageFile):
         """Return the leaf pages of the messages, by their tree, or all there are where it is damaged."""
         try:
             if not self._cut:
-                return list(self._leaves().groups()), partial(fetched, self._database, self._lock)
+                query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
+                root = int(self._database.execute(query).fetchone()[0])
+                leaves = find_leaves(self._file, root, self.first_id, self.last_id)
+                beyond = int(leaves.pages.max()) * page_size(self._file)[0] > self.size
+                damaged_if(beyond, "pages beyond the end of the file are missing", "truncated")
+                return list(leaves.groups()), partial(fetched, self._database, self._lock)
         except DamagedError as error:
             text = f"The database is damaged: {error}; its pages were scanned for whole messages."
-            self.findings.append(Finding(level="warning", code=error.code, text=text))
+            self.findings.append(Finding("warning", error.code, text))
         return scan_leaves(self._file), None
-
-    def _leaves(self) -> Leaves:
-        query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
-        root = int(self._database.execute(query).fetchone()[0])
-        leaves = find_leaves(self._file, root, self.first_id, self.last_id)
-        damaged_if(
-            int(leaves.pages.max()) * page_size(self._file)[0] > self.size,
-            "pages beyond the end of the file are missing",
-            code="truncated",
-        )
-        return leaves
 
     def _ranges(self) -> list[tuple[tuple[int, int], int]]:
         """Return ranges of rows, and the bytes of each."""
@@ -489,7 +471,12 @@ class SqliteFile(MessageFile):
         return first, last
 
     def _channels(self, counts: Mapping[str, int] | None) -> list[Channel]:
-        definitions = self._definitions()
+        # Type -> kind and text of its definition; bags older than ROS 2 Iron hold none.
+        definitions: dict[str, tuple[str, str]] = {}
+        query = "select topic_type, encoding, encoded_message_definition from message_definitions"
+        with suppress(sqlite3.OperationalError):
+            found = self._database.execute(query).fetchall()
+            definitions = {row[0]: row[1:] for row in found if all(isinstance(value, str) for value in row)}
         query = "select id, name, type, serialization_format from topics"
         rows = self._database.execute(query).fetchall()
         # A damaged page gives rows of other types.
@@ -527,15 +514,6 @@ class SqliteFile(MessageFile):
         query = "select topic_id, count(*) from messages group by topic_id"
         return dict(self._database.execute(query).fetchall())
 
-    def _definitions(self) -> dict[str, tuple[str, str]]:
-        """Return type -> kind and text of its definition; bags older than ROS 2 Iron hold none."""
-        query = "select topic_type, encoding, encoded_message_definition from message_definitions"
-        try:
-            rows = self._database.execute(query).fetchall()
-            return {row[0]: row[1:] for row in rows if all(isinstance(value, str) for value in row)}
-        except sqlite3.OperationalError:
-            return {}
-
 
 class SqliteTask:
     """A range of rows to load."""
@@ -568,8 +546,7 @@ def fetched(base: sqlite3.Connection, lock: threading.Lock, key: int, first: int
                 blobs += flat[1::2]
         return batch_of_blobs(blobs, times)
     except _ERRORS as error:
-        msg = f"the SQLite database is damaged: {error}"
-        raise DamagedError(msg) from error
+        raise DamagedError(f"the SQLite database is damaged: {error}") from error
 
 
 def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
@@ -577,4 +554,4 @@ def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
     sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
     starts = np.cumsum(sizes)
     starts -= sizes
-    return Batch.of(b"".join(blobs), starts, sizes, np.array(times, dtype=np.int64))
+    return Batch.of(b"".join(blobs), starts, sizes, np.array(times, np.int64))

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from imucal.errors import ReadError
 from imucal.readers.containers import Channel
+from imucal.readers.files import refused
 
 #: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
@@ -128,16 +128,24 @@ class Line:
         return plain_type(self.kind) in _TIMES
 
 
-class Definitions:
+class Definition:
     """The definition of a message type, and behind lines of ``===`` perhaps those of the types in it.
 
     `more` are those of other types, by ``package/Name``; with them the standard types of ROS are known too.
+    It is `assumed` where it stands in for the log's own, by the name of the type.
     """
 
-    def __init__(self, name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        text: str,
+        *,
+        ros1: bool,
+        more: Mapping[str, str] | None = None,
+        assumed: bool = False,
+    ) -> None:
         self.name = plain_type(name)
-        self.ros1 = ros1
-        self._standard = more is not None
+        self.text, self.ros1, self.more, self.assumed = text, ros1, more, assumed
         self._defined: dict[str, list[Line]] = {}
         self._add(self.name, text)
         for other, body in (more or {}).items():
@@ -169,10 +177,10 @@ class Definitions:
         # A file outside of its package.
         candidates.append(last)
         for candidate in candidates:
-            if candidate in self._defined or (self._standard and self._take_standard(candidate)):
+            if candidate in self._defined or (self.more is not None and self._take_standard(candidate)):
                 return candidate
         msg = f"type {kind} is not defined"
-        if self._standard:
+        if self.more is not None:
             msg += f"; give its .msg file too, {last[1:]}.msg"
         raise DefinitionError(msg)
 
@@ -191,7 +199,15 @@ class Definitions:
         self._add(name, text)
         return True
 
-    def fields(self, name: str, prefix: str = "", depth: int = 0) -> Iterator[Field]:
+    def fields(self) -> tuple[Field, ...]:
+        """Return the fields of a message, nested ones in their place; a DefinitionError if a type is unknown.
+
+        A field that can't be laid out (a sequence of structures or strings) is of kind "other"; what follows
+        it is left out, because its place depends on that field.
+        """
+        return tuple(_laid_out(self.name, self._fields(self.name)))
+
+    def _fields(self, name: str, prefix: str = "", depth: int = 0) -> Iterator[Field]:
         """Yield the fields of a type, nested ones in their place."""
         if depth > _DEEP:
             raise _too_large(name)
@@ -222,30 +238,19 @@ class Definitions:
     def _structures(self, nested: str, path: str, line: Line, depth: int) -> Iterator[Field]:
         """Yield the fields of a structure, of each in an array, or one for a sequence of them."""
         if not line.array:
-            yield from self.fields(nested, path + ".", depth)
+            yield from self._fields(nested, path + ".", depth)
         elif line.count is None:
-            yield _sequence(path, _laid_out(nested, self.fields(nested, path + "[].", depth)))
+            # It can be laid out where its structures hold numbers of one size only.
+            inner = _laid_out(nested, self._fields(nested, path + "[].", depth))
+            if len({one.size for one in inner}) == 1 and {one.kind for one in inner} <= {"number", "array"}:
+                yield Field(path, "sequence", inner[0].code, sum(one.count for one in inner))
+            else:
+                yield Field(path, "other")
         elif line.count > _MANY:
-            msg = f"{path} has {line.count} elements"
-            raise DefinitionError(msg)
+            raise DefinitionError(f"{path} has {line.count} elements")
         else:
             for i in range(line.count):
-                yield from self.fields(nested, f"{path}[{i}].", depth)
-
-
-def flatten(name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> tuple[Field, ...]:
-    """Return the fields of a message, nested ones in their place.
-
-    A field that can't be laid out (a sequence of structures or strings) is of kind "other"; what follows
-    it is left out, because its place depends on that field. For `more` see `Definitions`.
-
-    Raises
-    ------
-    DefinitionError
-        If a line can't be read, or a type is not defined.
-    """
-    known = Definitions(name, text, ros1=ros1, more=more)
-    return tuple(_laid_out(known.name, known.fields(known.name)))
+                yield from self._fields(nested, f"{path}[{i}].", depth)
 
 
 def _laid_out(name: str, fields: Iterator[Field]) -> list[Field]:
@@ -260,14 +265,6 @@ def _laid_out(name: str, fields: Iterator[Field]) -> list[Field]:
     return found
 
 
-def _sequence(path: str, inner: list[Field]) -> Field:
-    """Return a sequence of structures; it can be laid out where they hold numbers of one size only."""
-    sizes = {field.size for field in inner}
-    if len(sizes) == 1 and all(field.kind in {"number", "array"} for field in inner):
-        return Field(path, "sequence", inner[0].code, sum(field.count for field in inner))
-    return Field(path, "other")
-
-
 def _too_large(name: str) -> DefinitionError:
     return DefinitionError(f"{name} nests too deeply or has too many fields")
 
@@ -279,8 +276,7 @@ def _line(raw: str) -> Line | None:
         return None
     match = _FIELD.match(line)
     if match is None:
-        msg = f"line {line[:60]!r} is not a field"
-        raise DefinitionError(msg)
+        raise DefinitionError(f"line {line[:60]!r} is not a field")
     kind, array, bounded, elements, name, rest = match.groups()
     if rest.startswith("="):
         return None
@@ -294,23 +290,18 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     The name is that of the file, in which packages and versions may stand too; the package that of the
     folder above ``msg/``, and empty elsewhere.
 
-    Raises
-    ------
-    ReadError
-        If a file can't be read, or there is none in a folder.
+    Raises ReadError if a file can't be read, or there is none in a folder.
     """
     found = {}
     for path in paths:
         files = sorted(path.rglob("*.msg"))[:_MANY] if path.is_dir() else [path]
         if not files:
-            msg = f"{path}: no .msg files in this folder; expected the definitions of message types"
-            raise ReadError(msg)
+            raise refused(path, "no .msg files in this folder; expected the definitions of message types")
         for file in files:
             try:
                 text = file.read_text(encoding="utf-8-sig")
             except (OSError, UnicodeDecodeError) as error:
-                msg = f"{file}: can't be read: {error}; expected a message definition"
-                raise ReadError(msg) from error
+                raise refused(file, f"can't be read: {error}; expected a message definition") from error
             folder = file.resolve().parent
             package = folder.parent.name if folder.name == "msg" else ""
             name = re.split(r"[/.]|__", file.name.removesuffix(".msg"))[-1]
@@ -327,51 +318,30 @@ def definition_of(kind: str, given: Mapping[str, str]) -> str | None:
     return given.get(name, given.get("/" + name.rpartition("/")[2]))
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelDefinition:
-    """The definition of a channel's type, and whether it is `assumed` from the type's name.
-
-    `more` are definitions of other types; None where the log's own definition is whole.
-    """
-
-    channel: Channel
-    text: str
-    assumed: bool
-    more: Mapping[str, str] | None = None
-
-    @property
-    def ros1(self) -> bool:
-        return self.channel.encoding == "ros1"
-
-    def fields(self) -> tuple[Field, ...]:
-        """Return the flat fields; a DefinitionError where they can't be told."""
-        return flatten(self.channel.type, self.text, ros1=self.ros1, more=self.more)
-
-
-def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> ChannelDefinition:
+def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definition:
     """Return the definition of a channel's type: the log's own, one of those `given`, or the standard one.
 
     Raises DefinitionError if the type has no definition, or one that can't be read.
     """
-    standard = built_in(channel.type, ros1=channel.encoding == "ros1")
+    ros1 = channel.encoding == "ros1"
+    standard = built_in(channel.type, ros1=ros1)
     if channel.definition and channel.definition_kind in {"ros2msg", "ros1msg"}:
-        own = ChannelDefinition(channel, channel.definition, assumed=False)
         try:
+            own = Definition(channel.type, channel.definition, ros1=ros1)
             own.fields()
         except DefinitionError:
             # A damaged definition of a well-known type loses nothing: messages must have its size.
             if standard is None:
                 raise
-            return ChannelDefinition(channel, standard, assumed=True)
-        return own
-    text = definition_of(channel.type, given)
-    if text is not None:
-        return ChannelDefinition(channel, text, assumed=True, more=given)
-    if standard is None:
-        kind = f" but of kind {channel.definition_kind!r}" if channel.definition_kind else ""
-        others = ", ".join(sorted(name.strip("/") for name in given)[:8])
-        names = f", those that are given are of {others}" if given else ""
-        last = plain_type(channel.type).rpartition("/")[2]
-        msg = f"the log holds no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
-        raise DefinitionError(msg)
-    return ChannelDefinition(channel, standard, assumed=True)
+        else:
+            return own
+    elif (text := definition_of(channel.type, given)) is not None:
+        return Definition(channel.type, text, ros1=ros1, more=given, assumed=True)
+    if standard is not None:
+        return Definition(channel.type, standard, ros1=ros1, assumed=True)
+    kind = f" but of kind {channel.definition_kind!r}" if channel.definition_kind else ""
+    others = ", ".join(sorted(name.strip("/") for name in given)[:8])
+    names = f", those that are given are of {others}" if given else ""
+    last = plain_type(channel.type).rpartition("/")[2]
+    msg = f"the log holds no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
+    raise DefinitionError(msg)

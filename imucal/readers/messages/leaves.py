@@ -126,7 +126,11 @@ class Leaves:
             paths, axes = self.vector(wanted.paths) if wanted.paths else None, AXES
         if paths is None:
             return None
-        return Vector(sensor=sensor, paths=paths, axes=axes, unit=_unit(sensor, paths))
+        # The unit that all their names end in: deg/s of ``gyro_x_dps``, ``gyro_dps.x``.
+        found = {_tail_unit(_AXIS.sub("", path)) for path in paths}
+        unit = found.pop() if len(found) == 1 else None
+        known = unit[1] if unit is not None and unit[0] is sensor else None
+        return Vector(sensor, paths, axes=axes, unit=known)
 
     def stamp(self, paths: Sequence[str], unit: str | None) -> Stamp | None:
         """Return the time that paths lead to; None where there is none.
@@ -139,12 +143,11 @@ class Leaves:
         if not paths or not all(map(self.is_number, paths)):
             return None
         if len(paths) == 2:
-            return Stamp(sec=paths[0], nanosec=paths[1])
+            return Stamp(paths[0], paths[1])
         unit = unit or parse_time_unit(re.split(r"[._]", paths[0])[-1])
         if unit is None:
-            msg = f"the time {paths[0]} has no unit in its name; give the time unit"
-            raise ChoiceError(msg)
-        return Stamp(sec=paths[0], scale=TIME_UNITS_NS[unit])
+            raise ChoiceError(f"the time {paths[0]} has no unit in its name; give the time unit")
+        return Stamp(paths[0], scale=TIME_UNITS_NS[unit])
 
     def asked(self, wanted: FieldsText, time_unit: str | None) -> ImuFields | str:
         """Return what a user says the fields are, or the first that isn't there.
@@ -174,7 +177,7 @@ class Leaves:
         stamp = next((stamp for stamp in own if stamp is not None), None)
         if stamp is None:
             return self.own_stamp()
-        return Stamp(sec=stamp.sec.replace("[0]", EACH, 1), nanosec=stamp.nanosec.replace("[0]", EACH, 1))
+        return Stamp(stamp.sec.replace("[0]", EACH, 1), stamp.nanosec.replace("[0]", EACH, 1))
 
     def own_stamp(self, within: str = "") -> Stamp | None:
         """Return the first time of seconds and nanoseconds that is called a stamp or a time."""
@@ -190,7 +193,10 @@ class Leaves:
         """Return a fields text for these fields, by their names; empty where none is named as a sensor."""
         found: dict[Sensor | None, str] = {}
         for stem, text in self._triads():
-            found.setdefault(_sensor(stem), text)
+            # The unit of a name goes before its words.
+            unit = _tail_unit(stem)
+            named = next((sensor for sensor, words in _NAMES.items() if words.search(stem)), None)
+            found.setdefault(unit[0] if unit else named, text)
         return " ".join(f"{sensor.short}={found[sensor]}" for sensor in Sensor if sensor in found)
 
     def _triads(self) -> Iterable[tuple[str, str]]:
@@ -209,22 +215,8 @@ class Leaves:
                     yield stem.lower(), stem if whole else ",".join(axes)
 
 
-def _sensor(stem: str) -> Sensor | None:
-    """Return the sensor that the name of a vector tells, its unit before its words."""
-    unit = _tail_unit(stem)
-    if unit is not None:
-        return unit[0]
-    return next((sensor for sensor, words in _NAMES.items() if words.search(stem)), None)
-
-
-def _unit(sensor: Sensor, paths: Sequence[str]) -> str | None:
-    """Return the unit that the names of a sensor's fields end in: deg/s of ``gyro_x_dps``, ``gyro_dps.x``."""
-    found = {_tail_unit(_AXIS.sub("", path)) for path in paths}
-    unit = found.pop() if len(found) == 1 else None
-    return unit[1] if unit is not None and unit[0] is sensor else None
-
-
 def _tail_unit(name: str) -> tuple[Sensor, str] | None:
+    """Return the sensor and the unit that a name ends in."""
     words = name.rpartition(".")[2].split("_")
     tails = ("_".join(words[-size:]) for size in (3, 2, 1) if len(words) > size)
     return next((unit for tail in tails if (unit := parse_sample_unit(tail))), None)

@@ -1,6 +1,7 @@
 """Chunks -> columns: every chunk into its own rows, in parallel where the container allows it."""
 
 import threading
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -125,7 +126,7 @@ def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -
             for _, batch in task.load(scratch):
                 checked = batch.checked()
                 if checked.n:
-                    return checked.first()
+                    return bytes(next(checked.messages()))
     return None
 
 
@@ -193,27 +194,16 @@ class _Run:
 
     def _in_threads(self, threads: int) -> None:
         """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
-        jobs = iter(self.jobs)
         # The first chunk, by which the definition is chosen, is the same however many threads there are.
-        self._work(*next(jobs), Scratch())
-        stop = threading.Event()
+        self._work(*self.jobs[0], Scratch())
+        held = threading.local()
 
-        def work() -> None:
-            scratch = Scratch()
-            while not stop.is_set():
-                with self.lock:
-                    job = next(jobs, None)
-                if job is None:
-                    return
-                self._work(*job, scratch)
+        def start() -> None:
+            held.scratch = Scratch()
 
-        with ThreadPoolExecutor(threads) as pool:
-            try:
-                for future in [pool.submit(work) for _ in range(threads)]:
-                    future.result()
-            finally:
-                # An error, or an interrupt of the user, ends all threads after the chunk they are in.
-                stop.set()
+        with ThreadPoolExecutor(threads, initializer=start) as pool:
+            # An error, or an interrupt of the user, ends all threads after the chunk they are in.
+            deque(pool.map(lambda job: self._work(job[0], job[1], held.scratch), self.jobs[1:]), maxlen=0)
 
     def _work(self, task: Task, parts: list[_Part], scratch: Scratch) -> None:
         """Decode one chunk into every stream."""
@@ -302,7 +292,7 @@ class _Run:
 
 
 def _loss(error: DamagedError, messages: int) -> Loss:
-    return Loss(code=error.code, text=str(error), messages=messages)
+    return Loss(error.code, str(error), messages)
 
 
 def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucal.errors import ChoiceError
+from imucal.frozen import frozen
 from imucal.readers.messages.definitions import Field, plain_type
 from imucal.recording import AXES, Axis, Sensor
 
@@ -24,7 +25,7 @@ _KEYS |= {f"{name}.{axis}": f"{_KEYS[name]}.{axis}" for name in ("g", "gyro", "a
 #: How many paths each key may have; one of an axis has one.
 _COUNTS = {"gyro": (1, 3), "accel": (1, 3), "time": (1, 2)}
 
-_FORM = "gyro=PATH,PATH,PATH accel=PATH,PATH,PATH time=PATH, or gyro.z=PATH"
+_FORM = "gyro=PATH,PATH,PATH accel=PATH,PATH,PATH time=PATH temp=PATH, or gyro.z=PATH"
 
 #: What stands in a path for each element of a list.
 EACH = "[]"
@@ -58,7 +59,7 @@ _PLAIN: dict[str, tuple[str, Sensor | None]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Named:
     """The paths of a sensor: of its axes, or one of what holds them; `axes` where the text says which."""
 
@@ -66,7 +67,7 @@ class Named:
     axes: tuple[Axis, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FieldsText:
     """Paths of fields such as ``imu.gyro.x``, ``gyro[0]``, ``imus[1].gyro_x`` or ``imus[].gyro``.
 
@@ -87,10 +88,7 @@ class FieldsText:
 def parse_fields_text(texts: Sequence[str]) -> FieldsText | None:
     """Return what texts such as ``gyro=gx,gy,gz accel.z=a`` name, or None where there is none.
 
-    Raises
-    ------
-    ChoiceError
-        If a text can't be read.
+    Raises ChoiceError if a text can't be read.
     """
     found: dict[str, tuple[str, ...]] = {}
     for part in " ".join(texts).split():
@@ -113,8 +111,7 @@ def parse_fields_text(texts: Sequence[str]) -> FieldsText | None:
         temperature="".join(found.get("temp", ())),
     )
     if not (text.gyro.paths or text.accel.paths):
-        msg = f"fields text {' '.join(texts)!r} names no sensor; expected the form {_FORM}"
-        raise ChoiceError(msg)
+        raise ChoiceError(f"fields text {' '.join(texts)!r} names no sensor; expected the form {_FORM}")
     return text
 
 
@@ -124,7 +121,7 @@ def _named(key: str, found: dict[str, tuple[str, ...]]) -> Named:
     return Named(paths=paths or found.get(key, ()), axes=axes)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Stamp:
     """The time in a message: a ROS stamp (``sec``, ``nanosec``) or a count of microseconds."""
 
@@ -134,7 +131,7 @@ class Stamp:
     scale: int = 1000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Vector:
     """Three numbers: the paths of x, y, z, or the one path of an array of three; or those of some axes."""
 
@@ -153,7 +150,7 @@ class Vector:
         return self.paths[0] if len(self.paths) == 1 else self.paths[0][:-2]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ImuFields:
     """What a message type can give."""
 
@@ -221,7 +218,7 @@ def _imu(
     others: set[str],
 ) -> ImuFields:
     """Return one IMU of a message; its stamp and temperature are its own where it has them."""
-    vectors = tuple(Vector(sensor=sensor, paths=paths) for sensor, paths in imu.items())
+    vectors = tuple(Vector(sensor, paths) for sensor, paths in imu.items())
     standard = all(path.split(".")[-2:-1] in (["angular_velocity"], ["linear_acceleration"])
                    for vector in vectors for path in vector.paths)  # fmt: skip
     theirs = tuple(other + "." for other in others if other)
@@ -233,7 +230,7 @@ def _imu(
         vectors=vectors,
         temperature=next((path for path in _floats(free) if _TEMPERATURE.search(path)), ""),
         standard=standard,
-        others=tuple(Vector(sensor=_GYRO, paths=paths).field for paths in spare),
+        others=tuple(Vector(_GYRO, paths).field for paths in spare),
     )
 
 
@@ -253,7 +250,7 @@ def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None
     paths = _xyz(fields, path + "." if path else "")
     if name not in _PLAIN or kind is None or not paths:
         return None
-    return ImuFields(stamp=_stamp(fields), vectors=(Vector(sensor=kind, paths=paths),), plain=True)
+    return ImuFields(stamp=_stamp(fields), vectors=(Vector(kind, paths),), plain=True)
 
 
 def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
@@ -262,21 +259,21 @@ def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
         return None
     paths = {field.path for field in fields}
     clock = next((path for path in ("timestamp_sample", "timestamp") if path in paths), None)
-    stamp = Stamp(sec=clock) if clock else None
+    stamp = Stamp(clock) if clock else None
     if {"delta_angle", "delta_velocity", "delta_angle_dt"} <= paths:
         velocity_dt = "delta_velocity_dt" if "delta_velocity_dt" in paths else "dt"
-        angle = Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt")
-        velocity = Vector(sensor=_ACCEL, paths=("delta_velocity",), divisor=velocity_dt)
+        angle = Vector(_GYRO, ("delta_angle",), divisor="delta_angle_dt")
+        velocity = Vector(_ACCEL, ("delta_velocity",), divisor=velocity_dt)
         return ImuFields(stamp=stamp, vectors=(angle, velocity))
     single = {"px4_msgs/SensorGyro": _GYRO, "px4_msgs/SensorAccel": _ACCEL}.get(name)
     if single is not None and paths.issuperset(AXES):
         temperature = "temperature" if "temperature" in paths else ""
-        return ImuFields(stamp=stamp, vectors=(Vector(sensor=single, paths=AXES),), temperature=temperature)
+        return ImuFields(stamp=stamp, vectors=(Vector(single, AXES),), temperature=temperature)
     both = {_GYRO: "gyro_rad", _ACCEL: "accelerometer_m_s2"}
     if not paths.issuperset(both.values()):
         return None
-    vectors = tuple(Vector(sensor=sensor, paths=(path,)) for sensor, path in both.items())
-    return ImuFields(stamp=Stamp(sec="timestamp"), vectors=vectors)
+    vectors = tuple(Vector(sensor, (path,)) for sensor, path in both.items())
+    return ImuFields(stamp=Stamp("timestamp"), vectors=vectors)
 
 
 def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, dict[Sensor, tuple[str, ...]]]:
@@ -327,5 +324,5 @@ def _stamp(fields: Sequence[Field]) -> Stamp | None:
     for field in fields:
         owner, _, last = field.path.rpartition(".")
         if last in _PARTS and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
-            return Stamp(sec=f"{owner}.{_PARTS[last]}", nanosec=field.path)
+            return Stamp(f"{owner}.{_PARTS[last]}", field.path)
     return None

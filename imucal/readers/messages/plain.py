@@ -10,7 +10,7 @@ encapsulation, the lengths of its strings), so nothing is taken on trust; what d
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
+from imucal.frozen import frozen, frozen_alone
 from imucal.readers.containers import Alike, Batch, Bytes, Loss, gather
-from imucal.readers.containers.container import Guard
+from imucal.readers.containers.container import Guard, cells
 from imucal.readers.files import DamagedError, damaged_if
 from imucal.readers.messages.definitions import Field
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
 from imucal.readers.store import Columns
-from imucal.recording import Sensor
 
 #: From the start of the payload: the same for all messages, or one for each.
 Position: TypeAlias = int | IntArray
@@ -32,18 +32,17 @@ Position: TypeAlias = int | IntArray
 _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 #: Longest head of a message that is gathered at once, in bytes.
 _HEAD = 256
-_SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """Where a wanted field lies, from the start of the payload, and its NumPy type with byte order."""
 
-    at: Position
+    at: Any
     dtype: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Layout:
     """How numbers are laid out."""
 
@@ -58,14 +57,16 @@ class Layout:
         return at if step <= 1 else (at + (step - 1)) & -step
 
 
-#: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
+_ROS1 = -1
+#: Encapsulation, as a big-endian number -> layout; ROS 1 has none.
+#: Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
 _ENCAPSULATIONS = {
+    _ROS1: Layout(order="<", align=1),
     0x0000: Layout(order=">", align=8),
     0x0001: Layout(order="<", align=8),
     0x0006: Layout(order=">", align=4),
     0x0007: Layout(order="<", align=4),
 }
-_ROS1 = Layout(order="<", align=1)
 
 
 @dataclass(slots=True, eq=False)
@@ -73,8 +74,8 @@ class Found:
     """What a walk gives: places of wanted fields, the length words passed, and where it stopped."""
 
     places: dict[str, Place] = field(default_factory=dict)
-    lengths: list[tuple[Position, NDArray[np.int64] | int]] = field(default_factory=list)
-    end: Position = 0
+    lengths: list[tuple[Any, Any]] = field(default_factory=list)
+    end: Any = 0
 
 
 class Walker:
@@ -148,56 +149,54 @@ class Messages:
     places: dict[str, Place]
 
     def write(self, imu: ImuFields, columns: Columns, to: slice | IntArray) -> None:
-        """Gather the wanted fields and write them to the columns."""
-        columns.stamps[to] = 0 if imu.stamp is None else self._stamps(imu.stamp)
+        """Gather the samples of the wanted fields and write them to the columns."""
         for vector in imu.vectors:
-            self.write_vector(vector, columns, to)
-        self.write_temperature(imu, columns, to)
+            self._write_vector(vector, columns, to)
+        if imu.temperature and columns.temperature is not None:
+            columns.temperature[to] = self.field(imu.temperature)
 
-    def write_vector(self, vector: Vector, columns: Columns, to: slice | IntArray) -> None:
+    def _write_vector(self, vector: Vector, columns: Columns, to: slice | IntArray) -> None:
         """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
         rows = columns.vectors[vector.sensor]
         if adjacent(self.places, vector):
             first = self.places[vector.paths[0]]
             size = np.dtype(first.dtype).itemsize
-            values = gather(self.buffer, self.starts + first.at, 3 * size)
-            rows[:, to] = values.view(first.dtype).reshape(-1, 3).T
+            values = self._bytes(first.at, 3 * size)
+            for axis, row in enumerate(rows):
+                row[to] = cells(values, axis * size, first.dtype)
         else:
             for row, path in zip(rows, vector.paths, strict=True):
-                row[to] = self._field(path)
+                row[to] = self.field(path)
         if vector.divisor:
-            seconds = self._field(vector.divisor).astype(np.float64) * 1e-6
+            seconds = self.field(vector.divisor).astype(np.float64) * 1e-6
             seconds[seconds == 0] = np.nan
             rows[:, to] /= seconds
 
-    def write_temperature(self, imu: ImuFields, columns: Columns, to: slice | IntArray) -> None:
-        """Write the temperature, where there is one."""
-        if imu.temperature and columns.temperature is not None:
-            columns.temperature[to] = self._field(imu.temperature)
-
-    def _stamps(self, stamp: Stamp) -> IntArray:
-        """Return stamps in ns, shape (n,)."""
-        sec = self.places[stamp.sec]
-        if not stamp.nanosec:
-            return _scaled(self._field(stamp.sec), stamp.scale)
-        nanosec = self.places[stamp.nanosec]
-        if _apart(sec.at, nanosec.at, 4):
-            both = gather(self.buffer, self.starts + sec.at, 8)
-            seconds = np.ndarray(both.shape, sec.dtype, buffer=both, strides=(8,))
-            rest = np.ndarray(both.shape, nanosec.dtype, buffer=both, offset=4, strides=(8,))
-        else:
-            seconds, rest = self._field(stamp.sec), self._field(stamp.nanosec)
-        result = seconds.astype(np.int64)
-        result *= _SECOND
-        result += rest
-        return result
-
-    def _field(self, path: str) -> NDArray[np.float64]:
+    def field(self, path: str) -> NDArray[np.float64]:
         """Return one field of every message, shape (n,)."""
         place = self.places[path]
         dtype = np.dtype(place.dtype)
-        values: NDArray[np.float64] = gather(self.buffer, self.starts + place.at, dtype.itemsize).view(dtype)
+        values: NDArray[np.float64] = self._bytes(place.at, dtype.itemsize).view(dtype)
         return values
+
+    def _bytes(self, at: Position, width: int) -> NDArray[np.void]:
+        if isinstance(at, int):
+            return gather(self.buffer, self.starts, width, at)
+        return gather(self.buffer, self.starts + at, width)
+
+
+def _stamps(stamp: Stamp | None, field: Callable[[str], NDArray[Any]]) -> IntArray | int:
+    """Return stamps in ns, shape (n,), from their parts that `field` gives; 0 where there are none."""
+    if stamp is None:
+        return 0
+    counts = field(stamp.sec)
+    if not stamp.nanosec:
+        return _scaled(counts, stamp.scale)
+    # Casts, then sums in place: all at once goes through a buffer and takes twice as long.
+    result = counts.astype(np.int64)
+    result *= 1_000_000_000
+    result += field(stamp.nanosec).astype(np.int64)
+    return result
 
 
 def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
@@ -223,10 +222,11 @@ def adjacent(places: dict[str, Place], vector: Vector) -> bool:
 
 def _apart(first: Position, second: Position, size: int) -> bool:
     """Say whether `second` lies `size` bytes after `first` in every message."""
-    return bool(np.all(np.asarray(second) - np.asarray(first) == size))
+    same = second - first == size
+    return same if isinstance(same, bool) else bool(np.all(same))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Template:
     """The shape of the messages of a channel; positions count from the start of a record."""
 
@@ -241,10 +241,6 @@ class Template:
     #: Path -> position and type of every wanted field.
     places: dict[str, Place]
     imu: ImuFields
-    #: Vectors that are three plain numbers side by side, with the place of the first.
-    plain: tuple[tuple[Sensor, Place], ...]
-    #: The other vectors.
-    others: tuple[Vector, ...]
 
     def fits(self, batch: Batch) -> bool:
         """Say whether the records of a batch are those that it was learnt from, by their head and size."""
@@ -257,32 +253,18 @@ class Template:
         # As unsigned numbers, negative ones lie beyond any buffer.
         if int(starts.view(np.uint64).max()) + self.end > len(batch.buffer):
             return False
-        head = _gather(batch.buffer, starts, 0, self.head)
+        head = gather(batch.buffer, starts, self.head)
         part = slice(first, first + batch.n)
-        columns.log[part] = batch.log_ns if batch.log_at is None else _cells(head, batch.log_at, "<i8")
-        stamp, stamps = self.imu.stamp, columns.stamps[part]
-        if stamp is None:
-            stamps[:] = 0
-        else:
-            sec = self.places[stamp.sec]
-            # A cast, then a product in place: all at once goes through a buffer and takes twice as long.
-            stamps[:] = _cells(head, _fixed(sec.at), sec.dtype)
-            stamps *= _SECOND if stamp.nanosec else stamp.scale
-            if stamp.nanosec:
-                rest = self.places[stamp.nanosec]
-                stamps += _cells(head, _fixed(rest.at), rest.dtype).astype(np.int64)
+        columns.log[part] = batch.log_ns if batch.log_at is None else cells(head, batch.log_at, "<i8")
+
+        def of_head(path: str) -> NDArray[Any]:
+            return cells(head, self.places[path].at, self.places[path].dtype)
+
+        columns.stamps[part] = _stamps(self.imu.stamp, of_head)
         # Last, since it writes to the heads; what was written to the columns counts only if it is true.
         if not self.alike.all(head):
             return False
-        for sensor, place in self.plain:
-            size = int(place.dtype[-1])
-            values = _gather(batch.buffer, starts, _fixed(place.at), 3 * size)
-            for axis, row in enumerate(columns.vectors[sensor]):
-                row[part] = _cells(values, axis * size, place.dtype)
-        messages = Messages(batch.buffer, starts, self.places)
-        for vector in self.others:
-            messages.write_vector(vector, columns, part)
-        messages.write_temperature(self.imu, columns, part)
+        Messages(batch.buffer, starts, self.places).write(self.imu, columns, part)
         return True
 
 
@@ -294,64 +276,20 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     if not isinstance(batch.sizes, int):
         return None
     skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
-    places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-    alike = _repeated(batch, found, layout, code)
-    stamp = (imu.stamp.sec, imu.stamp.nanosec) if imu.stamp else ()
-    times = [places[path] for path in stamp if path]
-    head = _head_size(alike, times, batch.log_at or 0, end)
-    if head > min(_HEAD, end) or skip + _fixed(found.end) > end or (times and times[0].dtype[1] == "f"):
-        return None
-    plain = _plain(imu, places)
-    return Template(
-        guards=batch.guards,
-        alike=Alike(alike, head),
-        head=head,
-        end=end,
-        places=places,
-        imu=imu,
-        plain=tuple(plain.items()),
-        others=tuple(vector for vector in imu.vectors if vector.sensor not in plain),
-    )
-
-
-def _plain(imu: ImuFields, places: dict[str, Place]) -> dict[Sensor, Place]:
-    """Return where the vectors begin whose numbers lie side by side as they are."""
-    vectors = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
-    return {vector.sensor: places[vector.paths[0]] for vector in vectors}
-
-
-def _head_size(alike: Sequence[Guard], times: Sequence[Place], log_at: int, end: int) -> int:
-    """Return how many bytes of a record hold its times and what is compared: whole words if it has them."""
-    ends = [at + len(value) for at, value in alike]
-    ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
-    head = max([*ends, log_at + 8])
-    whole = -(-head // 8) * 8
-    return whole if whole <= end else head
-
-
-def _repeated(batch: Batch, found: Found, layout: Layout, code: bytes) -> list[Guard]:
-    """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
+    places = {path: Place(skip + place.at, place.dtype) for path, place in found.places.items()}
+    # Every record must repeat its head, the encapsulation and the lengths of strings.
     u4 = np.dtype(layout.order + "u4")
-    first = batch.header + (4 if code else 0)
-    lengths = [(first + _fixed(at), np.array(_fixed(size), u4).tobytes()) for at, size in found.lengths]
-    return [*batch.guards, *([(batch.header, code)] if code else []), *lengths]
-
-
-def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:
-    """Copy `width` bytes from ``starts + at``, whose bounds were checked; see `gather`."""
-    count = len(buffer) - at - width + 1
-    view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=at, strides=(1,))
-    return view[starts]
-
-
-def _cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
-    """Return the number that stands `at` so many bytes in each row; copies nothing."""
-    return np.ndarray(rows.shape, dtype, buffer=rows, offset=at, strides=rows.strides)
-
-
-def _fixed(at: Position) -> int:
-    """Return the position that a walk of one message gives."""
-    return int(np.asarray(at).reshape(-1)[0])
+    lengths = [(skip + at, np.array(size, u4).tobytes()) for at, size in found.lengths]
+    alike = [*batch.guards, (batch.header, code), *lengths]
+    times = [places[path] for path in ((imu.stamp.sec, imu.stamp.nanosec) if imu.stamp else ()) if path]
+    ends = [at + len(value) for at, value in alike] + [place.at + int(place.dtype[-1]) for place in times]
+    head = max(*ends, (batch.log_at or 0) + 8)
+    # Whole words, if a record has them.
+    whole = -(-head // 8) * 8
+    head = whole if whole <= end else head
+    if head > min(_HEAD, end) or skip + found.end > end:
+        return None
+    return Template(guards=batch.guards, alike=Alike(alike, head), head=head, end=end, places=places, imu=imu)
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,6 +332,8 @@ class BinaryDecoder:
 
     def __init__(self, shapes: Sequence[Shape], *, ros1: bool, exact: bool = False) -> None:
         self.ros1 = ros1
+        #: Bytes of a message before its fields.
+        self._skip = 0 if ros1 else 4
         self.notes: list[Loss] = []
         self._shapes = tuple(shapes)
         self._exact = exact
@@ -421,21 +361,19 @@ class BinaryDecoder:
                 if self._fits(shape, few):
                     self._use(shape)
                     text = "the definition in the log does not fit its messages; the standard one was used"
-                    self.notes.append(Loss(code="definition", text=text))
+                    self.notes.append(Loss("definition", text))
 
     def _fits(self, shape: Shape, batch: Batch) -> bool:
         """Say whether messages have the size of a definition; CDR may be padded to four bytes."""
         if shape.fields[-1].kind == "other":
             return True
-        body, layout = batch.payload(), _ROS1
         try:
-            if not self.ros1:
-                codes = gather(batch.buffer, body, 2).view(">u2")
-                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _ENCAPSULATIONS[1]), body + 4
-            end = Walker(shape.fields, [shape.fields[-1].path]).walk(batch.buffer, body, layout).end
+            layout = _ENCAPSULATIONS.get(int(self._codes(batch)[0]), _ENCAPSULATIONS[1])
+            walker = Walker(shape.fields, [shape.fields[-1].path])
+            end = walker.walk(batch.buffer, batch.payload() + self._skip, layout).end
         except DamagedError:
             return False
-        spare = batch.sizes - np.int64(0 if self.ros1 else 4) - end
+        spare = batch.sizes - np.int64(self._skip) - end
         return bool(np.all((spare >= 0) & (spare < (2 if self.ros1 else 4))))
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
@@ -453,61 +391,54 @@ class BinaryDecoder:
 
         Raises DamagedError if a message is shorter than its type, or is laid out in an unknown way.
         """
+        if not batch.n:
+            return
+        damaged_if(int(np.min(batch.sizes)) < self._skip, "a message is too short for CDR")
+        codes = self._codes(batch)
+        if (codes == codes[0]).all():
+            self._walk(batch, int(codes[0]), columns, slice(first, first + batch.n))
+            return
+        # The messages of each encapsulation on their own.
+        for code in np.unique(codes).tolist():
+            chosen = np.flatnonzero(codes == code)
+            self._walk(batch.part(chosen), code, columns, chosen + first)
+
+    def _codes(self, batch: Batch) -> NDArray[Any]:
+        """Return the encapsulation of each message, shape (n,)."""
         if self.ros1:
-            self._walk(batch, batch.payload(), _ROS1, columns, slice(first, first + batch.n))
-        elif batch.n:
-            self._by_encapsulation(batch, columns, first)
+            return np.full(batch.n, _ROS1)
+        return gather(batch.buffer, batch.payload(), 2).view(">u2")
 
     def _learn(self, batch: Batch) -> Template | None:
         """Learn the shape of the first record; None where its messages can't be taken at once."""
         if self._whole is not None:
             return None
-        body, layout, code = batch.starts[:1] + batch.header, _ROS1, b""
-        if not self.ros1:
-            code = bytes(gather(batch.buffer, body, 2))
-            known = _ENCAPSULATIONS.get(int.from_bytes(code, "big"))
-            if known is None:
-                return None
-            layout, body = known, body + 4
-        return learn(batch, self.walker.walk(batch.buffer, body, layout), layout, code, self.imu)
+        body = batch.starts[:1] + batch.header
+        code = b"" if self.ros1 else bytes(gather(batch.buffer, body, 2))
+        layout = _ENCAPSULATIONS.get(int.from_bytes(code, "big") if code else _ROS1)
+        if layout is None:
+            return None
+        found = self.walker.walk(batch.buffer, body + self._skip, layout)
+        return learn(batch, found, layout, code, self.imu)
 
-    # The walk
-
-    def _by_encapsulation(self, batch: Batch, columns: Columns, first: int) -> None:
-        """Walk the messages of each encapsulation on their own."""
-        damaged_if(int(np.min(batch.sizes)) < 4, "a message is too short for CDR")
-        payload = batch.payload()
-        codes = gather(batch.buffer, payload, 2).view(">u2")
-        kinds = codes[:1] if (codes == codes[0]).all() else np.unique(codes)
-        for kind in kinds.tolist():
-            layout = _ENCAPSULATIONS.get(kind)
-            if layout is None:
-                msg = f"encapsulation 0x{kind:04x} is not supported; expected plain CDR or XCDR2"
-                raise DamagedError(msg, code="encapsulation")
-            if kinds.size == 1:
-                self._walk(batch, payload + 4, layout, columns, slice(first, first + batch.n))
-            else:
-                chosen = np.flatnonzero(codes == kind)
-                self._walk(batch.part(chosen), payload[chosen] + 4, layout, columns, chosen + first)
-
-    def _walk(
-        self, batch: Batch, body: IntArray, layout: Layout, columns: Columns, to: slice | IntArray
-    ) -> None:
+    def _walk(self, batch: Batch, code: int, columns: Columns, to: slice | IntArray) -> None:
+        """Walk messages of one layout; one may go on behind its last wanted field, but not end before."""
+        layout = _ENCAPSULATIONS.get(code)
+        if layout is None:
+            msg = f"encapsulation 0x{code:04x} is not supported; expected plain CDR or XCDR2"
+            raise DamagedError(msg, "encapsulation")
+        body = batch.payload() + self._skip
         found = self.walker.walk(batch.buffer, body, layout)
-        self._check_size(batch, body, layout, found)
-        columns.log[to] = batch.log_ns
-        Messages(batch.buffer, body, found.places).write(self.imu, columns, to)
-
-    def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
-        """Refuse messages that end before the last wanted field; bytes after it are not looked at."""
-        skipped = 0 if self.ros1 else 4
-        damaged_if(
-            bool(np.any(found.end > batch.sizes - np.int64(skipped))), "a message is shorter than its type"
-        )
+        room = batch.sizes - np.int64(self._skip)
+        damaged_if(np.any(found.end > room), "a message is shorter than its type")
         if self._whole is not None:
             end = self._whole.walk(batch.buffer, body, layout).end
             damaged_if(
-                bool(np.any(np.abs(end + skipped - batch.sizes) > 3)),
+                bool(np.any(np.abs(end - room) > 3)),
                 "messages do not have the size of the built-in definition of their type",
-                code="definition",
+                "definition",
             )
+        columns.log[to] = batch.log_ns
+        messages = Messages(batch.buffer, body, found.places)
+        columns.stamps[to] = _stamps(self.imu.stamp, messages.field)
+        messages.write(self.imu, columns, to)

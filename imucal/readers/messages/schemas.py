@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any
 
 from imucal.readers.containers import Channel
-from imucal.readers.messages.definitions import ChannelDefinition, DefinitionError, Definitions, Field
+from imucal.readers.messages.definitions import Definition, DefinitionError, Field
 from imucal.readers.messages.leaves import Leaf
 from imucal.readers.messages.trees import Parse
 
@@ -23,14 +23,13 @@ _CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32":
           "SFIXED64": "i8"}  # fmt: skip
 
 
-def ros_leaves(given: ChannelDefinition) -> list[Leaf]:
-    """Return the numbers in messages of a type; a DefinitionError where its definition can't be read."""
-    known = Definitions(given.channel.type, given.text, ros1=given.ros1, more=given.more)
+def ros_leaves(known: Definition) -> list[Leaf]:
+    """Return the numbers in messages of a type; a DefinitionError where a type in it is not defined."""
     return list(_ros_leaves(known, known.name, "", 0, count()))
 
 
 def _ros_leaves(
-    known: Definitions, name: str, prefix: str, depth: int, steps: Iterator[int]
+    known: Definition, name: str, prefix: str, depth: int, steps: Iterator[int]
 ) -> Iterator[Leaf]:
     """Yield the numbers of a type at a prefix; `steps` counts the lines that were looked at."""
     for line in known.lines(name):
@@ -48,11 +47,11 @@ def _ros_leaves(
             yield from _ros_leaves(known, known.resolve(name, line.kind), f"{own}.", depth + 1, steps)
 
 
-def ros_parser(given: ChannelDefinition) -> Parse:
+def ros_parser(given: Definition) -> Parse:
     """Return what parses messages of a type; a DefinitionError where its definition can't be read."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    name = _long(given.channel.type)
+    name = _long(given.name)
     try:
         own: dict[str, Any] = {}
         package = name.partition("/")[0]
@@ -65,8 +64,7 @@ def ros_parser(given: ChannelDefinition) -> Parse:
     except Exception as error:
         # rosbags has error classes of its own.
         why = " ".join(str(error).split())[:80]
-        msg = f"its definition can't be read: {type(error).__name__} {why}"
-        raise DefinitionError(msg) from error
+        raise DefinitionError(f"its definition can't be read: {type(error).__name__} {why}") from error
 
     def parse(data: bytes) -> Any:  # noqa: ANN401 - rosbags makes the types
         return store.deserialize_ros1(data, name) if given.ros1 else store.deserialize_cdr(data, name)
@@ -116,8 +114,7 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
         return pool.FindMessageTypeByName(channel.type)
     except Exception as error:
         # The package has error classes of its own, and raises TypeError for what does not fit together.
-        msg = f"its protobuf schema can't be read: {type(error).__name__} {error}"
-        raise DefinitionError(msg) from error
+        raise DefinitionError(f"its protobuf schema can't be read: {type(error).__name__} {error}") from error
 
 
 def _protobuf_leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[int]) -> Iterable[Leaf]:  # noqa: ANN401

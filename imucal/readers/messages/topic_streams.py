@@ -8,11 +8,11 @@ from imucal.readers.clocks import clock_from_stamps
 from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
+    Definition,
     DefinitionError,
     Field,
     built_in,
     definition_of_channel,
-    flatten,
     plain_type,
 )
 from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
@@ -32,7 +32,7 @@ _LOOKS, _ENOUGH = (2, 32), 100
 
 _TEMPERATURE = "sensor_msgs/Temperature"
 _TEMPERATURE_FIELDS = ImuFields(
-    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"),
+    stamp=Stamp("header.stamp.sec", "header.stamp.nanosec"),
     vectors=(),
     temperature="temperature",
     asked=True,
@@ -42,10 +42,7 @@ _TEMPERATURE_FIELDS = ImuFields(
 def stream_of(topic: Topic, sensors: Sequence[Sensor]) -> Stream:
     """Return how to decode some sensors of a topic.
 
-    Raises
-    ------
-    ReadError
-        If its messages can't be decoded.
+    Raises ReadError if its messages can't be decoded.
     """
     if topic.imu is None:
         msg = f"topic {topic.name} of type {topic.type} can't be decoded: {topic.reason or 'no IMU samples'}"
@@ -56,8 +53,7 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor]) -> Stream:
         try:
             decoder = _decoder(channel, topic, sensors)
         except DefinitionError as error:
-            msg = f"topic {topic.name} of type {channel.type} can't be decoded: {error}"
-            raise ReadError(msg) from error
+            raise ReadError(f"topic {topic.name} of type {channel.type} can't be decoded: {error}") from error
         if isinstance(decoder, BinaryDecoder):
             imu = decoder.imu
         decoders[number, channel.key] = decoder
@@ -79,7 +75,7 @@ def _decoder(channel: Channel, topic: Topic, sensors: Sequence[Sensor]) -> Binar
             return tree_decoder(imu, schemas.ros_parser(definition), "ROS")
         return BinaryDecoder([Shape(fields, imu)], ros1=ros1, exact=definition.assumed)
     standard = built_in(channel.type, ros1=ros1)
-    layouts = [fields, flatten(channel.type, standard, ros1=ros1)] if standard is not None else [fields]
+    layouts = [fields, Definition(channel.type, standard, ros1=ros1).fields()] if standard else [fields]
     shapes = [_shape(channel, layout, topic, sensors) for layout in layouts]
     return BinaryDecoder(shapes, ros1=ros1, exact=definition.assumed)
 
@@ -88,8 +84,7 @@ def _shape(channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: S
     sensor = sensors[0] if len(sensors) == 1 else None
     imu = find_imus(channel.type, fields, topic.name, sensor).get(topic.part)
     if imu is None:
-        msg = f"topic {topic.name}: the files define {channel.type} differently"
-        raise ReadError(msg)
+        raise ReadError(f"topic {topic.name}: the files define {channel.type} differently")
     return Shape(fields, _only(imu, sensors))
 
 
@@ -99,19 +94,15 @@ def _only(imu: ImuFields, sensors: Sequence[Sensor]) -> ImuFields:
 
 def first_frames(containers: Sequence[Container], choices: Sequence[Choice]) -> list[tuple[str, str]]:
     """Return the frames of what was chosen as decisions of a recording; none of a topic without a frame."""
-    frames = (_first_frame(containers, choice.topic) for choice in choices)
+    frames = []
+    for imu, channels in ((choice.topic.imu, choice.topic.channels) for choice in choices):
+        headed = imu is not None and imu.stamp is not None and imu.stamp.sec.startswith("header.")
+        for number, channel in channels if headed else ():
+            message = first_message(containers[number], channel.key, chunks=None)
+            if message is not None:
+                frames.append(_frame(message, channel.encoding))
+                break
     return [("frame", frame) for frame in frames if frame]
-
-
-def _first_frame(containers: Sequence[Container], topic: Topic) -> str:
-    """Return the frame of a topic's first message; empty where its messages have no header, or no name."""
-    if topic.imu is None or topic.imu.stamp is None or not topic.imu.stamp.sec.startswith("header."):
-        return ""
-    for number, channel in topic.channels:
-        message = first_message(containers[number], channel.key, chunks=None)
-        if message is not None:
-            return _frame(message, channel.encoding)
-    return ""
 
 
 def _frame(message: bytes, encoding: str) -> str:

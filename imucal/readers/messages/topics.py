@@ -4,10 +4,11 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
 
 from imucal.errors import ChoiceError
+from imucal.frozen import frozen_alone
 from imucal.readers.containers import Channel, Container
+from imucal.readers.files import refused
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
     DefinitionError,
@@ -29,35 +30,24 @@ _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 _MOST = 24
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Topic:
-    """A topic of a log, over all its files, or one IMU of a topic whose messages hold several.
+    """A topic of a log, over all its files, or one IMU of a topic whose messages hold several."""
 
-    Attributes
-    ----------
-    name, type
-        Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``; ``/imus:left`` for a part of a message.
-    part
-        The field of a message that holds this IMU; empty where there is one only.
-    channels
-        Number of the container, and channel.
-    imu
-        What its messages can give; None where nothing, or not known how.
-    reason
-        Why its messages can't be read, though its type looks like an IMU's; else empty.
-    leaves
-        The numbers in its messages.
-    given
-        The definitions of types that the user gives.
-    """
-
+    #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``; ``/imus:left`` for a part of a message.
     name: str
     type: str
+    #: Number of the container, and channel.
     channels: tuple[tuple[int, Channel], ...]
+    #: What its messages can give; None where nothing, or not known how.
     imu: ImuFields | None = None
+    #: Why its messages can't be read, though its type looks like an IMU's; else empty.
     reason: str = ""
+    #: The field of a message that holds this IMU; empty where there is one only.
     part: str = ""
+    #: The numbers in its messages.
     leaves: Leaves = field(default_factory=lambda: Leaves(()))
+    #: The definitions of types that the user gives.
     given: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -89,11 +79,17 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
     for number, container in enumerate(containers):
         for channel in container.channels:
             groups.setdefault((channel.topic, plain_type(channel.type)), []).append((number, channel))
-    return [
+    topics = [
         topic
         for channels in groups.values()
         for topic in _topics(channels, containers[channels[0][0]], options, wanted, given)
     ]
+    imus = [topic.imu for topic in topics if topic.imu is not None]
+    if wanted and wanted.temperature and imus and not any(imu.temperature for imu in imus):
+        shown = next(topic.leaves.shown() for topic in topics if topic.imu is not None)
+        msg = f"the temperature {wanted.temperature} is none of the numbers beside the samples; found {shown}"
+        raise ChoiceError(msg)
+    return topics
 
 
 def _topics(
@@ -188,7 +184,7 @@ def _looks_like_imu(channel: Channel) -> bool:
     return "imu" in name.rpartition("/")[2] or name.endswith(("sensorcombined", "vehicleimu"))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """A topic to read, the sensors to take from it, and how it was chosen."""
 
@@ -203,39 +199,43 @@ def choose(
     options: ReadOptions,
     live: Callable[[Topic], frozenset[Sensor]],
 ) -> list[Choice]:
-    """Choose topics.
+    """Choose topics; `live` says which sensors of a topic have data that change.
 
-    Parameters
-    ----------
-    live
-        Says which sensors of a topic have data that change.
-
-    Raises
-    ------
-    ChoiceError
-        If several topics could be meant, or none fits; the message lists them.
+    Raises ChoiceError if several topics could be meant, or none fits; the message lists them.
     """
     if options.topics:
         return _named(path, topics, options, live)
     carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
-    if options.fields and not carrying:
-        raise _without_fields(path, topics)
     fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
     if len(fitting) == 1:
         return [_whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
         return _among(path, fitting, live)
-    return _refuse(path, topics, carrying)
+    if carrying:
+        why = "no topic carries IMU messages, only vectors that may be anything; choose one of these topics"
+        raise refused(path, f"{why}\n{table(carrying)}", ChoiceError)
+    raise _nothing(path, topics, options)
 
 
-def _without_fields(path: Path, topics: Sequence[Topic]) -> ChoiceError:
-    lines = [
-        f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
-        for topic in topics
-        if topic.leaves.all or topic.reason
-    ]
-    listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
-    return ChoiceError(f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}")
+def _nothing(path: Path, topics: Sequence[Topic], options: ReadOptions) -> ChoiceError:
+    """Return the error of a log in which no topic can be meant."""
+    if options.fields:
+        lines = [
+            f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
+            for topic in topics
+            if topic.leaves.all or topic.reason
+        ]
+        listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
+        why = "no topic has the fields of the fields text; found in its topics"
+        return refused(path, f"{why}\n{listed}", ChoiceError)
+    unreadable = [topic for topic in topics if topic.reason and topic.count != 0]
+    if unreadable:
+        return _unreadable(path, unreadable[0], unreadable[0].reason)
+    listed = table(topics) or "  no topics"
+    able = [(topic.name, text) for topic in topics if topic.count != 0 and (text := topic.leaves.proposal())]
+    how = "".join(f"\n{name} may be read by a fields text such as {text!r}" for name, text in able[:3])
+    why = "no topic carries a gyroscope or an accelerometer; found"
+    return refused(path, f"{why}\n{listed}{how}", ChoiceError)
 
 
 def table(topics: Sequence[Topic]) -> str:
@@ -257,7 +257,7 @@ def table(topics: Sequence[Topic]) -> str:
 
 def _whole(topic: Topic, how: str) -> Choice:
     sensors = topic.imu.sensors if topic.imu is not None else ()
-    return Choice(topic=topic, sensors=sensors, how=how)
+    return Choice(topic, sensors, how)
 
 
 def _unreadable(path: Path, topic: Topic, why: str) -> ChoiceError:
@@ -278,8 +278,7 @@ def _named(
             why += f"; found {topic.leaves.shown()}" if options.fields else ""
             raise _unreadable(path, topic, why)
         if topic.count == 0:
-            msg = f"{path}: topic {topic.name} has no messages; found\n{table(topics)}"
-            raise ChoiceError(msg)
+            raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
     if len(found) == 1:
         return [_whole(found[0], "as asked for")]
     alive = [live(topic) for topic in found]
@@ -290,16 +289,14 @@ def _named(
         f"{topic.name}: {' and '.join(sorted(sensors)) or 'no samples that change'}"
         for topic, sensors in zip(found, alive, strict=True)
     )
-    msg = f"{path}: the two topics are not a gyroscope and an accelerometer ({what})"
-    raise ChoiceError(msg)
+    raise refused(path, f"the two topics are not a gyroscope and an accelerometer ({what})", ChoiceError)
 
 
 def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
     same = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
     if not same:
         listed = table(topics) or "  no topics"
-        msg = f"{path}: there is no topic {name}; choose one of these topics\n{listed}"
-        raise ChoiceError(msg)
+        raise refused(path, f"there is no topic {name}; choose one of these topics\n{listed}", ChoiceError)
     return next((topic for topic in same if topic.imu is not None), same[0])
 
 
@@ -319,23 +316,6 @@ def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozens
 
 def _pair(gyro: Topic, accel: Topic, how: str) -> list[Choice]:
     return [
-        Choice(topic=gyro, sensors=(_GYRO,), how=f"gyroscope, {how}"),
-        Choice(topic=accel, sensors=(_ACCEL,), how=f"accelerometer, {how}"),
+        Choice(gyro, (_GYRO,), f"gyroscope, {how}"),
+        Choice(accel, (_ACCEL,), f"accelerometer, {how}"),
     ]
-
-
-def _refuse(path: Path, topics: Sequence[Topic], carrying: Sequence[Topic]) -> NoReturn:
-    if carrying:
-        msg = (
-            f"{path}: no topic carries IMU messages, only vectors that may be anything; "
-            f"choose one of these topics\n{table(carrying)}"
-        )
-        raise ChoiceError(msg)
-    unreadable = [topic for topic in topics if topic.reason and topic.count != 0]
-    if unreadable:
-        raise _unreadable(path, unreadable[0], unreadable[0].reason)
-    listed = table(topics) or "  no topics"
-    able = [(topic.name, text) for topic in topics if topic.count != 0 and (text := topic.leaves.proposal())]
-    how = "".join(f"\n{name} may be read by a fields text such as {text!r}" for name, text in able[:3])
-    msg = f"{path}: no topic carries a gyroscope or an accelerometer; found\n{listed}{how}"
-    raise ChoiceError(msg)

@@ -10,7 +10,7 @@ by the number of its elements. So a message that is missing leaves a gap.
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, TypeAlias, TypeVar
 
@@ -29,10 +29,10 @@ Result = TypeVar("Result")
 
 #: What a JSON message of an IMU is taken to hold, where the user names no fields.
 JSON_FIELDS = ImuFields(
-    stamp=Stamp(sec="", nanosec=""),
+    stamp=Stamp("", ""),
     vectors=(
-        Vector(sensor=Sensor.GYROSCOPE, paths=("angular_velocity",)),
-        Vector(sensor=Sensor.ACCELEROMETER, paths=("linear_acceleration",)),
+        Vector(Sensor.GYROSCOPE, ("angular_velocity",)),
+        Vector(Sensor.ACCELEROMETER, ("linear_acceleration",)),
     ),
 )
 
@@ -78,7 +78,8 @@ class TreeDecoder:
             checked = batch.checked()
             if checked.n:
                 self.lengths = self._parsed(
-                    checked.first(), lambda tree: {name: len(_follow(tree, _steps(name))) for name in lists}
+                    next(checked.messages()),
+                    lambda tree: {name: len(_follow(tree, _steps(name))) for name in lists},
                 )
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
@@ -88,15 +89,15 @@ class TreeDecoder:
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
         """Decode messages; raises DamagedError where one can't be read, or has not the fields wanted."""
-        samples = [self._parsed(data, self._sample) for data in _messages_in(batch)]
+        samples = [self._parsed(data, self._sample) for data in batch.messages()]
         part = slice(first, first + batch.n)
         _write(columns, part, samples)
         columns.log[part] = batch.log_ns
 
-    def _parsed(self, data: bytes, take: Callable[[Any], Result]) -> Result:
+    def _parsed(self, data: memoryview, take: Callable[[Any], Result]) -> Result:
         """Return what is taken from a message; raises DamagedError where that can't be read."""
         try:
-            return take(self._parse(data))
+            return take(self._parse(bytes(data)))
         except Exception as error:
             # The packages that parse have error classes of their own.
             msg = f"a {self._kind} message has no IMU sample: {type(error).__name__} {error}"
@@ -134,11 +135,11 @@ class ListDecoder(TreeDecoder):
         log: list[int] = []
         losses = []
         times = np.broadcast_to(batch.log_ns, batch.n).tolist()
-        for data, log_ns in zip(_messages_in(batch), times, strict=True):
+        for data, log_ns in zip(batch.messages(), times, strict=True):
             try:
                 found = self._parsed(data, self._samples)
             except DamagedError as error:
-                losses.append(Loss(code=error.code, text=str(error), messages=1))
+                losses.append(Loss(error.code, str(error), 1))
                 continue
             samples += found
             log += [log_ns] * len(found)
@@ -152,8 +153,7 @@ class ListDecoder(TreeDecoder):
         columns = [_each(tree, steps) for paths in self._vectors for steps in paths]
         n = len(columns[0])
         if any(len(column) != n for column in columns):
-            msg = f"lists of {', '.join(str(len(column)) for column in columns)} elements"
-            raise ValueError(msg)
+            raise ValueError(f"lists of {', '.join(str(len(column)) for column in columns)} elements")
         rows = [[_number(value) for value in row] for row in zip(*columns, strict=True)]
         warmth = [math.nan] * n
         if self._temperature:
@@ -163,21 +163,12 @@ class ListDecoder(TreeDecoder):
             times = [self._ns_of(time) for time in zip(*parts, strict=True)]
         else:
             times = [self._time_of(tree)] * n
-        return list(zip(np.array(times, dtype=np.int64).tolist(), rows, warmth, strict=True))
+        return list(zip(np.array(times, np.int64).tolist(), rows, warmth, strict=True))
 
 
 def tree_decoder(imu: ImuFields, parse: Parse = json.loads, kind: str = "JSON") -> TreeDecoder:
     """Return what decodes messages by their trees: a sample each, or one of each element."""
     return (ListDecoder if imu.lists else TreeDecoder)(imu, parse, kind)
-
-
-def _messages_in(batch: Batch) -> Iterator[bytes]:
-    """Yield the bytes of each message."""
-    starts = batch.payload()
-    ends = starts + batch.sizes
-    view = memoryview(batch.buffer)
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        yield bytes(view[start:end])
 
 
 def _write(columns: Columns, part: slice, samples: Sequence[Sample]) -> None:
@@ -234,8 +225,7 @@ def _vector(tree: Any, paths: Sequence[Steps]) -> list[float]:  # noqa: ANN401 -
         value = values[0]
         values = [value[axis] for axis in "xyz"] if isinstance(value, Mapping) else list(value)
         if len(values) != 3:
-            msg = f"a vector of {len(values)} numbers"
-            raise ValueError(msg)
+            raise ValueError(f"a vector of {len(values)} numbers")
     return [_number(value) for value in values]
 
 
@@ -269,7 +259,7 @@ def spread_times(times: IntArray, messages: Sequence[IntArray]) -> None:
 def _firsts(messages: Sequence[IntArray], part: slice) -> IntArray:
     """Return the first elements of the messages that begin in a block."""
     before = max(part.start - 1, 0)
-    new = np.zeros(part.stop - max(part.start, 1), dtype=np.bool_)
+    new = np.zeros(part.stop - max(part.start, 1), np.bool_)
     for column in messages:
         new |= np.diff(column[before : part.stop]) != 0
     firsts = np.flatnonzero(new) + max(part.start, 1)

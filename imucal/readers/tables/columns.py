@@ -1,13 +1,14 @@
 """Columns of a table, and how a user says which are the sensors': ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, Self
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import zip_longest
+from typing import Self
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.dialects import Dialect
+from imucal.frozen import frozen
+from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import Rows, is_number
-from imucal.readers.tables.names import NamedColumn, Role, plain_name
+from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
 from imucal.recording import AXES, Axis, Sensor
 
 #: A number of more letters is rounded in a message, which lists up to so many columns.
@@ -26,12 +27,8 @@ _KEYS = {
 class ColumnsError(ChoiceError):
     """Which columns of a table to read is not clear; the message shows them.
 
-    Attributes
-    ----------
-    problem
-        What is not clear.
-    example
-        A columns text that works on this very table; empty where none is known.
+    `problem` says what is not clear; `example` is a columns text that works on this very table, empty where
+    none is known.
     """
 
     def __init__(self, message: str, *, problem: str = "", example: str = "") -> None:
@@ -39,7 +36,7 @@ class ColumnsError(ChoiceError):
         self.problem, self.example = problem, example
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Triad:
     """The x, y and z columns of one sensor, or those of its axes that there are, and its rows."""
 
@@ -87,7 +84,7 @@ class Triad:
         return f"{letter}={'+'.join(map(str, self.indices))}{rows}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NamedTable:
     """A table before its columns are chosen: what their names and their first cells say."""
 
@@ -95,6 +92,27 @@ class NamedTable:
     columns: tuple[NamedColumn, ...]
     dialect: Dialect | None = None
     preamble: Sequence[str] = ()
+
+    @classmethod
+    def of(
+        cls,
+        path: str,
+        headers: Sequence[str],
+        cells: Callable[[int], Sequence[str]],
+        *,
+        units: Sequence[str | None] = (),
+        preamble: Sequence[str] = (),
+    ) -> Self:
+        """Return the table of columns with these names; `units` is a row of units, `preamble` above it."""
+        context = frozenset(header.strip().strip("\"'").lower() for header in headers)
+        units = units or [None] * len(headers)
+        columns = [
+            parse_column(header, index, unit=unit, context=context, cells=cells(index))
+            for index, (header, unit) in enumerate(zip_longest(headers, units[: len(headers)]))
+        ]
+        return cls(
+            path=path, columns=tuple(columns), dialect=find_dialect(headers, preamble), preamble=preamble
+        )
 
     @property
     def listed(self) -> str:
@@ -142,27 +160,18 @@ class NamedTable:
         return ColumnsError(message, problem=problem, example=example)
 
 
-class Asked(NamedTuple):
-    """The columns a user gave: those of the sensors, gyroscope first; the others by index."""
-
-    sensors: tuple[Triad, ...]
-    time: tuple[int, ...]
-    temperature: int | None
-
-
-def parse_columns_text(text: str, table: NamedTable) -> Asked:
+def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...], tuple[int, ...], int | None]:
     """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
+
+    Those of the sensors come first, the gyroscope's before the accelerometer's; then the indices of the time
+    and of the temperature.
 
     ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
     gyroscope, ``a`` the accelerometer, ``temp`` the temperature. Three columns are indices from 0 with
     the end left out (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``gx``, ``gy``, ``gz``,
     ``ax``, ``ay`` and ``az`` are single axes, of a log that holds no others. ``a=2:5@imu`` takes only
-    the rows that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I.
-
-    Raises
-    ------
-    ChoiceError
-        If the text can't be read, or names a column that isn't there, or one column twice.
+    the rows that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I. A ChoiceError
+    if the text can't be read, or names a column that isn't there, or one column twice.
     """
     try:
         found, rows = _parts(text, table)
@@ -170,8 +179,7 @@ def parse_columns_text(text: str, table: NamedTable) -> Asked:
     except ValueError as error:
         wrong = str(error)
     if wrong:
-        problem = f"columns text {text!r}: {wrong}"
-        raise table.ask(problem)
+        raise table.ask(f"columns text {text!r}: {wrong}")
     sensors = []
     for sensor in Sensor:
         letter = sensor.short[0]
@@ -180,7 +188,7 @@ def parse_columns_text(text: str, table: NamedTable) -> Asked:
         if keys:
             columns = tuple(table.columns[index] for key in keys for index in found[key])
             sensors.append(Triad(sensor=sensor, columns=columns, axes=axes, rows=rows[keys[0]]))
-    return Asked(tuple(sensors), found.get("t", ()), next(iter(found.get("temp", ())), None))
+    return tuple(sensors), found.get("t", ()), next(iter(found.get("temp", ())), None)
 
 
 def _parts(text: str, table: NamedTable) -> tuple[dict[str, tuple[int, ...]], dict[str, Rows]]:
@@ -190,18 +198,14 @@ def _parts(text: str, table: NamedTable) -> tuple[dict[str, tuple[int, ...]], di
     for part in filter(str.strip, text.split(",")):
         name, equals, value = part.partition("=")
         key = _KEYS.get(name.strip().lower())
-        if key is None or not equals:
-            problem = f"{part.strip()!r} is not t=…, g=…, a=…, gx=… to az=…, or temp=…"
-            raise ValueError(problem)
-        if key in found:
-            problem = f"{key} is named twice"
+        if key is None or not equals or key in found:
+            how = f"{part.strip()!r} is not t=…, g=…, a=…, gx=… to az=…, or temp=…"
+            problem = f"{key} is named twice" if key and equals else how
             raise ValueError(problem)
         value, at, tag = value.partition("@")
+        column, colon, cell = tag.partition(":")
         found[key] = _indices(value, table)
-        rows[key] = None
-        if at:
-            column, colon, cell = tag.partition(":")
-            rows[key] = (table.index_of(column), cell.strip()) if colon else (-1, tag.strip())
+        rows[key] = (table.index_of(column), cell.strip()) if colon else (-1, tag.strip()) if at else None
     return found, rows
 
 
@@ -214,8 +218,7 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
         indices = tuple(map(table.index_of, value.split("+")))
     missing = next((index for index in indices if index >= count), None)
     if missing is not None:
-        problem = f"there is no column {missing}, the last is {count - 1}"
-        raise ValueError(problem)
+        raise ValueError(f"there is no column {missing}, the last is {count - 1}")
     return indices
 
 
@@ -227,14 +230,11 @@ def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) ->
         yield "t takes up to three columns, temp one"
     for key in ("g", "a"):
         yield from _problems_of(key, found, rows)
-    uses: dict[int, list[Rows]] = {}
-    for key, indices in found.items():
-        for index in indices:
-            others = uses.setdefault(index, [])
-            # A column may be the gyroscope's in some rows and the accelerometer's in others.
-            if any(rows[key] is None or other is None or other == rows[key] for other in others):
-                yield f"column {index} is named twice; a log of one axis has gz={index} alone"
-            others.append(rows[key])
+    uses = [(index, rows[key]) for key, indices in found.items() for index in indices]
+    for at, (index, own) in enumerate(uses):
+        # A column may be the gyroscope's in some rows and the accelerometer's in others.
+        if any(index == other and (None in (own, its) or own == its) for other, its in uses[:at]):
+            yield f"column {index} is named twice; a log of one axis has gz={index} alone"
 
 
 def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:

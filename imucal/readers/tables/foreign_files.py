@@ -17,17 +17,18 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import release
-from imucal.errors import ReadError
-from imucal.readers.files import first_bytes
+from imucal.frozen import frozen
+from imucal.readers.files import first_bytes, refused
 from imucal.readers.isolation import isolated, require
 from imucal.readers.store import allocated
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
@@ -46,7 +47,7 @@ _OBJECT = ("s0", "s1", "s2", "arr")
 _DEEP = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TypedColumn:
     """A column under the name and unit that the rules for names take; some cells are empty if it `has_gaps`.
 
@@ -70,7 +71,7 @@ class TypedColumn:
 
 
 def parquet_columns(path: Path) -> list[TypedColumn]:
-    """Return the columns of a Parquet file with their first values."""
+    """Return the columns of a Parquet file with their first values, those of a structure or a list apart."""
     import polars as pl
 
     # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
@@ -78,23 +79,22 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
     rows = int(scan.select(pl.len()).collect().item())
     columns = []
     for name, dtype in scan.collect_schema().items():
-        parts: dict[str, str | int | None] = {name: None}
+        whole = pl.col(name)
+        parts = {name: whole}
         if isinstance(dtype, pl.Struct):
-            parts = {f"{name}.{field.name}": field.name for field in dtype.fields}
-        elif isinstance(dtype, pl.List | pl.Array):
-            lengths = [dtype.shape[0]] if isinstance(dtype, pl.Array) else []
-            if isinstance(dtype, pl.List):
-                lengths = (
-                    scan.head(_HEAD).select(pl.col(name).list.len()).collect()[name].drop_nulls().to_list()
-                )
-            parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), _WIDEST))}
+            parts = {f"{name}.{field.name}": whole.struct.field(field.name) for field in dtype.fields}
+        elif isinstance(dtype, pl.Array):
+            parts = {f"{name}[{i}]": whole.arr.get(i) for i in range(min(dtype.shape[0], _WIDEST))}
+        elif isinstance(dtype, pl.List):
+            widest = scan.head(_HEAD).select(whole.list.len().max()).collect().item() or 0
+            parts = {f"{name}[{i}]": whole.list.get(i, null_on_oob=True) for i in range(min(widest, _WIDEST))}
         for label, part in parts.items():
-            head = _parquet_series(path, name, part, _HEAD)
+            head = scan.head(_HEAD).select(part.alias("v")).collect()["v"]
             columns.append(
                 TypedColumn(
                     name=label,
                     size=rows,
-                    values=partial(parquet_values, path, name, part),
+                    values=partial(_parquet_values, path, part),
                     head=head.to_numpy(),
                     unit="ns" if isinstance(head.dtype, pl.Datetime) else None,
                     has_gaps=head.null_count() > 0,
@@ -103,23 +103,11 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
     return columns
 
 
-def parquet_values(path: Path, name: str, part: str | int | None) -> NDArray[Any]:
-    """Return all values of a column of a Parquet file, or of a part of it."""
-    return np.asarray(_parquet_series(path, name, part).to_numpy())
-
-
-def _parquet_series(path: Path, name: str, part: str | int | None, rows: int | None = None) -> Any:  # noqa: ANN401 - polars is imported late
-    """Return a column, or a part of it, as polars' series; the first `rows` of it, or all."""
+def _parquet_values(path: Path, part: Any) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
+    """Return all values of a column of a Parquet file, or of a part of it, as polars' expression says it."""
     import polars as pl
 
-    scan, column = pl.scan_parquet(path), pl.col(name)
-    if isinstance(part, str):
-        column = column.struct.field(part)
-    elif part is not None:
-        listed = isinstance(scan.collect_schema()[name], pl.List)
-        column = (column.list if listed else column.arr).get(part, null_on_oob=True)
-    scan = scan if rows is None else scan.head(rows)
-    return scan.select(column.alias("v")).collect()["v"]
+    return np.asarray(pl.scan_parquet(path).select(part.alias("v")).collect()["v"].to_numpy())
 
 
 class Arrays(NamedTuple):
@@ -164,10 +152,7 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
 def hdf5_arrays(path: Path, limit: int) -> Arrays:
     """Return the arrays of numbers in an HDF5 file, perhaps MATLAB's of version 7.3, and single attributes.
 
-    Raises
-    ------
-    ValueError
-        If they take more than `limit` bytes.
+    A ValueError if they take more than `limit` bytes.
     """
     import h5py
 
@@ -201,7 +186,7 @@ def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDAr
     return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
-#: Pieces of memory in which they may lie; in more of them no samples are.
+#: Pieces of memory in which the first values may lie; in more of them no samples are.
 _MOST_PIECES = 4096
 _SUFFIX = ".npy"
 #: Bytes unpacked at once.
@@ -221,22 +206,24 @@ class _Header(NamedTuple):
     def size(self) -> int:
         return math.prod(self.shape) * self.dtype.itemsize
 
+    @property
+    def head(self) -> list[slice]:
+        """Where the first values along the longest axis lie."""
+        lengths = self.shape[::-1] if self.fortran else self.shape
+        at = int(np.argmax(lengths)) if lengths else 0
+        outer, inner = math.prod(lengths[:at]), math.prod(lengths[at + 1 :])
+        if not self.size or outer > _MOST_PIECES:
+            return []
+        piece = inner * (lengths[at] if lengths else 1)
+        return [slice(at * piece, at * piece + min(_HEAD * inner, piece)) for at in range(outer)]
+
 
 def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dict[str, NDArray[Any]]:
     """Return the arrays of an NPZ file by their names.
 
-    Parameters
-    ----------
-    limit
-        Bytes of all arrays together above which they lie in temporary files.
-    heads_above
-        Bytes of all arrays together above which only their first values are read; the others are zero, and
-        take no memory. None reads all of them.
-
-    Raises
-    ------
-    ValueError
-        If a member is damaged, claims more than the file holds, or is no array of plain values.
+    Of more than `limit` bytes together, they lie in temporary files. Of more than `heads_above` bytes only
+    their first values are read; the others are zero, and take no memory. A ValueError if a member is
+    damaged, claims more than the file holds, or is no array of plain values.
     """
     with zipfile.ZipFile(path) as archive:
         headers = [_header(archive, info) for info in archive.infolist() if info.filename.endswith(_SUFFIX)]
@@ -244,10 +231,21 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
         heads = heads_above is not None and size > heads_above
         arrays = {}
         for header in headers:
+            n, most = math.prod(header.shape), 0 if size > limit else header.size
+            # Memory that nobody touches is never taken.
+            flat = np.zeros(n, dtype=header.dtype) if heads else allocated(n, header.dtype, most)
             with archive.open(header.info) as member:
-                most = 0 if size > limit and not heads else header.size
-                array = _read(cast("zipfile.ZipExtFile", member), header, heads=heads, most=most)
-            arrays[header.info.filename.removesuffix(_SUFFIX)] = array
+                for part in header.head if heads else [slice(0, n)]:
+                    member.seek(header.start + part.start * header.dtype.itemsize)
+                    target = flat[part].view(np.uint8)
+                    for start in range(0, target.size, _PIECE):
+                        piece = target[start : start + _PIECE]
+                        got = cast("zipfile.ZipExtFile", member).readinto(piece.data)
+                        if got < piece.size:
+                            raise ValueError(f"an array ends after {start + got} of {target.size} bytes")
+                        release(target)
+            name = header.info.filename.removesuffix(_SUFFIX)
+            arrays[name] = flat.reshape(header.shape, order="F" if header.fortran else "C")
     return arrays
 
 
@@ -258,43 +256,13 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
         read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(member)
         header = _Header(info, tuple(shape), bool(fortran), np.dtype(dtype), member.tell())
+    held = info.file_size - header.start
+    wrong = f"{info.filename} claims {header.size} bytes, it holds {held}" if header.size > held else ""
     if header.dtype.hasobject:
-        msg = OBJECTS_IN_NPZ.said(str(archive.filename))
-        raise ValueError(msg)
-    if header.start + header.size > info.file_size:
-        msg = f"{info.filename} claims {header.size} bytes, it holds {info.file_size - header.start}"
-        raise ValueError(msg)
+        wrong = OBJECTS_IN_NPZ.said(str(archive.filename))
+    if wrong:
+        raise ValueError(wrong)
     return header
-
-
-def _read(stream: zipfile.ZipExtFile, header: _Header, *, heads: bool, most: int) -> NDArray[Any]:
-    """Return an array, in a temporary file if it has more than `most` bytes; of `heads` the first values."""
-    size = math.prod(header.shape)
-    # Memory that nobody touches is never taken.
-    flat = np.zeros(size, dtype=header.dtype) if heads else allocated(size, header.dtype, most)
-    for part in _head(header) if heads else [slice(0, size)]:
-        stream.seek(header.start + part.start * header.dtype.itemsize)
-        target = flat[part].view(np.uint8)
-        for start in range(0, target.size, _PIECE):
-            piece = target[start : start + _PIECE]
-            got = stream.readinto(piece.data)
-            if got < piece.size:
-                msg = f"an array ends after {start + got} of {target.size} bytes"
-                raise ValueError(msg)
-            release(target)
-    return flat.reshape(header.shape, order="F" if header.fortran else "C")
-
-
-def _head(header: _Header) -> list[slice]:
-    """Return where the first values along the longest axis of an array lie."""
-    lengths = header.shape[::-1] if header.fortran else header.shape
-    if not header.size:
-        return []
-    at = int(np.argmax(lengths)) if lengths else 0
-    outer, longest = math.prod(lengths[:at]), lengths[at] if lengths else 1
-    inner = math.prod(lengths[at + 1 :])
-    starts = range(0, outer * longest * inner, longest * inner) if outer <= _MOST_PIECES else ()
-    return [slice(start, start + min(_HEAD, longest) * inner) for start in starts]
 
 
 #: The type of an element of a MATLAB file that is a zlib stream.
@@ -304,7 +272,7 @@ MOST_GROWTH = 1032
 
 
 def unpacks_to_more(path: Path, limit: int) -> bool:
-    """Return whether the elements of a file hold more than `limit` bytes together."""
+    """Return whether the elements of a file hold more than `limit` bytes; a damaged one as far as it goes."""
     size = path.stat().st_size
     if size * MOST_GROWTH <= limit:
         return False
@@ -314,29 +282,18 @@ def unpacks_to_more(path: Path, limit: int) -> bool:
         order = ">" if file.read(4)[2:] == b"MI" else "<"
         while len(tag := file.read(8)) == 8 and total <= limit:
             kind, length = struct.unpack(f"{order}II", tag)
-            length = min(length, size - file.tell())
-            if kind == _COMPRESSED:
-                total += _unpacked(file, length, limit - total)
-            else:
-                total += length
-                file.seek(length, 1)
+            start, end = file.tell(), min(file.tell() + length, size)
+            if kind != _COMPRESSED:
+                total += end - start
+            machine = zlib.decompressobj()
+            with suppress(zlib.error):
+                while kind == _COMPRESSED and total <= limit and not machine.eof:
+                    packed = machine.unconsumed_tail or file.read(min(_PIECE >> 6, end - file.tell()))
+                    if not packed:
+                        break
+                    total += len(machine.decompress(packed, _PIECE))
+            file.seek(end)
     return total > limit
-
-
-def _unpacked(file: BinaryIO, length: int, limit: int) -> int:
-    """Return how many bytes a stream holds, or a number beyond `limit`; a damaged one as far as it goes."""
-    machine, total = zlib.decompressobj(), 0
-    end = file.tell() + length
-    try:
-        while total <= limit and not machine.eof:
-            packed = machine.unconsumed_tail or file.read(min(_PIECE >> 6, end - file.tell()))
-            if not packed:
-                break
-            total += len(machine.decompress(packed, _PIECE))
-    except zlib.error:
-        pass
-    file.seek(end)
-    return total
 
 
 #: First bytes -> format.
@@ -371,7 +328,7 @@ _RATES = frozenset(
 _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TableFile:
     """The columns of a file, its format, and the sampling rate where it states one.
 
@@ -387,26 +344,16 @@ class TableFile:
 
 
 def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
-    """Return the columns of a file.
+    """Return the columns of a file; a ReadError if it can't be read, or is none of the formats.
 
-    Parameters
-    ----------
-    limit
-        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.column_limit`.
-    heads_above
-        Bytes above which a file that is unpacked as it is opened is not: only the heads of its columns hold
-        values then.
-
-    Raises
-    ------
-    ReadError
-        If it can't be read, or is none of the formats.
+    Of more than `limit` bytes (None for `imucal.resources.column_limit`) a temporary file takes them. Where
+    a file that is unpacked as it is opened has more than `heads_above`, only the heads of its columns hold
+    values.
     """
     head = first_bytes(path, 16)
     kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
     if not kind and path.suffix.lower() != ".mat":
-        msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT"
-        raise ReadError(msg)
+        raise refused(path, f"first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT")
     if kind == "Parquet":
         columns = isolated(path, parquet_columns, "Parquet")(path)
         each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
@@ -418,12 +365,12 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
     if kind in {"MAT", ""}:
         if unpacks_to_more(path, share):
-            msg = (
-                f"{path}: its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
+            text = (
+                f"its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
                 "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
                 f"or let {MEMORY} be four times what they hold"
             )
-            raise ReadError(msg)
+            raise refused(path, text)
         return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
     try:
         if kind == "NPZ":
@@ -432,9 +379,8 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:
         text = str(error) or type(error).__name__
-        msg = f"{path}: not a readable {kind} file: {text}"
-        raise ReadError(msg) from error
-    return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
+        raise refused(path, f"not a readable {kind} file: {text}") from error
+    return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(f"array {array.shape}",))
 
 
 def _of_arrays(
@@ -452,7 +398,7 @@ def _of_arrays(
             continue
         label, unit = _NAVEGO.get(last, ("", None))
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
-    shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
+    shapes = [f"{name or 'array'} {array.shape}" for name, array in arrays.items() if array.size != 1]
     ways = [
         f"{name} is a {kind} of MATLAB, which no other program reads; type there "
         + _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those").format(name)
@@ -465,11 +411,6 @@ def _of_arrays(
         shapes=tuple(shapes[:_SHOWN]),
         way="; ".join(ways[:_SHOWN]),
     )
-
-
-def _shape(name: str, array: NDArray[Any]) -> str:
-    """Return an array as a message shows it: its name and its shape."""
-    return f"{name or 'array'} {array.shape}"
 
 
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:

@@ -22,7 +22,7 @@ class Role(StrEnum):
     OTHER = "other"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class NamedColumn:
     """A column and what its name says.
 
@@ -70,6 +70,9 @@ class NamedColumn:
 #: A word of a name: camelCase, capitals, digits.
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zµμ]+\d*|[A-Z]+\d*|\d+")
 
+#: Units beside which T is a temperature.
+_DEGREES = frozenset({"°", "º", "â°", "°c", "ºc", "degc", "c", "â°c"})
+
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
 
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -77,8 +80,13 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 _ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
 
 
+def listed(text: str, mark: str | None = None) -> tuple[str, ...]:
+    """Return the words of a text, or what stands between its marks."""
+    return tuple(text.split(mark))
+
+
 def _words(text: str) -> frozenset[str]:
-    return frozenset(text.split())
+    return frozenset(listed(text))
 
 
 def _stems(words: Sequence[str]) -> list[str]:
@@ -93,9 +101,7 @@ _REJECTED = _words(
     "jerk relative calibration status accuracy rms inc heading gps lat lon alt altitude axisp axisi axisd "
     "axisf debug rc vel velocity rotationvector gt truth"
 )
-_REJECTED_STARTS = (
-    *("quat", "orient", "magn", "euler", "covar", "freeacc", "useracc", "accura", "accum", "deltav"),
-)
+_REJECTED_STARTS = listed("quat orient magn euler covar freeacc useracc accura accum deltav")
 
 #: How the words of a name spell a sensor: the start of a word, a word, two words, or a letter at an end.
 #: A first letter counts only before words that are short as well: w_RS_S, not w_heading.
@@ -171,43 +177,31 @@ def parse_column(
     numbered = axis is None and number is not None
     if numbered:
         axis = number
-    elif axis is None and len(words) > 1 and words[-1] in {"0", "1", "2", "3"} and not _is_time(words):
+    elif axis is None and words[1:][-1:] in (["0"], ["1"], ["2"], ["3"]) and not _is_time(words):
         axis, numbered = int(words.pop()), True
     if words in (["p"], ["q"], ["r"]) and {"p", "q", "r"} <= context:
         axis, words = "pqr".index(words[0]), ["rate"]
-    omega = any("omega" in name for name in context)
-    role, words, unit = _classify(words, axis, unit, place=place, omega=omega)
-    if role in {Role.TEMPERATURE, Role.OTHER} or text == "T":
-        role = _temperature(text, unit, role)
-    return NamedColumn(
-        index=index,
-        header=shown,
-        words=tuple(words),
-        role=role,
-        axis=axis,
-        numbered=numbered,
-        unit=unit,
-        cells=cells,
-    )
+    role, words, unit = _classify(words, axis, unit, place=place, omega="omega" in " ".join(context))
+    degrees = (unit or "").strip().lower() in _DEGREES and text.lower().startswith("t")
+    if text == "T" or (degrees and role is Role.OTHER):
+        role = Role.TEMPERATURE
+    return NamedColumn(index, shown, tuple(words), role, axis, numbered=numbered, unit=unit, cells=cells)
 
 
 def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
     """Take the units and numbers in brackets off a name; an axis in brackets becomes a word of it."""
     unit: str | None = None
     index: int | None = None
-
-    def replace(match: re.Match[str]) -> str:
-        nonlocal unit, index
+    for match in _BRACKETS.finditer(text):
         inner = (match[1] if match[1] is not None else match[2]).strip()
-        if inner.lower() in _AXES:
-            return f" {inner} "
         if inner.isdigit() and len(inner) == 1:
             index = int(inner)
-        elif is_unit(inner) or inner in {"°", "º", "Â°"}:
+        elif inner.lower() not in _AXES and (is_unit(inner) or inner in {"°", "º", "Â°"}):
             unit = inner
-        return " "
-
-    return _BRACKETS.sub(replace, text).strip(), unit, index
+    named = _BRACKETS.sub(
+        lambda match: f" {match[0][1:-1]} " if match[0][1:-1].strip().lower() in _AXES else " ", text
+    )
+    return named.strip(), unit, index
 
 
 def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
@@ -223,11 +217,10 @@ def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
             return [*words[:at], sensor, *number, *words[at + 1 :]], _AXES[axis], at + 1
     rate = any(word in {"rate", "angular", "gyro"} for word in words)
     for at, word in enumerate(words):
-        if word in _ATTITUDE and rate:
-            return words[:at] + words[at + 1 :], _ATTITUDE[word], at
         stem = word.removesuffix("rate")
-        if stem != word and stem in _ATTITUDE:
-            return [*words[:at], "rate", *words[at + 1 :]], _ATTITUDE[stem], at + 1
+        if stem in _ATTITUDE and (stem != word or rate):
+            kept = ["rate"] if stem != word else []
+            return [*words[:at], *kept, *words[at + 1 :]], _ATTITUDE[stem], at + len(kept)
     return words, None, len(words)
 
 
@@ -283,7 +276,7 @@ def _role(words: list[str], axis: int | None, *, omega: bool) -> Role:
     return Role.TEMPERATURE if {"temp", "temperature", "temps"}.intersection(stems) else Role.OTHER
 
 
-def _rejects(stems: Sequence[str], sensor: Sensor | None) -> bool:
+def _rejects(stems: Sequence[str], sensor: Sensor | None = None) -> bool:
     """Return whether words say that a column holds no raw sample of a sensor."""
     rejected = _REJECTED - {"vel", "velocity"} if sensor is Sensor.GYROSCOPE else _REJECTED
     return any(stem in rejected or stem.startswith(_REJECTED_STARTS) for stem in stems)
@@ -291,45 +284,29 @@ def _rejects(stems: Sequence[str], sensor: Sensor | None) -> bool:
 
 def is_of_something_else(column: NamedColumn) -> bool:
     """Return whether a name says that the column is no raw sample; one that says nothing may be."""
-    return _rejects(_stems(column.words), None)
+    return _rejects(_stems(column.words))
 
 
 def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
     """Return the sensor that words name, if they name one and only one."""
     text = _TRAILING.sub("", " ".join(stems))
-    gyro = _GYROSCOPE.search(text) is not None
-    accel = _ACCELEROMETER.search(text) is not None or (omega and "alpha" in stems)
-    if gyro == accel:
+    return _either(_GYROSCOPE.search(text), _ACCELEROMETER.search(text) or (omega and "alpha" in stems))
+
+
+def _either(gyro: object, accel: object) -> Sensor | None:
+    """Return the sensor that alone is true."""
+    if bool(gyro) == bool(accel):
         return None
     return Sensor.GYROSCOPE if gyro else Sensor.ACCELEROMETER
 
 
 def _is_time(words: list[str]) -> bool:
-    stems = _stems(words)
-    return tuple(words) in STEPS or (
-        not _NOT_TIME.intersection(stems)
-        and any(
-            stem in _TIME_WORDS
-            or stem.startswith(("timestamp", "datetime"))
-            or stem.endswith(("time", "stamp"))
-            for stem in stems
-        )
-    )
-
-
-def _temperature(text: str, unit: str | None, role: Role) -> Role:
-    """Return the role of a column that may be the temperature: T, T(°), Temp."""
-    degrees = unit is not None and unit.strip().lower() in {"°", "º", "â°", "°c", "ºc", "degc", "c", "â°c"}
-    if text == "T" or (degrees and text.lower().startswith("t")):
-        return Role.TEMPERATURE
-    return role
+    stems, starts, ends = _stems(words), ("timestamp", "datetime"), ("time", "stamp")
+    spelled = any(stem in _TIME_WORDS or stem.startswith(starts) or stem.endswith(ends) for stem in stems)
+    return tuple(words) in STEPS or (spelled and not _NOT_TIME.intersection(stems))
 
 
 def sensor_of_name(name: str) -> Sensor | None:
     """Return the sensor that the name of a file, or the tag of a row, names, if it names one."""
     plain = name.lower()
-    gyro = re.search(r"gyr|angular|rotation_?rate", plain) is not None
-    accel = re.search(r"acc(?!u)", plain) is not None
-    if gyro == accel:
-        return None
-    return Sensor.GYROSCOPE if gyro else Sensor.ACCELEROMETER
+    return _either(re.search(r"gyr|angular|rotation_?rate", plain), re.search(r"acc(?!u)", plain))

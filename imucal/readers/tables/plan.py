@@ -7,19 +7,21 @@ a sensor was not found.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import PurePath
 from typing import TypeAlias
 
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
+from imucal.frozen import frozen
+from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess
 from imucal.readers.tables.columns import ColumnsError, NamedTable, Triad, parse_columns_text
-from imucal.readers.tables.dialects import Dialect, find_dialect
+from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name, sensor_of_name
+from imucal.readers.tables.names import NamedColumn, Role, listed, parse_column, plain_name, sensor_of_name
 from imucal.readers.tables.proposals import likely, may_be_samples, proposal
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import AXES, Sensor
@@ -34,12 +36,9 @@ _CLOCKS = ("header", "log")
 _BY_NAME = "by name"
 
 #: Names of columns that say which of several devices, or which of their sensors, a row is of.
-_INSTANCE = frozenset(
-    (
-        *("i", "instance", "imu", "imu_id", "sensor", "sensor_id", "sensorid", "device", "device_id", "dev"),
-        *("source", "src", "id", "unit_id", "topic", "frame", "frame_id", "child_frame_id", "name", "tag"),
-        *("type", "stream", "channel"),
-    )
+_INSTANCE = listed(
+    "i instance imu imu_id sensor sensor_id sensorid device device_id dev source src id unit_id topic frame "
+    "frame_id child_frame_id name tag type stream channel"
 )
 
 #: Text of a row's tag for the gyroscope -> for the accelerometer.
@@ -55,7 +54,7 @@ _LISTED, _SHOWN = 12, 4
 _MOST_TAGS = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SensorPlan:
     """The columns of one sensor: its axes, its stamps, and beside them the time of recording.
 
@@ -68,7 +67,7 @@ class SensorPlan:
     stated: UnitGuess | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TablePlan:
     """What to read from a table, gyroscope first, and how each choice was made.
 
@@ -87,39 +86,16 @@ class TablePlan:
         return tuple(header for sensor in self.sensors for header in sensor.triad.headers)
 
 
-def make_plan(
-    path: str,
-    headers: Sequence[str],
-    cells: Callable[[int], Sequence[str]],
-    options: ReadOptions,
-    *,
-    units: Sequence[str | None] = (),
-    preamble: Sequence[str] = (),
-    name: str = "",
-    shape: str = "",
-) -> TablePlan:
+def make_plan(table: NamedTable, options: ReadOptions, *, name: str = "", shape: str = "") -> TablePlan:
     """Choose the columns of a table, from their names and first cells.
 
-    `units` come from a row of units, `preamble` are the lines before the header, `name`, that of
-    the file or the table, may name the sensor, and `shape` says what the columns are, for a message.
-
-    Raises
-    ------
-    ChoiceError
-        If it is not clear which columns to read; the message shows them.
+    `name`, that of the file or the table, may name the sensor, and `shape` says what the columns are, for a
+    message. A ChoiceError if it is not clear which columns to read; the message shows them.
     """
-    context = frozenset(header.strip().strip("\"'").lower() for header in headers)
-    row_units = [*units, *([None] * len(headers))]
-    columns = tuple(
-        parse_column(header, index, unit=row_units[index], context=context, cells=cells(index))
-        for index, header in enumerate(headers)
-    )
-    dialect = find_dialect(headers, preamble)
-    table = NamedTable(path=path, columns=columns, dialect=dialect, preamble=preamble)
     try:
         if options.columns is not None:
             return _as_asked(table, options.columns, options)
-        return _by_name(table, options, name or PurePath(path).name, shape)
+        return _by_name(table, options, name or PurePath(table.path).name, shape)
     except ColumnsError as error:
         if error.example:
             raise
@@ -127,13 +103,20 @@ def make_plan(
 
 
 def _as_asked(table: NamedTable, text: str, options: ReadOptions) -> TablePlan:
-    asked = parse_columns_text(text, table)
-    time = time_of_columns(table, asked.time) if asked.time else None
-    return _plan(table, asked.sensors, asked.temperature, "as given", options, time=time)
+    sensors, indices, temperature = parse_columns_text(text, table)
+    time = time_of_columns(table, indices) if indices else None
+    return _plan(table, sensors, temperature, "as given", options, time=time)
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
-    found, reason = _sensors(table, options, name)
+    given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
+    triads, reason = find_triads(table, units_given=given), _BY_NAME
+    found = _each(partial(_pick, table, triads))
+    if not triads:
+        found, reason = find_bare_triads(table, name)
+    if not found:
+        # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
+        found, reason = _each(partial(_single_axes, table)), _BY_NAME
     if not found:
         raise _nothing_found(table, shape)
     if reason == _BY_NAME:
@@ -159,28 +142,15 @@ def _plan(
         shown = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
         decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
         plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
-        usual = table.dialect.unit_of(triad.sensor) if table.dialect else None
-        if triad.unit is not None:
-            plan = replace(plan, stated=UnitGuess(unit=triad.unit, reason="from the column header"))
-        elif table.dialect and usual:
-            plan = replace(plan, stated=UnitGuess(unit=usual, reason=f"as {table.dialect.name} logs it"))
-        sensors.append(plan)
+        unit, how = triad.unit, "from the column header"
+        if unit is None and table.dialect:
+            unit, how = table.dialect.unit_of(triad.sensor), f"as {table.dialect.name} logs it"
+        sensors.append(replace(plan, stated=UnitGuess(how, unit) if unit else None))
     if table.dialect is not None:
         decisions.append(("layout", f"{table.dialect.name}, from the column names"))
     return TablePlan(
         sensors=tuple(sensors), temperature=temperature, dialect=table.dialect, decisions=tuple(decisions)
     )
-
-
-def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Found, str]:
-    """Return the columns of each sensor that is there, and how they were found."""
-    given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
-    triads = find_triads(table, units_given=given)
-    if triads:
-        return _each(lambda sensor: _pick(table, triads, sensor)), _BY_NAME
-    bare, how = find_bare_triads(table, name)
-    # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
-    return (bare, how) if bare else (_each(lambda sensor: _single_axes(table, sensor)), _BY_NAME)
 
 
 def _each(find: Callable[[Sensor], Triad | None]) -> Found:
@@ -204,13 +174,11 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
 
 
 def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
-    if len(stamps) > 1:
-        return stamps[1]
-    msg = (
-        f"{table.path}: there is no log time beside the stamps; found times: "
-        f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
-    )
-    raise ChoiceError(msg)
+    if len(stamps) < 2:
+        found = f"found times: {', '.join(time.name for time in times) or 'none'}"
+        text = f"there is no log time beside the stamps; {found}; name the column to take as time"
+        raise refused(table.path, text, ChoiceError)
+    return stamps[1]
 
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
@@ -241,8 +209,7 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
         for column in members:
             other = axes.setdefault((column.axis or 0) - first, column)
             if other is not column:
-                problem = f"columns {other.index} and {column.index} are both {column.header!r}"
-                raise table.ask(problem)
+                raise table.ask(f"columns {other.index} and {column.index} are both {column.header!r}")
         yield axes
 
 
@@ -263,12 +230,12 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
         if triad.sensor not in units_given and len({*triad.units} - {None}) > 1:
             named = zip(triad.headers, triad.units, strict=True)
             shown = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
-            msg = (
-                f"{table.path}: the axes of the {triad.sensor} carry different units ({shown}), so at least "
-                f"one of them is wrong; expected one unit; give the unit of the {triad.sensor}, or correct "
-                f"the header; found columns: {table.listed}"
+            text = (
+                f"the axes of the {triad.sensor} carry different units ({shown}), so at least one of them is "
+                f"wrong; expected one unit; give the unit of the {triad.sensor}, or correct the header; "
+                f"found columns: {table.listed}"
             )
-            raise ChoiceError(msg)
+            raise refused(table.path, text, ChoiceError)
 
     def is_linear(triad: Triad) -> bool:
         # Linear acceleration, which phones give without gravity.
@@ -302,7 +269,7 @@ def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad |
     raise table.ask(problem, example=" or ".join(texts))
 
 
-def _pairs(triads: Sequence[Triad]) -> list[tuple[Triad, ...]]:
+def _pairs(triads: Sequence[Triad]) -> Sequence[tuple[Triad, ...]]:
     """Return a gyroscope and the accelerometer that goes with it: by the words they share, then by place."""
     gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
     accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
@@ -312,10 +279,10 @@ def _pairs(triads: Sequence[Triad]) -> list[tuple[Triad, ...]]:
         first, second = {*gyro.words}, {*accel.words}
         return len(first & second) - len(first ^ second), -abs(gyro.index - accel.index)
 
-    pairs: list[tuple[Triad, ...]] = [(triad,) for triad in triads]
-    if gyros and len(gyros) >= len(accels) > 0:
-        pairs = [max(((gyro, accel) for accel in accels), key=likeness) for gyro in gyros]
-    elif gyros and accels:
+    if not gyros or not accels:
+        return [(triad,) for triad in triads][:_SHOWN]
+    pairs = [max(((gyro, accel) for accel in accels), key=likeness) for gyro in gyros]
+    if len(gyros) < len(accels):
         pairs = [max(((gyro, accel) for gyro in gyros), key=likeness) for accel in accels]
     return pairs[:_SHOWN]
 
@@ -409,8 +376,7 @@ def _in_rows(
     examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
     which = f"{len(names)} of them name" if names else "none of them names"
     said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
-    problem = f"{said}; {which} the {sensor}"
-    raise table.ask(problem, example=" or ".join(examples))
+    raise table.ask(f"{said}; {which} the {sensor}", example=" or ".join(examples))
 
 
 def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
@@ -459,7 +425,7 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
     for sensor, triad in guessed.items():
         if sensor not in found:
             text = f"No {sensor} was found in the table; {listed}"
-            missing = Finding(level="info", code="sensor-missing", axis=sensor.short, text=text)
+            missing = Finding("info", "sensor-missing", text, axis=sensor.short)
             if triad is not None:
                 ready = table.columns_text(*_each((found | {sensor: triad}).get).values())
                 advice = f"If it is among them, give a columns text such as {ready}."
@@ -467,7 +433,7 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
             findings.append(missing)
         elif triad is not None and triad.axes != AXES:
             text = f"Only {' and '.join(triad.axes)} of the {sensor} was found in the table; {listed}"
-            findings.append(Finding(level="info", code="axis-missing", axis=sensor.short, text=text))
+            findings.append(Finding("info", "axis-missing", text, axis=sensor.short))
     return tuple(findings)
 
 

@@ -74,8 +74,7 @@ def _likeliest(
     """Return the columns of a sensor that most speaks for, beside those of another that is known."""
     used = {*taken, *(index for triad in others for index in triad.indices)}
     free = [c for c in table.columns if c.index not in used and may_be_samples(c)]
-    several = len(free) > _NARROW
-    by_others = partial(_score, sensor=sensor, others=others, tagged=tagged, several=several)
+    by_others = partial(_score, sensor=sensor, others=others, tagged=tagged, several=len(free) > _NARROW)
     scored = [(_name_score(axes, sensor) or by_others(axes), axes) for axes in _sets(free)]
     # Of equal ones the accelerometer is the last, as people write them.
     scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
@@ -128,12 +127,7 @@ def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
 
 
 def _score(
-    axes: Mapping[int, NamedColumn],
-    sensor: Sensor,
-    others: Sequence[Triad],
-    *,
-    tagged: bool,
-    several: bool,
+    axes: Mapping[int, NamedColumn], sensor: Sensor, others: Sequence[Triad], *, tagged: bool, several: bool
 ) -> int:
     """Return what speaks for a sensor in columns whose names don't: the columns of the other, or gravity.
 
@@ -177,18 +171,13 @@ def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
     taken = [int(index) for index in time.split("+") if index]
     chosen = likely(table, taken=taken, tagged=bool(rows))
     if not any(chosen.values()):
-        chosen = _one_axis(table, taken, name)
-    return table.columns_text(*chosen.values(), rows=rows, time=time) if any(chosen.values()) else ""
-
-
-def _one_axis(table: NamedTable, taken: Sequence[int], name: str) -> dict[Sensor, Triad | None]:
-    """Return the only column of a log of one axis, about z; of a name that says nothing the file's may."""
-    free = [column for column in table.columns if column.index not in taken and column.is_numeric]
-    sensor = sensor_of_name(name)
-    if len(free) != 1 or (free[0].header and sensor is None):
-        return {}
-    sensor = sensor or Sensor.GYROSCOPE
-    return {sensor: Triad.of(sensor, {2: free[0]})}
+        # The only column of a log of one axis, about z; of a name that says nothing the file's may.
+        free = [column for column in table.columns if column.index not in taken and column.is_numeric]
+        sensor = sensor_of_name(name)
+        if len(free) != 1 or (free[0].header and sensor is None):
+            return ""
+        return table.columns_text(Triad.of(sensor or Sensor.GYROSCOPE, {2: free[0]}), rows=rows, time=time)
+    return table.columns_text(*chosen.values(), rows=rows, time=time)
 
 
 def _time(table: NamedTable) -> str:

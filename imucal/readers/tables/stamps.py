@@ -4,8 +4,8 @@ Joins of columns, counters that wrap, texts, and units that only the steps show.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -13,21 +13,16 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
+from imucal.frozen import frozen
 from imucal.readers.clocks import estimate_period
 from imucal.readers.clocks.period import RATES
+from imucal.readers.files import refused
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable
-from imucal.readers.tables.dates import (
-    DAY,
-    HALF_DAY,
-    day_first,
-    is_text_stamp,
-    is_time_of_day,
-    text_kind,
-)
+from imucal.readers.tables.dates import DAY, HALF_DAY, day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import STEPS, NamedColumn, Role, plain_name
+from imucal.readers.tables.names import STEPS, NamedColumn, Role, listed, plain_name
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -183,12 +178,11 @@ def to_ns(values: Numbers, ns: int, room: Room) -> IntArray:
             start = int(values[0])
         if ns == 1 and not start:
             return np.asarray(values, dtype=np.int64)
-    return room.made(
-        values.size,
-        np.int64,
-        lambda part: _ns_of(values[part] - start if start else values[part], ns),
-        values,
-    )
+
+    def of(part: slice) -> IntArray:
+        return _ns_of(values[part] - start if start else values[part], ns)
+
+    return room.made(values.size, np.int64, of, values)
 
 
 def _ns_of(values: Numbers, ns: int) -> IntArray:
@@ -240,6 +234,15 @@ def typical_step(values: Numbers) -> float:
 
 
 TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "steps", "counter"]
+#: What some of them are read as, in words.
+_KINDS = {
+    "week": "GPS week and time of week",
+    "text": "date and time",
+    "steps": "steps from sample to sample",
+}
+
+#: The time that texts give: dates with times in one column, or dates, times and perhaps AM or PM.
+_TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
 
 #: Words that say which sensor stamped the sample.
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
@@ -252,46 +255,45 @@ _EPOCH, _WEEKS = (5e8, 4e9), (1000, 9999)
 
 #: Words of the columns of a date, in order; nanoseconds need not be there.
 _DATE_PARTS = (
-    frozenset(("year", "yyyy")),
-    frozenset(("month",)),
-    frozenset(("day",)),
-    frozenset(("hour", "hours")),
-    frozenset(("minute", "minutes", "min")),
-    frozenset(("second", "seconds", "sec")),
-    frozenset(("nano", "nanos", "nanosecond", "nanoseconds", "nsec", "ns")),
+    *("year yyyy", "month", "day", "hour hours", "minute minutes min", "second seconds sec"),
+    "nano nanos nanosecond nanoseconds nsec ns",
 )
 _DATE_NEEDED = 6
 
-#: Word of a name -> how much it is to be preferred; the largest counts.
-_PREFERENCE = {
-    **dict.fromkeys(("stamp", "timestamp", "realtime"), 75),
-    **dict.fromkeys(("time", "chiptime"), 65),
-    **dict.fromkeys(("t", "ts", "ustime", "mstime"), 62),
-    **dict.fromkeys(("uptime", "elapsed"), 55),
-    **dict.fromkeys(("tick", "ticks"), 50),
-    "tow": 45,
-    **dict.fromkeys(("sow", "gpst"), 60),
-}
 
+def _points(text: str) -> dict[str, int]:
+    """Return the words of a text's lines, each with the number at the start of its line."""
+    lines = (line.split() for line in text.strip().splitlines())
+    return {word: int(points) for points, *words in lines for word in words}
+
+
+#: Word of a name -> how much it is to be preferred; the largest counts.
+_PREFERENCE = _points("""
+75 stamp timestamp realtime
+65 time chiptime
+62 t ts ustime mstime
+60 sow gpst
+55 uptime elapsed
+50 tick ticks
+45 tow
+""")
 #: Preference of a time whose name has none of these words.
 _UNKNOWN = 40
 
 #: Word of a name -> what it adds: times taken by the computer that logged are a worse choice.
-_BONUS = {
-    **dict.fromkeys(("log", "logging", "host", "receive", "received", "recv"), -40),
-    "rosbag": -30,
-    "gps": -10,
-    "utc": -5,
-    "startup": -5,
-    "header": 15,
-    "hw": 12,
-    "device": 8,
-    "sensor": 8,
-    "fine": 5,
-}
+_BONUS = _points("""
+-40 log logging host receive received recv
+-30 rosbag
+-10 gps
+-5 utc startup
+15 header
+12 hw
+8 device sensor
+5 fine
+""")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TimeChoice:
     """The time of a sensor's samples: the columns it is in, by index, and the name that the log gives it.
 
@@ -311,6 +313,12 @@ class TimeChoice:
     by_day: bool = False
     open_date: bool = False
 
+    @property
+    def words(self) -> str:
+        """What the time is read as, in words."""
+        words = self.ns_source if self.kind == "pair" else _KINDS.get(self.kind, "stamps")
+        return words + (", read as month, day, year" if self.open_date else "")
+
 
 def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     """Return the times that a table offers for a sensor's samples, best first.
@@ -319,22 +327,17 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     after those that go on.
     """
     found = [*_pairs(table), *_weeks(table), *_dates(table)]
-    for date, time, *half in dates_and_times(table):
-        found.append((_score(time, sensor), _texts(date, time, *half)))
+    found += [(_score(columns[1], sensor), _joined(*columns, **_TEXTS)) for columns in dates_and_times(table)]
     taken = {index for _, choice in found for index in choice.indices}
-    for column in table.columns:
-        if column.role is Role.TIME and column.index not in taken:
-            choice = _single(table, column)
-            if choice is not None:
-                found.append((_score(column, sensor), choice))
-    found.sort(key=lambda entry: -entry[0])
-    counters = [c for c in table.columns if c.role is Role.COUNTER and _goes_on(c.counts)]
+    times = [c for c in table.columns if c.role is Role.TIME and c.index not in taken]
+    found += [(_score(c, sensor), choice) for c in times if (choice := _single(table, c))]
+    found.sort(key=itemgetter(0), reverse=True)
     choices = [choice for score, choice in found if score > 0]
-    return choices + [_joined(counter, kind="counter") for counter in counters]
-
-
-def _goes_on(counts: Sequence[int]) -> bool:
-    return len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts)
+    for column in table.columns:
+        counts = column.counts if column.role is Role.COUNTER else []
+        if sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts):
+            choices.append(_joined(column, kind="counter"))
+    return choices
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
@@ -343,18 +346,17 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     A ChoiceError if it is none.
     """
     columns = [table.columns[index] for index in indices]
-    if len(columns) > 1 and text_kind(columns[0].cells) == "date":
-        return _texts(*columns)
+    column = columns[0]
+    if len(columns) > 1 and text_kind(column.cells) == "date":
+        return _joined(*columns, **_TEXTS)
     if len(columns) == 2:
         return _week(*columns) if _is_week(*columns) else _pair(*columns)
-    if len(columns) > 2:
-        problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
-        raise table.ask(problem)
-    (column,) = columns
     choice = _single(table, column)
-    if choice is None:
-        found = next(filter(None, column.cells), "nothing")
-        problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
+    if len(columns) > 2 or choice is None:
+        held = next(filter(None, column.cells), "nothing")
+        problem = f"column {column.index} ({column.header}) is no time: it holds {held!r}"
+        if len(columns) > 2:
+            problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
         raise table.ask(problem)
     return _joined(column, kind="counter") if column.role is Role.COUNTER else choice
 
@@ -364,27 +366,23 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
     try:
         indices = [table.index_of(part) for part in name.split("+")]
     except ValueError as error:
-        msg = f"{table.path}: there is no time column {name!r}; found columns: {table.listed}"
-        raise ChoiceError(msg) from error
+        text = f"there is no time column {name!r}; found columns: {table.listed}"
+        raise refused(table.path, text, ChoiceError) from error
     return time_of_columns(table, indices)
 
 
 def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source: str = "") -> TimeChoice:
-    name = "+".join(column.header or str(column.index) for column in columns)
-    indices = tuple(column.index for column in columns)
-    return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
-
-
-def _texts(
-    *columns: NamedColumn, kind: TimeKind = "text", ns: int | None = 1, source: str = "text"
-) -> TimeChoice:
-    """Return the time that texts give, with the order of day and month in them.
-
-    They are dates with times in one column, dates, times and AM or PM, or texts with a finer column.
-    """
-    order = day_first(columns[0].cells)
-    choice = _joined(*columns, kind=kind, ns=ns, source=source)
-    return replace(choice, by_day=bool(order), open_date=order is None)
+    """Return the time in some columns; where they may be texts, with the order of day and month in them."""
+    order = day_first(columns[0].cells) if kind in {"text", "pair"} else False
+    return TimeChoice(
+        kind=kind,
+        indices=tuple(column.index for column in columns),
+        name="+".join(column.header or str(column.index) for column in columns),
+        ns=ns,
+        ns_source=source,
+        by_day=bool(order),
+        open_date=order is None,
+    )
 
 
 def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
@@ -393,14 +391,14 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
         return _joined(column, kind="steps" if column.words in STEPS else "stamp", ns=ns, source=source)
-    return _texts(column) if filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled) else None
+    texts = filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled)
+    return _joined(column, **_TEXTS) if texts else None
 
 
 def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | None, str]:
     """Return the ns per count that the dialect or the name of a column says, and which of them does."""
     name = plain_name(column.header)
-    ns = dict(dialect.time_ns).get(name) if dialect is not None else None
-    if ns is not None and dialect is not None:
+    if dialect is not None and (ns := dict(dialect.time_ns).get(name)) is not None:
         return ns, f"as {dialect.name} counts it"
     if name == "sampletimefine":
         return 100_000, "as Xsens counts it"
@@ -419,7 +417,7 @@ def _spelled_ns(*words: str) -> int | None:
 
 
 def _score(column: NamedColumn, sensor: Sensor) -> float:
-    """Return how much a time is to be preferred: by its words, its owner, its unit and its cells."""
+    """Return how much a time is to be preferred: by its words, its owner, its unit and its filled cells."""
     words = column.words
     if words in STEPS:
         return 3.0
@@ -487,8 +485,7 @@ def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
     beside = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
     text = any(map(is_text_stamp, coarse.filled))
     source = f"{'text' if text else 'seconds'} + {beside}"
-    join = _texts if text else _joined
-    return join(coarse, fine, kind="pair", ns=ns if ns != _SECOND else None, source=source)
+    return _joined(coarse, fine, kind="pair", ns=ns if ns != _SECOND else None, source=source)
 
 
 def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
@@ -516,7 +513,9 @@ def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     """Return the time that columns of year, month, day, hour, minute and second give together."""
     parts: list[NamedColumn] = []
     for names in _DATE_PARTS:
-        column = next((c for c in table.columns if names.intersection(c.words) and c not in parts), None)
+        column = next(
+            (c for c in table.columns if {*listed(names)}.intersection(c.words) and c not in parts), None
+        )
         if column is None or not all(map(is_number, column.filled)):
             break
         parts.append(column)

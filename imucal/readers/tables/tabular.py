@@ -4,27 +4,30 @@ A clock is made of the time's columns, or of a counter and a rate.
 """
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from hashlib import blake2b
+from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ImucalError, as_one
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
+from imucal.frozen import frozen_alone
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled
 from imucal.readers.store import Room, count, extremes
 from imucal.readers.tables.columns import ColumnsError
-from imucal.readers.tables.plan import SensorPlan
+from imucal.readers.tables.plan import SensorPlan, TablePlan
 from imucal.readers.tables.stamps import (
     Numbers,
     TimeChoice,
@@ -57,7 +60,7 @@ _SLOWEST = 10.0
 _SENT_TWICE = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class SensorColumns:
     """The columns of one sensor, as read, shape (n,) each.
 
@@ -76,61 +79,51 @@ class SensorColumns:
 
     def rows(self, keep: BoolArray, room: Room) -> "SensorColumns":
         """Return the rows of the columns where `keep` is true."""
-
-        def kept(columns: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-            return [room.chosen(column, keep) for column in columns]
-
-        return replace(
-            self,
-            axes=kept(self.axes),
-            time=kept(self.time),
-            log_time=kept(self.log_time),
-            temperature=room.chosen(self.temperature, keep) if self.temperature is not None else None,
-        )
+        temperature = [] if self.temperature is None else [self.temperature]
+        lists: list[Sequence[Any]] = [self.axes, self.time, self.log_time, temperature]
+        axes, time, log_time, others = ([room.chosen(column, keep) for column in one] for one in lists)
+        return replace(self, axes=axes, time=time, log_time=log_time, temperature=next(iter(others), None))
 
 
 def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     """Return the clock of a sensor's samples from the columns of its times, or from a counter and a rate.
 
-    Raises
-    ------
-    ChoiceError
-        If the unit of the time is open, or there is neither time nor rate.
-    DataError
-        If no rate can be measured.
+    A ChoiceError if the unit of the time is open, or there is neither time nor rate; a DataError if no rate
+    can be measured.
     """
-    plan, sensor = columns.plan, columns.plan.triad.sensor
-    if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
+    plan, unit = columns.plan, work.options.time_unit
+    if plan.time is None or (plan.time.kind == "counter" and unit is None):
         return _counted_clock(work, columns)
-    unit = work.options.time_unit
     if unit is not None and unit not in TIME_UNITS_NS:
         known = ", ".join(TIME_UNITS_NS)
-        msg = f"{work.path}: {unit!r} is no time unit; expected one of {known}"
-        raise ChoiceError(msg)
+        raise refused(work.path, f"{unit!r} is no time unit; expected one of {known}", ChoiceError)
     if unit is not None and plan.time.kind not in {"stamp", "week", "steps", "counter"}:
-        msg = (
-            f"{work.path}: the time unit {unit} is given, but the {sensor} has the time "
-            f"{plan.time.name}, {_time_words(plan.time)}; expected no unit, or another time column"
-        )
-        raise ChoiceError(msg)
+        has = f"the {plan.triad.sensor} has the time {plan.time.name}, {plan.time.words}"
+        text = f"the time unit {unit} is given, but {has}; expected no unit, or another time column"
+        raise refused(work.path, text, ChoiceError)
     source = f"column {plan.time.name}"
-    stamps = _stamps(work, plan.time, columns.time, sensor)
+    stamps = _stamps(work, plan, plan.time, columns.time)
     if stamps is None:
         return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
-    log = columns.log_time
-    log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
     reading = clock_from_stamps(
         stamps,
         source=source,
         where=work.path,
-        log_ns=log_ns,
+        log_ns=_stamps(work, plan, plan.log_time, columns.log_time) if plan.log_time else None,
         rate_hz=work.options.rate_hz,
         repeated=_sent_twice(work, stamps, columns),
         room=work.room,
     )
-    work.decide("time", f"{source}, {_time_words(plan.time)}")
+    work.decide("time", f"{source}, {plan.time.words}")
     _compare_rates(work, reading.clock.rate_hz)
     return reading
+
+
+def _say(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
+    """Add a finding, once; `more` are its advice and its axis."""
+    finding = Finding(level, code, text, **more)
+    if finding not in work.findings:
+        work.findings.append(finding)
 
 
 def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
@@ -145,34 +138,19 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
         "the log was written faster than the sensor was read."
     )
     advice = "Log each sample once: held samples falsify the curve at short averaging times."
-    work.findings.append(
-        Finding(level="warning", code="held-samples", axis=sensor.short, text=text, advice=advice)
-    )
+    _say(work, "warning", "held-samples", text, axis=sensor.short, advice=advice)
     return None
-
-
-def _time_words(time: TimeChoice) -> str:
-    words = {
-        "pair": time.ns_source,
-        "week": "GPS week and time of week",
-        "text": "date and time",
-        "steps": "steps from sample to sample",
-    }
-    return words.get(time.kind, "stamps") + (", read as month, day, year" if time.open_date else "")
 
 
 def _compare_rates(work: RecordingBuilder, measured: float) -> None:
     stated = work.rate_hz
     if stated is not None and work.options.rate_hz is None and abs(measured / stated - 1) > 0.02:
         text = f"The log states {stated:g} Hz, its stamps give {measured:.6g} Hz; the stamps are used."
-        advice = "Give the sampling rate if the stamps are wrong."
-        finding = Finding(level="warning", code="rate-differs", text=text, advice=advice)
-        if finding not in work.findings:
-            work.findings.append(finding)
+        _say(work, "warning", "rate-differs", text, advice="Give the sampling rate if the stamps are wrong.")
 
 
 def _stamps(
-    work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor
+    work: RecordingBuilder, plan: SensorPlan, time: TimeChoice, columns: Sequence[Numbers]
 ) -> IntArray | None:
     """Return the stamps of a time in ns; None of a count that has the given rate in no unit."""
     room = work.room
@@ -183,21 +161,17 @@ def _stamps(
     if time.kind == "date":
         return date_stamps(columns, room)
     values = columns[-1]
-    if time.kind == "week":
-        ns = _ns_per_count(work, time, values, sensor)
-        return week_stamps(columns[0], values, ns, room) if ns else None
     if time.kind == "steps":
         values = step_counts(values, room)
-    elif values.dtype.kind == "i":
+    elif time.kind != "week" and values.dtype.kind == "i":
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
-            text = (
-                f"Column {time.name} started again {wraps} times at the end of its range; "
-                "it was put in order."
-            )
-            work.findings.append(Finding(level="info", code="wrapped", text=text))
-    ns = _ns_per_count(work, time, values, sensor)
-    return to_ns(values, ns, room) if ns else None
+            again = f"Column {time.name} started again {wraps} times at the end of its range"
+            _say(work, "info", "wrapped", f"{again}; it was put in order.")
+    ns = _ns_per_count(work, time, values, plan.triad.sensor)
+    if ns is None:
+        return None
+    return week_stamps(columns[0], values, ns, room) if time.kind == "week" else to_ns(values, ns, room)
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
@@ -222,17 +196,15 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
     if unit is not None:
         work.decide("time unit", f"{unit} for {time.name}, {how}")
         return TIME_UNITS_NS[unit]
-    if rate is not None and values.dtype.kind == "i" and abs(typical_step(values) - 1) < 1e-3:
+    step = typical_step(values)
+    if rate is None:
+        raise _open_unit(work.path, time, values, fits, sensor)
+    if values.dtype.kind == "i" and abs(step - 1) < 1e-3:
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
-    if rate is not None:
-        text = (
-            f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
-            "it was left out, so that gaps are not seen."
-        )
-        work.findings.append(Finding(level="warning", code="time-unused", text=text))
-        return None
-    raise _open_unit(work.path, time, values, fits, sensor)
+    found = f"Column {time.name} goes on by {step:g} a row, which is {rate:g} Hz in no unit"
+    _say(work, "warning", "time-unused", f"{found}; it was left out, so that gaps are not seen.")
+    return None
 
 
 def _open_unit(
@@ -253,11 +225,9 @@ def _open_unit(
     # A header names a unit, but what rate an IMU has only the user says.
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{shown}; give the time unit, {named}or give the sampling rate"
-    return ChoiceError(
-        f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
-        f"{typical_step(values):g} a row, which is "
-        f"{ways if rates else 'no rate in any unit; name another time column'}"
-    )
+    has = f"the time of the {sensor}, has no unit, and goes on by {typical_step(values):g} a row"
+    which = ways if rates else "no rate in any unit; name another time column"
+    return refused(path, f"column {time.name!r}, {has}, which is {which}", ChoiceError)
 
 
 def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
@@ -268,31 +238,28 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
         rate, source = work.rate_hz, "rate that the log states"
     if rate is None:
         what = f"only a counter ({plan.time.name})" if plan.time else "no time column"
-        msg = (
-            f"{work.path}: {what} and no sampling rate for the {plan.triad.sensor}; "
-            "expected stamps or a rate; give the sampling rate"
-        )
-        raise ChoiceError(msg)
+        sensor = plan.triad.sensor
+        lack = f"and no sampling rate for the {sensor}; expected stamps or a rate; give the sampling rate"
+        raise refused(work.path, f"{what} {lack}", ChoiceError)
     work.decide("time", f"{rate:g} Hz, the {source}")
-    even = ClockReading(clock=Clock.even(n, rate, source=source), order=None, findings=())
+    even = ClockReading(clock=Clock.even(n, rate, source=source))
     if plan.time is None or not columns.time or columns.time[0].dtype.kind != "i":
         return even
     counts, _ = unwrapped(cast("IntArray", columns.time[0]), work.room)
     rows = blocks(counts.size - 1, counts)
     single = sum(count(np.diff(counts[part.start : part.stop + 1]) == 1) for part in rows)
     if counts.size < 2 or single < 0.9 * (counts.size - 1):
-        text = (
-            f"Counter {plan.time.name} counts more than the samples, so it can't show gaps; "
-            "the rate alone is used."
-        )
-        work.findings.append(Finding(level="info", code="counter-unused", text=text))
+        more = f"Counter {plan.time.name} counts more than the samples, so it can't show gaps"
+        _say(work, "info", "counter-unused", f"{more}; the rate alone is used.")
         return even
-
-    def stamps(part: slice) -> IntArray:
-        return _SECOND + np.round((counts[part] - int(counts[0])) * (_SECOND / rate)).astype(np.int64)
-
+    period, first = _SECOND / rate, int(counts[0])
     reading = clock_from_stamps(
-        work.room.made(counts.size, np.int64, stamps, counts),
+        work.room.made(
+            counts.size,
+            np.int64,
+            lambda part: _SECOND + np.round((counts[part] - first) * period).astype(np.int64),
+            counts,
+        ),
         source=f"counter {plan.time.name} at the {source}",
         rate_hz=rate,
         room=work.room,
@@ -300,29 +267,49 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
-#: Time and rows of a sensor -> its clock: two sensors of one table share them.
-_Clocks: TypeAlias = dict[tuple[Any, ...], ClockReading]
-
 #: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
 #: Of so many of them at least the median is taken.
 _LOOKED_AT = 1_000_000
 
 
-def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: Sequence[str]) -> Recording:
-    """Put the recording of a gyroscope, an accelerometer, or both together.
+def assemble(
+    where: str,
+    form: str,
+    options: ReadOptions,
+    plans: Sequence[TablePlan],
+    sensors: Sequence[SensorColumns],
+    *,
+    findings: Iterable[Finding],
+    rate_hz: float | None,
+) -> Recording:
+    """Put the recording of a gyroscope, an accelerometer, or both together; `rate_hz` is what the log states.
 
-    Raises
-    ------
-    ChoiceError
-        If a unit or the time of the samples is open.
-    DataError
-        If there are no samples, or no rate.
+    A ChoiceError if a unit or the time of the samples is open; a DataError if there are no samples, or no
+    rate.
     """
-    clocks: _Clocks = {}
-    kept = [_of_sensor(work, columns) for columns in sensors]
+    work = RecordingBuilder(path=where, format=form, options=options, rate_hz=rate_hz, findings=[*findings])
+    for what, how in chain.from_iterable(plan.decisions for plan in plans):
+        work.decide(what, how)
+    clocks: dict[tuple[Any, ...], ClockReading] = {}
     lacking: list[ChoiceError] = []
-    both = [(columns, _clock(work, columns, clocks, lacking)) for columns in kept]
+    both = []
+    for columns in [_of_sensor(work, columns) for columns in sensors]:
+        plan, n = columns.plan, columns.axes[0].size
+        if not n:
+            names = f"the columns of the {plan.triad.sensor} ({', '.join(plan.triad.headers)})"
+            raise refused(work.path, f"{names} hold no samples; expected a row per sample", DataError)
+        # Two sensors of one table share the clock where they share the time and the rows.
+        key = (plan.time, plan.triad.rows, columns.rows_left, n)
+        if key not in clocks:
+            try:
+                clocks[key] = table_clock(work, columns)
+            except ChoiceError as error:
+                # The units are asked for in the same breath.
+                lacking.append(error)
+                clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""))
+            work.findings.extend(clocks[key].findings)
+        both.append((columns, clocks[key]))
     try:
         work.add(
             [
@@ -345,91 +332,67 @@ def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: S
         if columns.temperature is not None:
             _add_temperature(work, columns.temperature, reading)
             break
-    return work.build(topics=topics)
+    return work.build(topics=[topic for plan in plans for topic in plan.topics])
 
 
-def with_more(where: str, error: ColumnsError, reading: Callable[[str], object]) -> ChoiceError:
+def with_more(
+    where: str, error: ColumnsError, options: ReadOptions, reading: Callable[[ReadOptions], object]
+) -> ChoiceError:
     """Return an error for columns with what else is missing: `reading` tries the columns that it proposes."""
     lacking: list[ChoiceError] = [error]
     proposals = error.example.split(" or ")
     # Where they are of different sensors, the user's choice says what is missing.
     if error.example and len({tuple(re.findall("[ga][xyz]?=", text)) for text in proposals}) == 1:
-        try:
-            reading(proposals[0])
-        except ChoiceError as more:
-            lacking.append(more)
-        except ImucalError:
-            # What is wrong with the samples is said when they are read.
-            pass
+        # What is wrong with the samples is said when they are read.
+        with suppress(ImucalError):
+            try:
+                reading(replace(options, columns=proposals[0]))
+            except ChoiceError as more:
+                lacking.append(more)
     return as_one(where, lacking)
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
-    """Refuse topics, as a table has columns, with a ChoiceError."""
-    if options.topics:
-        msg = (
-            f"{path}: {what} has no topics, but {', '.join(options.topics)} was asked for; "
-            "expected no topic, or a columns text"
-        )
-        raise ChoiceError(msg)
+    """Refuse topics and fields of messages, as a table has columns, with a ChoiceError."""
+    for asked, one in ((options.topics, "topic"), (options.fields, "field")):
+        if asked:
+            text = f"{what} has no {one}s, but {', '.join(asked)} was asked for"
+            raise refused(path, f"{text}; expected no {one}, or a columns text", ChoiceError)
 
 
 def contents_of(
-    recording: Recording, path: Path, *, size: int | None, layout: str = "table", compression: str = ""
+    path: Path,
+    form: str,
+    found: Recording | str,
+    *,
+    size: int | None,
+    layout: str = "table",
+    compression: str = "",
 ) -> LogContents:
-    """Return what the table of a recording holds: its layout, its units and where they come from."""
-    first = recording.series[0]
-    units = [f"{what} {how}" for what, how in recording.source.decisions if what.endswith("unit")]
-    topic = TopicContents(
-        name=path.name,
-        type=layout,
+    """Return what a table holds: its layout, its units and where they come from.
+
+    `found` is its recording, or why there is none.
+    """
+    topic = TopicContents(name=path.name, type=layout, note=found if isinstance(found, str) else "")
+    contents = LogContents(path=str(path), format=form, size_bytes=size, compression=compression)
+    if isinstance(found, str):
+        return replace(contents, topics=(topic,))
+    first = found.series[0]
+    topic = replace(
+        topic,
         count=first.n,
         rate_hz=first.rate_hz,
         duration_s=first.duration_s,
-        sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
-        note="; ".join(units),
+        sensors=tuple(dict.fromkeys(series.sensor for series in found.series)),
+        note="; ".join(f"{what} {how}" for what, how in found.source.decisions if what.endswith("unit")),
     )
-    return LogContents(
-        path=str(path),
-        format=recording.source.format,
-        size_bytes=size,
-        topics=(topic,),
-        start_ns=first.clock.start_ns,
-        duration_s=first.duration_s,
-        compression=compression,
-    )
+    return replace(contents, topics=(topic,), start_ns=first.clock.start_ns, duration_s=first.duration_s)
 
 
 def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
     """Return what the head of a table tells: its rate and columns, but not how long it is; `count` rows."""
     topics = tuple(replace(topic, count=count, duration_s=None) for topic in contents.topics)
     return replace(contents, topics=topics, duration_s=None)
-
-
-def _clock(
-    work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks, lacking: list[ChoiceError]
-) -> ClockReading:
-    """Return the clock of a sensor, or that of another which has its time and its rows.
-
-    What is asked for is added to what is `lacking`, so that the units can be asked for in the same breath.
-    """
-    plan, n = columns.plan, columns.axes[0].size
-    if not n:
-        names = ", ".join(plan.triad.headers)
-        msg = (
-            f"{work.path}: the columns of the {plan.triad.sensor} ({names}) hold no samples; "
-            "expected a row per sample"
-        )
-        raise DataError(msg)
-    key = (plan.time, plan.triad.rows, columns.rows_left, n)
-    if key not in clocks:
-        try:
-            clocks[key] = table_clock(work, columns)
-        except ChoiceError as error:
-            lacking.append(error)
-            clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""), order=None, findings=())
-        work.findings.extend(clocks[key].findings)
-    return clocks[key]
 
 
 def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
@@ -445,8 +408,7 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
                 keep[part] &= np.isfinite(column[part])
             lost = before - count(keep)
             if lost:
-                text = f"{lost} rows have no finite time; they were dropped."
-                work.findings.append(Finding(level="warning", code="bad-rows", text=text))
+                _say(work, "warning", "bad-rows", f"{lost} rows have no finite time; they were dropped.")
     if count(keep) == n:
         return columns
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())

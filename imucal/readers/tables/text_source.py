@@ -13,13 +13,15 @@ import shlex
 import sys
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack
 from importlib import import_module
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, BinaryIO, Self, cast
+from typing import Any, BinaryIO, cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
+from imucal.readers.files import refused
 from imucal.readers.read_options import Progress
 from imucal.readers.ways_out import way_out
 from imucal.recording import LogFileInfo
@@ -87,8 +89,7 @@ def find_encoding(head: bytes, name: str) -> str:
     controls = len(head) - len(head.translate(None, _CONTROLS))
     hollow = head.count(0) > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
     if controls > 0.01 * len(head) or hollow:
-        msg = f"{name}: binary data, not text; expected a table of numbers, or another format"
-        raise ReadError(msg)
+        raise refused(name, "binary data, not text; expected a table of numbers, or another format")
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -162,8 +163,7 @@ class _Zstd:
             packed = self._packed or self._raw.read(_PIECE)
             if not packed:
                 if self._begun:
-                    msg = "compressed file ended within a frame"
-                    raise EOFError(msg)
+                    raise EOFError("compressed file ended within a frame")
                 return b""
             self._held = self._frame.decompress(packed)
             self._begun, self._packed = not self._frame.eof, b""
@@ -187,27 +187,13 @@ class LongerError(Exception):
     """A text is longer than was wanted of it. Never leaves the readers."""
 
 
-class TextSource:
-    """A log of lines, opened.
+class TextSource(AbstractContextManager["TextSource"]):
+    """A log of lines, opened: its `name` as the user gave it, its `size` in bytes where that is known.
 
-    Attributes
-    ----------
-    name
-        As the user named it.
-    size
-        Bytes of the file; None where they are not known.
-    compression
-        ``none``, ``gzip``, ``zstd``, ``bzip2``, ``xz`` or ``lz4``.
-    encoding
-        ``utf-8``, ``utf-16-le``, ``utf-16-be`` or ``latin-1``.
-    head
-        The first lines, decoded, without their ends; a line that the head cuts is left out.
-    whole
-        Whether `head` is all of the log.
-    findings
-        What reading it has shown so far: a cut end.
-    passed
-        Bytes of unpacked text that were given out as blocks.
+    `compression` and `encoding` are what its first bytes show. `head` are the first lines, decoded, without
+    their ends; a line that the head cuts is left out, and `whole` says whether they are all of the log.
+    `findings` are what reading it has shown so far, and `passed` the bytes of unpacked text that were given
+    out as blocks.
     """
 
     def __init__(
@@ -219,13 +205,9 @@ class TextSource:
         progress: Progress | None = None,
         most: int | None = None,
     ) -> None:
-        self.name = name
-        self.size = size
-        self.passed = 0
+        self.name, self.size, self.passed = name, size, 0
         self.findings: list[Finding] = []
-        self._raw = raw
-        self._progress = progress
-        self._most = most
+        self._raw, self._progress, self._most = raw, progress, most
         self._ended = False
         start = read_fully(raw, _LONGEST_MAGIC)
         self.compression = compression_of(start)
@@ -248,10 +230,11 @@ class TextSource:
         text = self._plain(text)
         self._return_only = b"\r" in text and b"\n" not in text
         self._start = self._line_ends(text)
-        self.head = self._head_lines(self._start)
-
-    def __enter__(self) -> Self:
-        return self
+        lines = self._start.decode("latin-1" if self.encoding == "latin-1" else "utf-8", "replace")
+        self.head = [line.rstrip("\r") for line in lines.replace("\x00", "").split("\n")]
+        # The last piece is cut by the head or by the end of the log, or empty.
+        if not self.whole or not self.head[-1] or len(self.head) > 3:
+            self.head.pop()
 
     def __exit__(self, *error: object) -> None:
         self.close()
@@ -270,15 +253,14 @@ class TextSource:
 
     def why_no_lines(self) -> str:
         """Return what is wrong with a text of which the head has no lines, or hardly any, and what to do."""
-        mark, cells = max(
-            ((mark, self._start.count(mark)) for mark in (b",", b";", b"\t", b" ")), key=itemgetter(1)
-        )
+        counts = {mark: self._start.count(mark.encode()) for mark in (",", ";", "\t", " ")}
+        mark, cells = max(counts.items(), key=itemgetter(1))
         if self.whole or cells < _WIDE:
             found = "is empty" if self.whole else "has no line end in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
             way = way_out(self.name, self._start, text=True)
             return f"the text {found}; {way or 'expected a table of numbers'}"
-        cut = f"cut -d '{mark.decode()}' -f 1-7" if mark != b"\t" else "cut -f 1-7"
+        cut = f"cut -d '{mark}' -f 1-7" if mark != "\t" else "cut -f 1-7"
         return (
             f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few columns "
             f"of an IMU; write those to a file of their own, the first seven by {cut} "
@@ -295,10 +277,7 @@ class TextSource:
     def blocks(self) -> Iterator[bytes]:
         """Yield all text, in blocks of whole lines; the last line may lack its end.
 
-        Raises
-        ------
-        ReadError
-            If a line is longer than any row of a table.
+        A ReadError if a line is longer than any row of a table.
         """
         rest, self._start = self._start, b""
         while True:
@@ -308,9 +287,11 @@ class TextSource:
             block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
             rest = data[cut:] if block or not rest else rest + data
             if len(rest) > _LONGEST_LINE:
-                msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
-                raise ReadError(msg)
-            self._report()
+                text = f"a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
+                raise refused(self.name, text)
+            if self._progress is not None and self.size:
+                # A stream that can't tell its place, such as a pipe, has no size.
+                self._progress(min(self._raw.tell(), self.size), self.size)
             self.passed += len(block)
             if self._most is not None and self.passed > self._most:
                 raise LongerError
@@ -332,10 +313,9 @@ class TextSource:
             if not isinstance(error, _DAMAGE) and type(error).__module__.partition(".")[0] not in _PACKAGES:
                 raise
             self._ended = True
-            text = (
-                f"The {self.compression} stream is cut or damaged ({error}); what could be unpacked was read."
-            )
-            self.findings.append(Finding(level="warning", code="truncated", text=text))
+            found = f"The {self.compression} stream is cut or damaged ({error})"
+            text = f"{found}; what could be unpacked was read."
+            self.findings.append(Finding("warning", "truncated", text))
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
     def _plain(self, data: bytes) -> bytes:
@@ -350,51 +330,26 @@ class TextSource:
             return data
         return data.replace(b"\r", b"\n") if self._return_only else data.replace(b"\r\n", b"\n")
 
-    def _head_lines(self, data: bytes) -> list[str]:
-        text = data.decode("latin-1" if self.encoding == "latin-1" else "utf-8", "replace")
-        lines = text.replace("\x00", "").split("\n")
-        # The last piece is cut by the head or by the end of the log, or empty.
-        if not self.whole or not lines[-1] or len(lines) > 3:
-            lines.pop()
-        return [line.rstrip("\r") for line in lines]
-
-    def _report(self) -> None:
-        if self._progress is not None and self.size:
-            try:
-                done = self._raw.tell()
-            except (OSError, ValueError):
-                return
-            self._progress(min(done, self.size), self.size)
-
 
 def open_text(path: Path, *, progress: Progress | None = None, most: int | None = None) -> TextSource:
-    """Open a text log; ``-`` is standard input.
+    """Open a text log; ``-`` is standard input. A ReadError if it can't be opened, is empty, or is not text.
 
     Of a text that is longer than `most` bytes, unpacked, its blocks raise a LongerError.
-
-    Raises
-    ------
-    ReadError
-        If the file can't be opened, is empty, or is not text.
     """
     if str(path) == STANDARD_INPUT:
         source = TextSource("standard input", cast("BinaryIO", CountedStream(sys.stdin.buffer)))
     else:
-        try:
-            # Unbuffered: the blocks are the buffer.
-            raw = cast("BinaryIO", path.open("rb", buffering=0))
-            size = path.stat().st_size
-        except OSError as error:
-            msg = f"{path}: can't be opened: {error.strerror or error}"
-            raise ReadError(msg) from error
-        try:
+        with ExitStack() as opened:
+            try:
+                # Unbuffered: the blocks are the buffer.
+                raw = cast("BinaryIO", opened.enter_context(path.open("rb", buffering=0)))
+                size = path.stat().st_size
+            except OSError as error:
+                raise refused(path, f"can't be opened: {error.strerror or error}") from error
             source = TextSource(str(path), raw, size=size, progress=progress, most=most)
-        except BaseException:
-            raw.close()
-            raise
+            opened.pop_all()
     lines = [line for line in source.head if line.strip()]
     if not lines or (len(lines) < _FEWEST and not source.whole):
         source.close()
-        msg = f"{source.name}: {source.why_no_lines()}"
-        raise ReadError(msg)
+        raise refused(source.name, source.why_no_lines())
     return source

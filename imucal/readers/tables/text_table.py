@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, repeat
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias, cast, get_args
 
@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
-from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
-from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.contents import LogContents
+from imucal.readers.files import first_bytes, refused
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable
@@ -40,6 +40,7 @@ from imucal.readers.tables.layout import (
     TextLayout,
     find_layout,
     is_number,
+    row_pattern,
     rows_of_tag,
     split_line,
 )
@@ -56,7 +57,7 @@ from imucal.readers.tables.tabular import (
 )
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
 from imucal.readers.ways_out import way_out
-from imucal.recording import Recording, Sensor
+from imucal.recording import Recording, Sensor, span_ns
 from imucal.resources import column_limit
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -77,14 +78,13 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     layout = find_layout(lines)
     way = way_out(path, "\n".join(lines).encode(), text=True)
     if layout is None or (way and not layout.headers):
-        first = next((line.strip() for line in lines if line.strip()), "")
+        first = next(filter(None, map(str.strip, lines)), "")
         expected = way or "expected a table with a row per sample"
-        msg = f"{path}: no rows of numbers, the first line is {first[:80]!r}; {expected}"
-        raise ReadError(msg)
+        raise refused(path, f"no rows of numbers, the first line is {first[:80]!r}; {expected}")
     layout = name_columns(layout)
-    if options.columns is not None or layout.headers:
-        return layout
-    raise _unnamed(path, lines, layout, options)
+    if options.columns is None and not layout.headers:
+        raise _unnamed(path, lines, layout, options)
+    return layout
 
 
 def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
@@ -109,8 +109,7 @@ def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadO
 
 
 def _nameless(path: str, layout: TextLayout) -> NamedTable:
-    columns = (parse_column("", index, cells=layout.cells(index)) for index in range(layout.width))
-    return NamedTable(path=path, columns=tuple(columns))
+    return NamedTable.of(path, [""] * layout.width, layout.cells)
 
 
 def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
@@ -150,15 +149,19 @@ class BlockReader:
     first_bad: str = ""
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
+    #: What parts the cells of a block once it is plain.
+    _mark: str = field(init=False)
 
     def __post_init__(self) -> None:
         self.kinds = dict(sorted(self.kinds.items()))
-        types = {index: np.float64 if kind == "float" else np.int64 for index, kind in self.kinds.items()}
         self.columns = {
-            index: GrowingColumn(dtype, limit=self.limit, expected=self.expected)
-            for index, dtype in types.items()
+            index: GrowingColumn(
+                np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
+            )
+            for index, kind in self.kinds.items()
         }
-        self._pattern = _row_pattern(self.rows, self.layout.delimiter)
+        self._pattern = row_pattern(self.rows, self.layout.delimiter) if self.rows else None
+        self._mark = "," if self.layout.delimiter == BLANKS else self.layout.delimiter
 
     def add(self, block: bytes) -> None:
         """Read a block of whole lines."""
@@ -197,10 +200,6 @@ class BlockReader:
             return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
         return block.replace(b",", b".")
 
-    @property
-    def _separator(self) -> str:
-        return "," if self.layout.delimiter == BLANKS else self.layout.delimiter
-
     def _by_polars(self, block: bytes, *, last_try: bool = False) -> dict[int, NDArray[Any]] | None:
         """Return the wanted columns of a block; None where it holds something that is no row.
 
@@ -212,9 +211,8 @@ class BlockReader:
         values: dict[int, NDArray[Any]] = {}
         lacking = np.zeros(table.height, dtype=np.bool_)
         for index in self.needed or self.kinds:
-            series = table[str(index)]
-            if series.null_count():
-                lacking |= series.is_null().to_numpy()
+            if table[str(index)].null_count():
+                lacking |= table[str(index)].is_null().to_numpy()
         for index, kind in self.kinds.items():
             series = table[str(index)]
             if kind in _TEXTS:
@@ -236,96 +234,72 @@ class BlockReader:
         import polars as pl
 
         types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
-        width = self.layout.width
+        width, quoted = self.layout.width, self.layout.quoted
         looked_at = sorted(self.needed | self.kinds.keys())
         try:
             table = pl.read_csv(
                 block,
                 has_header=False,
-                separator=self._separator,
-                quote_char='"' if self.layout.quoted else None,
+                separator=self._mark,
+                quote_char='"' if quoted else None,
                 schema={str(index): types.get(self.kinds.get(index), pl.String) for index in range(width)},
                 columns=looked_at if len(looked_at) < width else None,
             )
         except (pl.exceptions.PolarsError, UnicodeDecodeError):
             return None
         # A quotation mark that stands open may swallow lines.
-        if self.layout.quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n")):
-            return None
-        return table
+        swallowed = quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n"))
+        return None if swallowed else table
 
     def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
         """Return the wanted columns of the good rows of a block, row by row."""
-        header = self._separator.join(self.layout.headers).replace(" ", "")
+        header = self._mark.join(self.layout.headers).replace(" ", "")
         rows = []
         for line in block.decode("utf-8", "replace").split("\n"):
             text = line.strip("\r\n")
             if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
                 continue
-            row = self._row(split_line(text, self._separator))
+            row = self._row(split_line(text, self._mark))
             if row is None:
                 self._note_bad(1, text)
             else:
                 rows.append(row)
-        values: dict[int, NDArray[Any]] = {}
-        for place, (index, kind) in enumerate(self.kinds.items()):
-            cells = [row[place] for row in rows]
-            if kind in _TEXTS:
-                values[index] = self._times(cast("list[str]", cells), kind)
-                continue
-            whole = kind == "integer" and not any(isinstance(value, float) for value in cells)
-            values[index] = np.array(cells, dtype=np.int64 if whole else np.float64)
-        return values
+        columns = zip(*rows, strict=True) if rows else repeat((), len(self.kinds))
+        return {
+            index: self._times(cells, kind)
+            if kind in _TEXTS
+            else np.array(cells, None if cells else np.int64)
+            for (index, kind), cells in zip(self.kinds.items(), columns, strict=True)
+        }
 
-    def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
+    def _row(self, cells: Sequence[str]) -> list[Any] | None:
         """Return the wanted cells of a row as numbers; None for a bad row."""
         missing = self.layout.width - len(cells)
         cells = [*cells, *[""] * missing]
         if missing < 0 or any(not cells[index] for index in self.needed):
             return None
         row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
-        good = [value for value in row if value is not None]
-        return good if len(good) == len(row) else None
+        return None if None in row else row
 
     def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
         return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
 
     def _note_bad(self, count: int, first: str) -> None:
-        if not self.bad:
-            self.first_bad = first[:120]
+        self.first_bad = self.first_bad if self.bad else first[:120]
         self.bad += count
 
 
 def _number(cell: str, kind: Kind) -> int | float | str | None:
     """Return a cell's value; an empty cell of floats is NaN; None where it has none."""
-    if kind in _TEXTS:
-        return cell
-    if "_" in cell:
-        return None
-    if kind == "float" and not cell:
-        return float("nan")
+    if kind in _TEXTS or "_" in cell:
+        return cell if kind in _TEXTS else None
     with suppress(ValueError):
         if kind == "integer":
             value = int(cell)
             return value if -(2**63) <= value < 2**63 else None
     with suppress(ValueError):
-        return float(cell)
+        return float(cell or ("nan" if kind == "float" else ""))
     return None
-
-
-def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
-    """Return the pattern of the lines whose cell holds a text."""
-    if rows is None:
-        return None
-    index, text = rows
-    if delimiter == BLANKS:
-        start, cell, mark = rb"[ \t]*", rb"[^\n \t]*[ \t]+", rb"[ \t]"
-    else:
-        mark = re.escape(delimiter.encode())
-        start, cell = b"", rb"[^\n" + mark + rb"]*" + mark
-    before = rb"(?:" + cell + (rb")*?" if index < 0 else rb"){" + str(index).encode() + rb"}")
-    tag = rb'[ \t]*"?' + re.escape(text.encode()) + rb'"?[ \t]*'
-    return re.compile(rb"(?m)^" + start + before + tag + rb"(?:" + mark + rb"[^\n]*)?$")
 
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -353,72 +327,42 @@ def read_table(
     """Read the table of an opened text; only its first lines if `head`.
 
     `name` is the file's own, which may name the sensor; `stamps` are times of the rows that stand in a
-    file of their own.
-
-    Raises
-    ------
-    ChoiceError
-        If columns, units or time are not clear.
-    ReadError
-        If it is no table.
-    DataError
-        If it holds no samples.
+    file of their own. A ChoiceError where columns, units or time are not clear, a ReadError if it is no
+    table, a DataError if it holds no samples.
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
     try:
         layout, plan = plan_of_head(source, options, name)
     except ColumnsError as error:
-
-        def tried(columns: str) -> object:
-            return read_table(source, replace(options, columns=columns), name=name, head=True)
-
-        raise with_more(source.name, error, tried) from error
-    groups = _by_rows(plan, stamps)
-    expected = 0 if head else source.expected_rows
-    readers = [
-        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
-    ]
-    blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
-    cut = _read_blocks(blocks, layout, readers)
-    if options.strict and source.findings:
-        msg = f"{source.name}: {source.findings[0].text} Expected an undamaged log"
-        raise ReadError(msg)
-    findings = _row_findings(source.name, cut, layout, readers, options)
-    sensors = []
-    for reader, group in zip(readers, groups, strict=True):
-        values = {index: column.take() for index, column in reader.columns.items()}
-        if stamps is not None:
-            if reader.bad or reader.good != stamps.values.size:
-                msg = (
-                    f"{stamps.path}: {stamps.values.size} times for the {reader.good} good and {reader.bad} "
-                    f"bad rows of {source.name}; expected one time for each row"
-                )
-                raise ReadError(msg)
-            values[EXTERNAL] = stamps.values
-        if reader.good:
-            sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
-    if not sensors:
-        msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
-        raise DataError(msg)
-    work = RecordingBuilder(
-        path=source.name,
-        format="csv",
-        options=options,
-        rate_hz=layout.rate_hz,
-        decisions=[*plan.decisions],
-        findings=[*source.findings, *findings, *plan.findings],
-    )
-    return assemble(work, sensors, plan.topics)
-
-
-def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
-    """Return the sensors in groups that are read from the same rows; `stamps` are the times of all."""
+        tried = partial(read_table, source, name=name, head=True)
+        raise with_more(source.name, error, options, tried) from error
+    # Sensors of the same rows are read together.
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
         timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
         groups.setdefault(sensor.triad.rows, []).append(timed)
-    return list(groups.values())
+    how: dict[str, Any] = {"temperature": plan.temperature, "limit": options.memory_limit}
+    how["expected"] = 0 if head else source.expected_rows
+    readers = [_reader(source.head, layout, group, **how) for group in groups.values()]
+    blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
+    cut = _read_blocks(blocks, layout, readers)
+    findings = _row_findings(source, cut, layout, readers, strict=options.strict)
+    sensors = []
+    for reader, group in zip(readers, groups.values(), strict=True):
+        values = {index: column.take() for index, column in reader.columns.items()}
+        if stamps is not None:
+            if reader.bad or reader.good != stamps.values.size:
+                found = f"{stamps.values.size} times for the {reader.good} good and {reader.bad} bad rows"
+                raise refused(stamps.path, f"{found} of {source.name}; expected one time for each row")
+            values[EXTERNAL] = stamps.values
+        if reader.good:
+            sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
+    if not sensors:
+        text = "the table has no rows of its sensors; expected a row per sample"
+        raise refused(source.name, text, DataError)
+    findings += plan.findings
+    return assemble(source.name, "csv", options, [plan], sensors, findings=findings, rate_hz=layout.rate_hz)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -427,29 +371,23 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
     A ChoiceError where columns are not clear, a ReadError where it is no table.
     """
     layout = lay_out(source.name, source.head, options)
-    plan = make_plan(
-        source.name,
-        layout.headers or ("",) * layout.width,
-        layout.cells,
-        options,
-        units=layout.units,
-        preamble=layout.preamble,
-        name=name,
-    )
-    return layout, plan
+    names = layout.headers or [""] * layout.width
+    table = NamedTable.of(source.name, names, layout.cells, units=layout.units, preamble=layout.preamble)
+    return layout, make_plan(table, options, name=name)
 
 
 def _reader(
-    source: TextSource,
+    lines: Sequence[str],
     layout: TextLayout,
     sensors: Sequence[SensorPlan],
-    temperature: int | None,
-    options: ReadOptions,
     *,
+    temperature: int | None,
+    limit: int | None,
     expected: int,
 ) -> BlockReader:
+    """Return what reads the columns of some sensors of the same rows, of which `lines` are the first."""
     rows = sensors[0].triad.rows or layout.tag
-    layout = _of_rows(source.head, layout, rows)
+    layout = _of_rows(lines, layout, rows)
     kinds: dict[int, Kind] = {}
     times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
     for sensor in sensors:
@@ -461,14 +399,13 @@ def _reader(
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
         kinds.setdefault(temperature, "float")
-    # Half of what may be held is for what the columns become.
-    limit = (options.memory_limit or column_limit()) // (2 * max(1, len(kinds)))
     return BlockReader(
         layout=layout,
         kinds=kinds,
         needed=needed,
         rows=rows,
-        limit=limit,
+        # Half of what may be held is for what the columns become.
+        limit=(limit or column_limit()) // (2 * max(1, len(kinds))),
         expected=expected,
         by_day=any(time.by_day for time in times),
     )
@@ -498,55 +435,48 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
     """Read all rows behind the header; returns the last line where it may be cut, else an empty text."""
     cut, before = "", layout.start
     for block in blocks:
-        start = 0
-        while before and (end := block.find(b"\n", start)) >= 0:
-            start, before = end + 1, before - 1
+        *above, whole = block.split(b"\n", before) if before else [block]
+        before -= len(above)
         if before:
             continue
-        whole = block[start:] if start else block
-        if not whole.endswith(b"\n"):
-            end = whole.rfind(b"\n") + 1
-            last = whole[end:].decode("utf-8", "replace")
-            if last.strip() and not _is_complete(last, layout):
+        end = whole.rfind(b"\n") + 1
+        last = whole[end:].decode("utf-8", "replace")
+        if last.strip():
+            # It is whole where it has all its cells, the last one as long as any other.
+            cells, others = split_line(last, layout.delimiter), layout.cells(layout.width - 1)
+            _, point, digits = cells[-1].partition(layout.decimal)
+            longest = max((len(other.partition(".")[2]) for other in others), default=0)
+            if len(cells) != layout.width or not point or len(digits) < longest:
                 cut, whole = last, whole[:end]
         for reader in readers:
             reader.add(whole)
     return cut
 
 
-def _is_complete(line: str, layout: TextLayout) -> bool:
-    """Return whether a line without an end has all its cells, the last one as long as any other."""
-    cells = split_line(line, layout.delimiter)
-    lengths = [len(cell.partition(".")[2]) for cell in layout.cells(layout.width - 1)]
-    _, point, digits = cells[-1].partition(layout.decimal)
-    return len(cells) == layout.width and bool(point) and len(digits) >= max(lengths, default=0)
-
-
 def _row_findings(
-    path: str, cut: str, layout: TextLayout, readers: Sequence[BlockReader], options: ReadOptions
+    source: TextSource, cut: str, layout: TextLayout, readers: Sequence[BlockReader], *, strict: bool
 ) -> list[Finding]:
-    """Return what was wrong with the rows; refuse a table of which hardly a row can be read."""
-    findings = []
+    """Return what was wrong with a text; refuse a table of which hardly a row can be read."""
+    path, findings = source.name, [*source.findings]
+    if strict and findings:
+        raise refused(path, f"{findings[0].text} Expected an undamaged log")
     good, bad = sum(reader.good for reader in readers), sum(reader.bad for reader in readers)
     if bad:
         first = next(reader.first_bad for reader in readers if reader.bad)
         found = f"{bad} of {good + bad} rows are no rows of {layout.width} numbers, the first is {first!r}"
-        if options.strict or bad > good:
-            msg = f"{path}: {found}; expected a table with a row per sample"
-            raise ReadError(msg)
-        findings.append(Finding(level="warning", code="bad-rows", text=f"{found}; they were dropped."))
+        if strict or bad > good:
+            raise refused(path, f"{found}; expected a table with a row per sample")
+        findings.append(Finding("warning", "bad-rows", f"{found}; they were dropped."))
     if cut:
-        found = f"the last line has no line end and may be cut ({cut[:60]!r})"
-        if options.strict:
-            msg = f"{path}: {found}; expected whole lines"
-            raise ReadError(msg)
-        text = f"T{found[1:]}; it was dropped."
-        findings.append(Finding(level="info", code="cut-line", text=text))
+        found = f"last line has no line end and may be cut ({cut[:60]!r})"
+        if strict:
+            raise refused(path, f"the {found}; expected whole lines")
+        findings.append(Finding("info", "cut-line", f"The {found}; it was dropped."))
     return findings
 
 
 def _columns(
-    reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
+    reader: BlockReader, sensor: SensorPlan, values: dict[Any, Any], temperature: int | None
 ) -> SensorColumns:
     def of(time: TimeChoice | None) -> tuple[Any, ...]:
         return tuple(values[index] for index in time.indices) if time else ()
@@ -557,7 +487,7 @@ def _columns(
         axes=[values[index] for index in indices],
         time=of(sensor.time),
         log_time=of(sensor.log_time),
-        temperature=values.get(temperature) if temperature is not None else None,
+        temperature=values.get(temperature),
         sparse=not reader.needed.issuperset(indices),
     )
 
@@ -585,11 +515,9 @@ def is_set(path: Path) -> bool:
     """Return whether a path is a zip, or a folder, of text tables."""
     if path.is_dir():
         return any(entry.suffix.lower() in _SUFFIXES for entry in path.iterdir())
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_ZIP)) == _ZIP
-    except OSError:
-        return False
+    with suppress(ReadError):
+        return first_bytes(path, len(_ZIP)) == _ZIP
+    return False
 
 
 @contextmanager
@@ -600,34 +528,29 @@ def _members(path: Path) -> Iterator[_Members]:
         yield {entry.name: (entry.stat().st_size, partial(open_text, entry)) for entry in entries}
         return
 
-    def opened(info: zipfile.ZipInfo) -> TextSource:
-        return TextSource(f"{path}:{info.filename}", cast("BinaryIO", archive.open(info)))
+    def opened(name: str) -> TextSource:
+        return TextSource(f"{path}:{name}", cast("BinaryIO", archive.open(name)))
 
     try:
         with zipfile.ZipFile(path) as archive:
             yield {
-                info.filename: (info.file_size, partial(opened, info))
+                info.filename: (info.file_size, partial(opened, info.filename))
                 for info in archive.infolist()
                 if info.filename.lower().endswith(_SUFFIXES) and not info.filename.startswith("__MACOSX")
             }
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
-        msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
-        raise ReadError(msg) from error
+        text = f"the zip can't be read: {error}; expected the export of a phone's app"
+        raise refused(path, text) from error
 
 
 def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Recording:
     """Read the gyroscope and the accelerometer of a zip or a folder; only the first lines if `head`."""
     with _members(path) as members:
-        chosen = list(members)
-        if len(members) != 1:
-            both = [_choose(path, chosen, sensor) for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
-            chosen = [name for name in both if name is not None]
+        both = [_choose(path, [*members], sensor) for sensor in Sensor] if len(members) != 1 else [*members]
+        chosen = [name for name in both if name is not None]
         if not chosen:
-            msg = (
-                f"{path}: no file is named as a gyroscope or an accelerometer; "
-                f"found {', '.join(members) or 'no text files'}; name the file to read"
-            )
-            raise ChoiceError(msg)
+            found = f"found {', '.join(members) or 'no text files'}; name the file to read"
+            raise refused(path, f"no file is named as a gyroscope or an accelerometer; {found}", ChoiceError)
         parts = []
         for name in chosen:
             with members[name][1]() as source:
@@ -641,26 +564,18 @@ def _choose(path: Path, names: Sequence[str], sensor: Sensor) -> str | None:
     found = [
         name for name, stem in stems.items() if sensor_of_name(stem) is sensor and not _LEFT_OUT.search(stem)
     ]
-    if len(found) <= 1:
-        return found[0] if found else None
-    for preferred in _PREFERRED[sensor]:
-        exact = [name for name in found if stems[name] == preferred]
-        if len(exact) == 1:
-            return exact[0]
-    msg = (
-        f"{path}: several files hold a {sensor} ({', '.join(found)}) of {', '.join(names)}; "
-        "unpack it and name the files to read"
-    )
-    raise ChoiceError(msg)
+    exact = ([name for name in found if stems[name] == preferred] for preferred in _PREFERRED[sensor])
+    chosen = found if len(found) <= 1 else next((one for one in exact if len(one) == 1), None)
+    if chosen is None:
+        several = f"several files hold a {sensor} ({', '.join(found)}) of {', '.join(names)}"
+        raise refused(path, f"{several}; unpack it and name the files to read", ChoiceError)
+    return next(iter(chosen), None)
 
 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
 
-    Raises
-    ------
-    ReadError
-        If one of them can't be read.
+    A ReadError if one of them can't be read.
     """
     found = {path: times_of(path) for path in paths}
     tables = [path for path in paths if found[path] is None]
@@ -673,8 +588,7 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
         except ImucalError:
             return None
         sensors += [sensor.triad.sensor for sensor in plan.sensors]
-    one_each = len(sensors) == len(set(sensors)) == len(tables)
-    if len(times) > 1 or not tables or not one_each:
+    if len(times) > 1 or not tables or not len(sensors) == len(set(sensors)) == len(tables):
         return None
     parts = []
     for path in tables:
@@ -709,28 +623,23 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
 
 
 def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
-    clocks = [part.series[0].clock for part in parts]
-    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
-        msg = (
-            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
-            "read one file at a time"
-        )
-        raise ChoiceError(msg)
+    spans = [span for part in parts if (span := span_ns(part.series))]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(spans)[0]:
+        apart = f"{' and '.join(names)} were not recorded at the same time"
+        raise refused(path, f"{apart}; expected one recording; read one file at a time", ChoiceError)
 
 
 def times_of(path: Path) -> ExternalTime | None:
     """Return the times that a file of one column with a header holds; None of any other file."""
     try:
-        with open_text(path) as source:
-            lines = [line.strip() for line in source.head if line.strip()]
-            column = parse_column(lines[0], 0)
-            if len(lines) < 3 or column.role is not Role.TIME or not all(map(is_number, lines[1:])):
-                return None
+        source = open_text(path)
     except ImucalError:
         return None
-    # Damage behind its head is said, not passed over.
-    with open_text(path) as source:
+    with source:
+        lines = [line.strip() for line in source.head if line.strip()]
+        column = parse_column(lines[0], 0)
+        if len(lines) < 3 or column.role is not Role.TIME or not all(map(is_number, lines[1:])):
+            return None
         cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
     unit = parse_time_unit(column.unit) if column.unit else None
     choice = TimeChoice(
@@ -750,14 +659,8 @@ _SMALL = 64 << 20
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read a text table, or the zip or folder of tables that a phone's app writes.
 
-    Raises
-    ------
-    ChoiceError
-        If files, columns, units or time are not clear.
-    ReadError
-        If it can't be opened, or is no table.
-    DataError
-        If it holds no samples.
+    A ChoiceError if files, columns, units or time are not clear, a ReadError if it can't be opened or is no
+    table, a DataError if it holds no samples.
     """
     refuse_topics(path, options, "a table of text")
     if is_set(path):
@@ -770,12 +673,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
 def describe(path: Path, options: ReadOptions) -> LogContents:
     """Return the table a text holds: its columns, units, rate and what it gives.
 
-    A table whose columns are not clear is described too; why it can't be read is its note.
-
-    Raises
-    ------
-    ReadError
-        If it can't be opened, or is no table.
+    A table whose columns are not clear is described too; why it can't be read is its note. A ReadError if
+    it can't be opened, or is no table.
     """
     if is_set(path):
         with _members(path) as members:
@@ -785,13 +684,11 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         contents = _described(path, None, compression, partial(_read_set, path, options, head=not whole))
         return replace(contents if whole else of_a_part(contents), unpacked_bytes=unpacked)
     size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
-    if size is not None and size <= _SMALL:
-        try:
+    # A few bytes may unpack to very many.
+    with suppress(LongerError):
+        if size is not None and size <= _SMALL:
             with open_text(path, progress=options.progress, most=_SMALL) as source:
                 return _described(path, size, source.compression, partial(read_table, source, options))
-        except LongerError:
-            # A few bytes may unpack to very many.
-            pass
     with open_text(path) as source:
         reading = partial(read_table, source, options, name=path.name, head=True)
         contents = _described(path, size, source.compression, reading)
@@ -801,13 +698,10 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 def _described(
     path: Path, size: int | None, compression: str, reading: Callable[[], Recording]
 ) -> LogContents:
+    found: Recording | str
     try:
-        recording = reading()
+        found = reading()
+        layout = dict(found.source.decisions).get("layout", "table").partition(",")[0]
     except (ChoiceError, DataError) as error:
-        note = str(error).removeprefix(f"{path}: ")
-        topic = TopicContents(name=path.name, type="table", note=note)
-        return LogContents(
-            path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
-        )
-    layout = dict(recording.source.decisions).get("layout", "table").partition(",")[0]
-    return contents_of(recording, path, size=size, layout=layout, compression=compression)
+        found, layout = str(error).removeprefix(f"{path}: "), "table"
+    return contents_of(path, "csv", found, size=size, layout=layout, compression=compression)

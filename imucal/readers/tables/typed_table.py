@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imucal.errors import ChoiceError, ImucalError, ReadError
-from imucal.readers.builder import RecordingBuilder
-from imucal.readers.contents import LogContents, TopicContents
+from imucal.errors import ChoiceError, ImucalError
+from imucal.readers.contents import LogContents
+from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import Room, join_rows
-from imucal.readers.tables.columns import ColumnsError
+from imucal.readers.tables.columns import ColumnsError, NamedTable
 from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.foreign_files import TableFile, TypedColumn, open_table
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
@@ -47,14 +47,8 @@ class _Part(NamedTuple):
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read a table of typed columns.
 
-    Raises
-    ------
-    ChoiceError
-        If columns, units or time are not clear.
-    ReadError
-        If the file can't be read.
-    DataError
-        If it holds no samples.
+    A ChoiceError if columns, units or time are not clear, a ReadError if the file can't be read, a DataError
+    if it holds no samples.
     """
     refuse_topics(path, options, "a table")
     table = open_table(path, limit=options.memory_limit)
@@ -64,17 +58,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
 def _read(path: Path, table: TableFile, parts: Sequence[_Part], options: ReadOptions) -> Recording:
     plans = [part.plan for part in parts]
     found = {sensor.triad.sensor.short for plan in plans for sensor in plan.sensors}
-    work = RecordingBuilder(
-        path=str(path),
-        format=table.format,
-        options=options,
-        rate_hz=table.rate_hz,
-        decisions=[*dict.fromkeys(decision for plan in plans for decision in plan.decisions)],
-        # What one table lacks another may hold.
-        findings=[finding for plan in plans for finding in plan.findings if finding.axis not in found],
-    )
+    # What one table lacks another may hold.
+    findings = [finding for plan in plans for finding in plan.findings if finding.axis not in found]
     sensors = [_columns(part, sensor, options) for part in parts for sensor in part.plan.sensors]
-    return assemble(work, sensors, [topic for plan in plans for topic in plan.topics])
+    rate = table.rate_hz
+    return assemble(str(path), table.format, options, plans, sensors, findings=findings, rate_hz=rate)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
@@ -83,14 +71,14 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     table = open_table(path, heads_above=_SMALL)
     # As numbers of eight bytes.
     unpacked = 8 * sum(column.size for column in table.columns)
-    shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
     try:
         parts = _parts(path, table, options)
         read_parts = parts if unpacked <= _SMALL else [_heads(part) for part in parts]
-        contents = contents_of(_read(path, table, read_parts, options), path, size=size)
+        found = _read(path, table, read_parts, options)
     except ImucalError as error:
-        topic = TopicContents(name=path.name, type="table", note=f"{error}; columns: {shown}")
-        return LogContents(path=str(path), format=table.format, size_bytes=size, topics=(topic,))
+        shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
+        return contents_of(path, table.format, f"{error}; columns: {shown}", size=size)
+    contents = contents_of(path, table.format, found, size=size)
     contents = contents if unpacked <= _SMALL else of_a_part(contents, parts[0].columns[0].size)
     return replace(contents, unpacked_bytes=unpacked)
 
@@ -112,11 +100,16 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         # The indices in a columns text, and in the error that proposes one, are those of the widest table.
         widest = max(groups, key=lambda group: (len(group), group[0].size))
         return [_only_part(path, table, widest, options)]
-    _refuse_doubles(path, parts)
+    triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
+    for sensor in Sensor:
+        names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
+        if len(names) > 1:
+            two = f"two tables hold a {sensor}: {' and '.join(names[:2])}"
+            raise refused(path, f"{two}; expected one; give the columns", ChoiceError)
     return parts
 
 
-def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
+def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
     """Return the columns by their lengths; a ReadError where there are none of samples."""
     lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
     if not lengths:
@@ -125,21 +118,8 @@ def _groups(path: Path, table: TableFile) -> list[tuple[TypedColumn, ...]]:
             f"no columns of samples, found {found}; expected arrays of the gyroscope or the accelerometer "
             "with a row per sample and up to 64 columns; save those columns alone"
         )
-        msg = f"{path}: {why}"
-        raise ReadError(msg)
-    return [tuple(column for column in table.columns if column.size == length) for length in lengths]
-
-
-def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
-    triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
-    for sensor in Sensor:
-        names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
-        if len(names) > 1:
-            msg = (
-                f"{path}: two tables hold a {sensor}: {' and '.join(names[:2])}; "
-                "expected one; give the columns"
-            )
-            raise ChoiceError(msg)
+        raise refused(path, why)
+    return [[column for column in table.columns if column.size == length] for length in lengths]
 
 
 def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
@@ -148,25 +128,17 @@ def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], opt
         return _part(path, columns, options, table.shapes)
     except ColumnsError as error:
 
-        def tried(text: str) -> object:
-            asked = replace(options, columns=text)
+        def tried(asked: ReadOptions) -> object:
             return _read(path, table, [_heads(_part(path, columns, asked, table.shapes))], asked)
 
-        asking = with_more(str(path), error, tried)
+        asking = with_more(str(path), error, options, tried)
         raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
 
 
 def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shapes: Sequence[str]) -> _Part:
-    plan = make_plan(
-        str(path),
-        [column.name for column in columns],
-        [column.cells for column in columns].__getitem__,
-        options,
-        units=[column.unit for column in columns],
-        name=path.name,
-        shape=", ".join(shapes),
-    )
-    return _Part(columns, plan)
+    names, units = [column.name for column in columns], [column.unit for column in columns]
+    table = NamedTable.of(str(path), names, [column.cells for column in columns].__getitem__, units=units)
+    return _Part(columns, make_plan(table, options, name=path.name, shape=", ".join(shapes)))
 
 
 def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorColumns:
@@ -188,17 +160,17 @@ def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorCol
     return columns.rows(chosen, Room(options.memory_limit))
 
 
-def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:
+def _times(part: _Part, time: TimeChoice | None) -> list[Numbers]:
     """Return the columns of a time as whole numbers or floats; texts in ns."""
     found: list[Numbers] = []
-    for column in [part.columns[index] for index in time.indices] if time is not None else ():
+    for index in time.indices if time else ():
+        column = part.columns[index]
         values = column.values()
-        if time is not None and time.kind == "text":
+        if time and time.kind == "text":
             found.append(parse_texts(list(map(str, values)), text_kind(column.cells), by_day=time.by_day))
             continue
-        if values.dtype.kind == "M":
-            values = values.astype("datetime64[ns]")
+        values = values.astype("datetime64[ns]") if values.dtype.kind == "M" else values
         # Stamps may be mended in place, so whole numbers are copied.
-        integers = values.dtype.kind in "iuM"
-        found.append(values.astype(np.int64) if integers else np.asarray(values, dtype=np.float64))
-    return tuple(found)
+        whole = values.dtype.kind in "iuM"
+        found.append(values.astype(np.int64) if whole else values.astype(np.float64, copy=False))
+    return found

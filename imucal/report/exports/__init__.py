@@ -36,10 +36,7 @@ _OURS = "written by imucal "
 def find_target(name: str) -> Target:
     """Return a format by its name or an alias, whatever its case and hyphens.
 
-    Raises
-    ------
-    ValueError
-        If there is no such format; the message suggests the nearest.
+    A ValueError says that there is none, and suggests the nearest.
     """
     by_key = {
         name_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)
@@ -49,53 +46,26 @@ def find_target(name: str) -> Target:
         near = [target.name for key, target in by_key.items() if _is_slip(name_key(name), key)]
         meant = f"did you mean {near[0]}? " if near else ""
         said = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
-        msg = f"no downstream format {name!r}; {said}there are {', '.join(TARGETS)}"
-        raise ValueError(msg)
+        raise ValueError(f"no downstream format {name!r}; {said}there are {', '.join(TARGETS)}")
     return found
 
 
 def render(report: Report, target: str, **options: Unpack[Options]) -> str:
-    """Return the text of a downstream file; the options are those of `export`.
-
-    Raises
-    ------
-    DataError
-        If the report lacks a sensor or an axis that the format needs, or a term was not identified
-        and its bound is refused.
-    ValueError
-        If the format or an option is unknown.
-    """
+    """Return the text of a downstream file; options and errors are those of `export`, which writes it."""
     return find_target(target).render(report, Choices(**options))
 
 
 def export(report: Report, target: str, path: Path, **options: Unpack[Options]) -> tuple[Path, ...]:
-    """Write the config file of a downstream consumer, with every conversion said in a comment.
+    """Write the config file of a downstream consumer, with every conversion in a comment; return its files.
 
-    Parameters
-    ----------
-    report
-        What was found.
-    target
-        A key of `TARGETS`, an alias, or ``all``.
-    path
-        The file to write; or a folder, where the file gets the format's own name. For ``all`` a
-        folder, made where it doesn't exist.
-    options
-        What the user decides; the attributes of `Choices`.
+    The target is a key of `TARGETS`, an alias, or ``all``. The path is the file to write; or a folder,
+    where the file gets the format's own name; for ``all`` a folder, made where it doesn't exist. The
+    options are what the user decides, the attributes of `Choices`.
 
-    Returns
-    -------
-    tuple of Path
-        The files written.
-
-    Raises
-    ------
-    DataError
-        As `render`; nothing is written then.
-    WriteError
-        If a file can't be written, or one of the same name wasn't written by imucal.
-    ValueError
-        If the format or an option is unknown.
+    A DataError says that the report lacks a sensor or an axis that the format needs, or that a term was not
+    identified and its bound is refused; nothing is written then. A WriteError says that a file can't be
+    written, or that one of the same name wasn't written by imucal, a ValueError that the format or an
+    option is unknown.
     """
     path = Path(path)
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)

@@ -5,14 +5,15 @@ fit alone leave out its flicker, and a filter with them trusts itself too much.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, replace
 from typing import Literal, TypeAlias, TypedDict, get_args
 
 import numpy as np
 
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction.filter_numbers import (
@@ -33,31 +34,24 @@ Basis: TypeAlias = Literal["covered", "as-fitted"]
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
 #: The two numbers of a filter.
 COVERING = ("N", "K")
+#: Of a bank of Gauss-Markov processes that stands for flicker: states a decade of correlation time, and how
+#: far it reaches below the time at which flicker and white noise are equal.
+_PER_DECADE, _MARGIN = 1.5, 10.0
 #: Correlation time where none was measured, in s: long against the record, so that a walk stays one.
 NOMINAL_TIME_S = 3600.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Choices:
     """What the user decides about a downstream file.
 
-    Attributes
-    ----------
-    axis_policy
-        For formats with one number a sensor: ``worst``, the largest of the axes; ``rms``, the root
-        of the mean variance; or one axis, ``x``, ``y`` or ``z``.
-    inflate
-        ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance).
-    unidentified
-        For a term that the data do not show: write its upper ``bound``, or ``refuse``.
-    topic
-        Topic to write, for formats that name one; None for the log's own.
-    numbers
-        White noise and walk that have ``covered`` the fitted spectrum, or N and K ``as-fitted``.
-    horizon_s
-        How long the filter may coast; None for what is usual with the format.
-    step_s
-        How often it is aided.
+    `axis_policy` is for formats with one number a sensor: ``worst``, the largest of the axes; ``rms``, the
+    root of the mean variance; or one axis, ``x``, ``y`` or ``z``. `inflate` has for ``white``, ``walk`` or
+    ``flicker`` a factor on the coefficient (a deviation, not a variance). A term that the data do not show
+    is written as its upper ``bound``, or `unidentified` says to ``refuse``. `topic` is the one to write,
+    for formats that name one; None for the log's own. `numbers` are white noise and walk that have
+    ``covered`` the fitted spectrum, or N and K ``as-fitted``. The filter may coast for `horizon_s`, None
+    for what is usual with the format, and is aided every `step_s`.
     """
 
     axis_policy: AxisPolicy = "worst"
@@ -79,8 +73,7 @@ class Choices:
         for name, factor in self.inflate.items():
             _require(name, tuple(INFLATABLE), "inflation")
             if not (math.isfinite(factor) and factor > 0):
-                msg = f"inflation of {name} must be a positive number, got {factor}"
-                raise ValueError(msg)
+                raise ValueError(f"inflation of {name} must be a positive number, got {factor}")
 
     def factor(self, symbol: str) -> float:
         """Return the factor on a term's coefficient; 1 where nothing was asked."""
@@ -99,33 +92,17 @@ class Options(TypedDict, total=False):
     step_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Number:
-    """One coefficient as it goes into a file.
+    """One positive coefficient as it goes into a file, in SI, inflation included; `symbol` is its term.
 
-    Attributes
-    ----------
-    symbol
-        Its term.
-    value
-        The coefficient in SI, positive, inflation included.
-    axes
-        The axes it was made from: one, or all of the sensor's for ``rms``.
-    bounded
-        Those of `axes` whose upper bound stands in for a value.
-    level
-        Confidence level of the bound and of the interval.
-    interval
-        The coefficient's limits, inflation included; None for a bound or for several axes.
-    excess
-        A bound over the largest coefficient whose line stays below the measured Allan curve; None for
-        a value or for several axes.
-    alternatives
-        Symbols of terms that may stand in this one's place: the record can't tell which.
-    origin
-        What the number is, where it is no estimate of one record.
-    covers
-        Whether `value` is of a pair that covers the spectra of `axes`; the rest is of the fit's own number.
+    It was made from some `axes`: one, or all of the sensor's for ``rms``; of those that are `bounded` the
+    upper bound, at a confidence `level`, stands in for a value. Its `interval` is None for a bound or for
+    several axes, and so is, for a value too, `excess`: a bound over the largest coefficient whose line
+    stays below the measured Allan curve. `alternatives` are symbols of terms that may stand in this one's
+    place: the record can't tell which. `origin` says what the number is, where it is no estimate of one
+    record. Where it `covers`, `value` is of a pair that covers the spectra of the axes; the rest is of the
+    fit's own number.
     """
 
     symbol: str
@@ -165,22 +142,12 @@ class Number:
         return f"{text}; {self.excess:.2g} x its line that touches the measured curve"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class WithBias:
-    """An axis as white noise and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
+    """An axis as white noise N and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
 
-    Attributes
-    ----------
-    white
-        Its N.
-    driving
-        Density of the noise that drives the bias, in U/sqrt(s).
-    correlation_time
-        T, in s.
-    used
-        The numbers it is made of.
-    note
-        Where they come from.
+    `driving` is the density of the noise that drives the bias, in U/sqrt(s), T is in s; `used` are the
+    numbers it is made of, `note` says where they come from.
     """
 
     white: float
@@ -195,7 +162,7 @@ class WithBias:
         return self.driving * math.sqrt(self.correlation_time / 2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Numbers:
     """A report as a file format sees it.
 
@@ -235,8 +202,7 @@ class Numbers:
         for candidate in self.axes(sensor):
             if candidate.axis == axis:
                 return candidate
-        name = f"{sensor.short}_{axis}"
-        raise self._missing(name)
+        raise self._missing(f"{sensor.short}_{axis}")
 
     def triad(self, sensor: Sensor) -> tuple[AxisReport, AxisReport, AxisReport]:
         """Return all three axes of a sensor."""
@@ -248,7 +214,9 @@ class Numbers:
 
     def one(self, sensor: Sensor, symbol: str) -> Number:
         """Return one number for a sensor, by the axis policy."""
-        axes = self.chosen(sensor)
+        return self._number(self.chosen(sensor), symbol)
+
+    def _number(self, axes: Sequence[AxisReport], symbol: str) -> Number:
         if self.covers and symbol in COVERING:
             return self._covering(axes, symbol)
         numbers = [self.of(axis, symbol) for axis in axes]
@@ -262,27 +230,30 @@ class Numbers:
         policy = self.choices.axis_policy
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
-    def each(self, sensor: Sensor, symbol: str) -> tuple[Number, Number, Number]:
+    def each(self, sensor: Sensor, symbol: str) -> tuple[Number, ...]:
         """Return a number for each of the three axes; the axis policy plays no part."""
-        covers = self.covers and symbol in COVERING
-        x, y, z = (
-            self._covering((axis,), symbol) if covers else self.of(axis, symbol)
-            for axis in self.triad(sensor)
-        )
-        return x, y, z
+        return tuple(self._number([axis], symbol) for axis in self.triad(sensor))
 
     def pair(self, axes: Sequence[AxisReport], *, time_s: float | None = None) -> FilterNumbers:
         """Return white noise and a walk, or a bias that forgets, which cover the spectra of some axes.
 
-        The inflation of flicker is in it, that of white noise and walk is not.
+        They are inflated: by flicker what is covered, by white noise and walk what covers it.
         """
-        return filter_numbers(
+        found = filter_numbers(
             [self._inflated(axis.fit) for axis in axes],
             horizon_s=self.horizon_s,
             step_s=self.choices.step_s,
             joined="rms" if self.choices.axis_policy == "rms" else "worst",
             time_s=time_s,
         )
+        factor = self.choices.factor
+        return replace(found, white=found.white * factor("N"), walk=found.walk * factor("K"))
+
+    def pairs(self, *, per_axis: bool) -> Iterator[tuple[tuple[AxisReport, ...], FilterNumbers]]:
+        """Yield the pair of each axis, or of each sensor by the axis policy, with its axes."""
+        for sensor in self.sensors:
+            for axes in zip(self.triad(sensor)) if per_axis else [self.chosen(sensor)]:
+                yield axes, self.pair(axes)
 
     def _inflated(self, fit: NoiseFit) -> NoiseFit:
         factor, symbols = self.choices.factor("B"), INFLATABLE["flicker"]
@@ -303,8 +274,8 @@ class Numbers:
 
     def _covering(self, axes: Sequence[AxisReport], symbol: str) -> Number:
         pair = self.pair(axes)
-        value = {"N": pair.white, "K": pair.walk}[symbol] * self.choices.factor(symbol)
-        return replace(_joined([self.of(axis, symbol) for axis in axes], value), covers=True)
+        numbers = [self.of(axis, symbol) for axis in axes]
+        return replace(_joined(numbers, pair.white if symbol == "N" else pair.walk), covers=True)
 
     def of(self, axis: AxisReport, symbol: str) -> Number:
         """Return one axis's coefficient of N, B or K, or its upper bound."""
@@ -312,7 +283,13 @@ class Numbers:
         # A model that was given is without the terms that it lacks, not uncertain of them.
         bounded, factor = estimate.value is None and estimate.high > 0, self.choices.factor(symbol)
         if bounded and self.choices.unidentified == "refuse":
-            raise self._refused(axis, estimate)
+            unit = TERMS[symbol].unit(axis.sensor)
+            msg = (
+                f"{self.report.source.path}: {axis.name}: {symbol} was not identified "
+                f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
+                "accept the bound, choose an axis that shows the term, or record for longer"
+            )
+            raise DataError(msg)
         value = factor * (estimate.high if estimate.value is None else estimate.value)
         covered = self.covers and symbol in COVERING
         return Number(
@@ -327,19 +304,17 @@ class Numbers:
             origin=estimate.origin,
         )
 
-    def gauss_markov(self, axis: AxisReport) -> tuple[float, float] | None:
-        """Return sigma (inflated) and T of an axis's slowest Gauss-Markov term; None where it has none."""
-        terms = [
-            (estimate.correlation_time.value, estimate.value)
-            for estimate in axis.fit.estimates
-            if estimate.symbol == GaussMarkov.symbol
-            and estimate.value
-            and estimate.correlation_time is not None
-        ]
-        if not terms:
-            return None
-        correlation_time, sigma = max(terms)
-        return sigma * self.choices.factor(GaussMarkov.symbol), correlation_time
+    def gauss_markov(self, axis: AxisReport) -> dict[str, GaussMarkov]:
+        """Return an axis's Gauss-Markov terms (inflated) by their keys."""
+        return {
+            e.key: GaussMarkov(sigma=e.value * self.choices.factor(e.symbol), T=e.correlation_time.value)
+            for e in axis.fit.estimates
+            if e.symbol == GaussMarkov.symbol and e.value and e.correlation_time
+        }
+
+    def slowest(self, axis: AxisReport) -> GaussMarkov | None:
+        """Return an axis's slowest Gauss-Markov term (inflated); None where it has none."""
+        return max(self.gauss_markov(axis).values(), key=lambda term: (term.T, term.sigma), default=None)
 
     def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
         """Return each axis as white noise and a bias, all of one correlation time.
@@ -354,8 +329,8 @@ class Numbers:
         pairs = self.timed([[axis] for axis in axes])
         return [
             WithBias(
-                white=pair.white * self.choices.factor("N"),
-                driving=pair.walk * self.choices.factor("K"),
+                white=pair.white,
+                driving=pair.walk,
                 correlation_time=pair.correlation_time_s or math.inf,
                 used=tuple(self._covering([axis], symbol) for symbol in COVERING),
                 note=f"{axis.name}: covered by white noise and a bias of T {pair.correlation_time_s:.4g} s",
@@ -380,14 +355,28 @@ class Numbers:
         if not self.covers or sensor not in self.sensors:
             return {}
         (pair,) = self.timed([self.chosen(Sensor(sensor))])
-        time = pair.correlation_time_s or NOMINAL_TIME_S
-        factor = self.choices.factor
-        return {"N": pair.white * factor("N"), "K": pair.walk * factor("K"), "T": time}
+        return {"N": pair.white, "K": pair.walk, "T": pair.correlation_time_s or NOMINAL_TIME_S}
 
     def times(self, sensor: str) -> list[tuple[float, str]]:
         """Return T of each axis's slowest Gauss-Markov term, with the name of the axis."""
         axes = self.axes(Sensor(sensor)) if sensor in self.sensors else ()
-        return [(term[1], axis.name) for axis in axes if (term := self.gauss_markov(axis))]
+        return [(term.T, axis.name) for axis in axes if (term := self.slowest(axis))]
+
+    def states(self, axis: AxisReport) -> Iterator[tuple[str, GaussMarkov]]:
+        """Yield an axis's slow noise as states x[t+1] = phi x[t] + q w[t], with the name of the term of each.
+
+        These are its Gauss-Markov terms, and a bank of them for its flicker, from where that begins to stand
+        out of the white noise to the length of the record.
+        """
+        yield from self.gauss_markov(axis).items()
+        if axis.fit["B"].value is None:
+            return
+        period = 1 / float(f"{axis.rate_hz:.9g}")
+        flicker, white = self.of(axis, "B").value, self.of(axis, "N").value
+        equal_s = white**2 / (2 * math.log(2) / math.pi * flicker**2)
+        longest = max(axis.duration_s, 10 * period)
+        shortest = min(max(period, equal_s / _MARGIN), longest / 2)
+        yield from (("B", term) for term in flicker_bank(flicker, shortest, longest))
 
     def _fitted_bias(self, axis: AxisReport) -> WithBias:
         """Return N and the process that best stands for what is slower.
@@ -396,25 +385,21 @@ class Numbers:
         short T would stop it. Else the slowest Gauss-Markov term, with its own T, also where that is what the
         walk is. Else the bound on K.
         """
-        white, term = self.of(axis, "N"), self.gauss_markov(axis)
-        if term is not None and (axis.fit["K"].value is None or axis.fit["K"].drawn is None):
-            sigma, time = term
-            note = f"{white.note}; Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s"
-            return WithBias(
-                white=white.value,
-                driving=sigma * math.sqrt(2 / time),
-                correlation_time=time,
-                used=(white,),
-                note=note,
-            )
-        walk = self.of(axis, "K")
-        left_out = "" if term is None else f"; a Gauss-Markov term (T {term[1]:.4g} s) is left out"
+        used, term, walk = [self.of(axis, "N")], self.slowest(axis), axis.fit["K"]
+        if term is not None and (walk.value is None or walk.drawn is None):
+            driving, time = term.sigma * math.sqrt(2 / term.T), term.T
+            said = f"Gauss-Markov term of {axis.name}: sigma {term.sigma:.4g}, T {term.T:.4g} s"
+        else:
+            used.append(self.of(axis, "K"))
+            driving, time = used[1].value, NOMINAL_TIME_S
+            left_out = f"; a Gauss-Markov term (T {term.T:.4g} s) is left out" if term else ""
+            said = f"T is nominal{left_out}"
         return WithBias(
-            white=white.value,
-            driving=walk.value,
-            correlation_time=NOMINAL_TIME_S,
-            used=(white, walk),
-            note=f"{white.note}; {walk.note}; T is nominal{left_out}",
+            white=used[0].value,
+            driving=driving,
+            correlation_time=time,
+            used=tuple(used),
+            note="; ".join([*(number.note for number in used), said]),
         )
 
     def topic(self) -> tuple[str, str]:
@@ -429,15 +414,6 @@ class Numbers:
         if len(source.topics) > 1:
             return topic, f"one of {', '.join(source.topics)}; set the topic that holds both sensors"
         return topic, "the log's topic"
-
-    def _refused(self, axis: AxisReport, estimate: Estimate) -> DataError:
-        unit = TERMS[estimate.symbol].unit(axis.sensor)
-        msg = (
-            f"{self.report.source.path}: {axis.name}: {estimate.symbol} was not identified "
-            f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
-            "accept the bound, choose an axis that shows the term, or record for longer"
-        )
-        return DataError(msg)
 
     def _positive(self, value: float, symbol: str, name: str) -> float:
         if math.isfinite(value) and value > 0:
@@ -455,6 +431,18 @@ class Numbers:
             "use a log that holds both sensors with all their axes"
         )
         return DataError(msg)
+
+
+def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:
+    """Return Gauss-Markov terms whose sum is flicker B for times between `shortest_s` and `longest_s`.
+
+    Their T are log-spaced, their variances ``B^2 ln(r) / pi`` each, r the ratio of neighbours: the sum has
+    flicker's psd to 0.7 % at 1.5 states a decade, inside the bank.
+    """
+    steps = max(1, math.ceil(_PER_DECADE * math.log10(longest_s / shortest_s)))
+    ratio = (longest_s / shortest_s) ** (1 / steps)
+    sigma = B * math.sqrt(math.log(ratio) / math.pi)
+    return tuple(GaussMarkov(sigma=sigma, T=shortest_s * ratio**i) for i in range(steps + 1))
 
 
 def _joined(numbers: Sequence[Number], value: float) -> Number:
@@ -482,5 +470,4 @@ def _excess(axis: AxisReport, estimate: Estimate) -> float | None:
 
 def _require(value: str, choices: tuple[str, ...], what: str) -> None:
     if value not in choices:
-        msg = f"{what} {value!r} is not one of {', '.join(choices)}"
-        raise ValueError(msg)
+        raise ValueError(f"{what} {value!r} is not one of {', '.join(choices)}")

@@ -14,23 +14,20 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cache
 from importlib.resources import files
+from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
+from imucal.printable import one_line
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import COVERING, INFLATABLE, Choices, Number, Numbers, WithBias
-from imucal.report.exports.state_space import states
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
-
-_POLICIES = {
-    "worst": "worst: the largest of the sensor's axes",
-    "rms": "rms: the root of the mean variance of the sensor's axes",
-}
 
 
 def name_key(name: str) -> str:
@@ -45,8 +42,7 @@ def real(value: float) -> str:
     with the point both read a real number.
     """
     if not math.isfinite(value):
-        msg = f"only finite numbers can be written, got {value}"
-        raise ValueError(msg)
+        raise ValueError(f"only finite numbers can be written, got {value}")
     mantissa, sign, exponent = repr(float(value)).partition("e")
     if "." not in mantissa:
         mantissa += ".0"
@@ -64,35 +60,10 @@ def quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def plain(text: str) -> str:
-    """Return text that stays on its line: control characters become spaces."""
-    return "".join(sign if sign.isprintable() else " " for sign in text)
-
-
 def comment(lines: Iterable[str], sign: str = "#") -> str:
     """Return the lines as comments."""
-    return "\n".join(f"{sign} {plain(line)}".rstrip() for line in lines)
+    return "\n".join(f"{sign} {one_line(line)}".rstrip() for line in lines)
 
-
-def _json(head: Sequence[str], body: str) -> str:
-    """Return a JSON object, which has no comments: they are a list under a key of our own."""
-    said = ",\n".join(f"    {quoted(plain(line))}" for line in head)
-    return f'{{\n  "_imucal": [\n{said}\n  ],\n{body}\n}}'
-
-
-def _xml(head: Sequence[str], body: str) -> str:
-    """Return an XML file; two hyphens would end its comment."""
-    said = "\n".join(f"  {plain(line).replace('--', '- -')}" for line in head)
-    return f'<?xml version="1.0"?>\n<!--\n{said}\n-->\n{body}'
-
-
-#: Kind of a file -> the comment's lines and the body, put together; else its sign of a comment.
-_LAYOUTS: dict[str, Callable[[Sequence[str], str], str]] = {
-    "json": _json,
-    "xml": _xml,
-    # OpenCV wants a directive on the first line.
-    "opencv": lambda head, body: f"%YAML:1.0\n{comment(head)}\n{body}",
-}
 
 #: Units of what a sensor's samples grow by in a second.
 _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
@@ -118,10 +89,6 @@ class Formula:
         return float((number / self.of(1.0, f)) ** (1 / self.power))
 
 
-def _times(factor: float, unit: str) -> Formula:
-    return Formula(lambda c, _: c * factor, unit)
-
-
 #: What stands behind a term's symbol in a key -> its number: continuous (c, c²); discrete, of one sample (N)
 #: or of a step as code sees it that multiplies it by dt (K).
 FORMULAS = {
@@ -135,7 +102,9 @@ FORMULAS = {
     " / sqrt(0.01 s)": Formula(lambda c, _: c / math.sqrt(0.01), "{u}"),
     " / sqrt(0.012 s)": Formula(lambda c, _: c / math.sqrt(0.012), "{u}"),
     # AirSim's units: its biases are said to be stable for 100 s.
-    " in deg/sqrt(h)": _times(TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor, "deg/sqrt(h)"),
+    " in deg/sqrt(h)": Formula(
+        lambda c, _: c * TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor, "deg/sqrt(h)"
+    ),
     " sqrt(100 s) in deg/h": Formula(
         lambda c, _: c * math.sqrt(100.0) * TERMS["B"].datasheet_unit(Sensor.GYROSCOPE).factor, "deg/h"
     ),
@@ -196,66 +165,35 @@ class Entry(NamedTuple):
         return f"{self.name}: {self.remark}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@frozen_alone
 class Target:
     """A downstream format, as a table of `formats/*.toml` has it.
 
-    Attributes
-    ----------
-    name
-        What the user asks for.
-    title
-        The consumer and its file, for a list.
-    file_name
-        Name of the file where the user gives a folder.
-    heading
-        The consumer and its file, for the comment; where none is given the title, ``config (IMU part)``
-        as ``config, its IMU part``.
-    about
-        What the consumers of its family do with the numbers.
-    source
-        What was read to know it: files of its source, or its documentation; and what was run.
-    kind
-        Continuous or discrete, in words.
-    formulas
-        How each value follows from the coefficients, in words.
-    keys
-        The keys that hold a number of one term, each with its formula.
-    every
-        Symbols of the terms that the file has for every axis.
-    bias
-        Whether it has each axis as white noise and a bias that forgets, with a correlation time for
-        ``each axis``, or one for ``all axes``.
-    text
-        The file less the comment, as a template; see `Target.body`.
-    read_back
-        Whether a user's file is recognised by its keys, and they are judged.
-    documented
-        Key -> the lowest and highest value that the consumer documents.
-    carries
-        Symbols of the terms the format has a place for.
-    per_axis
-        Whether the format holds a number for each axis.
-    own_rates
-        Whether each sensor has a rate of its own; else the numbers are for one stream of both.
-    notes
-        What else the comment says.
-    layout
-        ``json``, ``xml``, ``opencv``, or the sign that comments start with.
-    aliases
-        Other names it goes by.
-    horizon_s
-        How long a filter with these numbers may coast, where the user doesn't say.
+    The user asks for it by its `name` or its `aliases`, and gets a file called `file_name` where a folder
+    was given. `title` is the consumer and its file, for a list, and `heading` the same for the comment;
+    where none is given the title, ``config (IMU part)`` as ``config, its IMU part``. `about` says what the
+    consumers of its family do with the numbers, `source` what was read to know it, and what was run, `kind`
+    whether it is continuous or discrete, `formulas` how each value follows from the coefficients, `notes`
+    what else the comment says. `text` is the file less the comment, as a template (see `Target._known`);
+    `layout` is ``json``, ``xml``, ``opencv``, or the sign that comments start with.
+
+    `keys` hold a number of one term each, by a formula; `documented` has the lowest and highest value of a
+    key that the consumer documents. `every` are the symbols of the terms that the file has for every axis,
+    `carries` of those that it has a place for. `bias` is whether it has each axis as white noise and a bias
+    that forgets, with a correlation time for ``each axis``, or one for ``all axes``. With `read_back` a
+    user's file is recognised by its keys, and they are judged. A format that is `per_axis` holds a number
+    for each axis, and without `own_rates` the numbers are for one stream of both sensors. `horizon_s` is
+    how long a filter with them may coast, where the user doesn't say.
     """
 
     name: str
     title: str
+    heading: str
     file_name: str
     source: str
     kind: str
     formulas: tuple[str, ...]
     text: str
-    heading: str = ""
     about: str = ""
     keys: tuple[Key, ...] = ()
     every: tuple[str, ...] = ()
@@ -280,10 +218,6 @@ class Target:
         """Return whether this is its own name, whatever the case and the signs between letters."""
         return name_key(name) == name_key(self.name)
 
-    def __post_init__(self) -> None:
-        if not self.heading:
-            object.__setattr__(self, "heading", re.sub(r" \((.+)\)$", r", its \1", self.title))
-
     def numbers(self, report: Report, choices: Choices) -> Numbers:
         """Return what a report gives this format."""
         return Numbers(
@@ -296,22 +230,31 @@ class Target:
 
     def render(self, report: Report, choices: Choices) -> str:
         """Return the text of the file; raises `DataError` where a number is missing."""
-        numbers = self.numbers(report, choices)
-        used, body = self.body(numbers)
-        head = [*self._head(numbers, used), *self.notes]
-        if self.layout in _LAYOUTS:
-            return f"{_LAYOUTS[self.layout](head, body)}\n"
-        return f"{comment(head, self.layout)}\n{body}\n"
+        numbers, carried = self.numbers(report, choices), self.carries.split()
+        known = self._known(numbers)
+        body = _template(self.text).render(known).removesuffix("\n")
+        estimates = [(axis, e) for axis in report.axes for e in axis.fit.estimates]
+        lines = [(axis, line) for axis in report.axes for line in axis.fit.goodness.lines]
+        return _template(_format("file.txt")).render(
+            known,
+            body=body,
+            all_sensors=tuple(Sensor),
+            rates=[numbers.rate_hz(sensor) for sensor in numbers.sensors],
+            lost=[(axis, e) for axis, e in estimates if e.value is not None and e.symbol not in carried],
+            swings=[
+                (axis.name, line.amplitude / (math.pi * line.frequency_hz), line) for axis, line in lines
+            ],
+        )
 
-    def body(self, numbers: Numbers) -> tuple[list[Number], str]:
-        """Return the numbers that stand in the file, and the file less the comment.
+    def _known(self, numbers: Numbers) -> dict[str, object]:
+        """Return what the templates know; a float is written as `real` spells it.
 
-        The template knows ``keys`` (an `Entry` each), ``every`` (each axis with its numbers), ``biased``
-        (sensor -> a `WithBias` for each axis), ``used`` (the numbers), ``numbers``, ``sensors``, the rate
-        ``f`` and the inflation's ``factor(symbol)``. A float is written as `real` spells it.
+        ``keys`` (an `Entry` each), ``every`` (each axis with its numbers), ``biased`` (sensor -> a `WithBias`
+        for each axis), ``used`` (the numbers), ``bounds`` (which of them are bounds), the inflation's
+        ``factor(symbol)`` and the rate ``f`` of the file.
         """
         keys = list(_entries(numbers, self.keys))
-        axes = [axis for sensor in numbers.sensors for axis in numbers.axes(sensor)] if self.every else []
+        axes = chain.from_iterable(map(numbers.axes, numbers.sensors)) if self.every else ()
         every = [(axis, [numbers.of(axis, symbol) for symbol in self.every]) for axis in axes]
         biased = _biased(numbers, self.bias) if self.bias else {}
         used = [
@@ -319,59 +262,25 @@ class Target:
             *(number for _, of_axis in every for number in of_axis),
             *(number for of_sensor in biased.values() for axis in of_sensor for number in axis.used),
         ]
-        text = _template(self.text).render(
-            keys=keys,
-            every=every,
-            biased=biased,
-            used=used,
-            numbers=numbers,
-            sensors=numbers.sensors,
-            f=numbers.stream_hz,
-            factor=numbers.choices.factor,
-            documented=self.documented,
-        )
-        return used, text.removesuffix("\n")
-
-    def _head(self, numbers: Numbers, used: Iterable[Number]) -> list[str]:
-        """Return the lines of the comment, without comment signs."""
-        report = numbers.report
-        topics = f", {', '.join(report.source.topics)}" if report.source.message_types else ""
-        axes = "each its own number; this format needs no axis policy"
-        if not self.per_axis:
-            policy = numbers.choices.axis_policy
-            axes = _POLICIES.get(policy, f"{policy} alone")
-        lines = [
-            f"{self.heading}, written by imucal {report.version}",
-            f"source log: {report.source.path} ({report.source.format}{topics})",
-            *(_sensor_line(numbers, sensor) for sensor in numbers.sensors),
-            *(
-                f"NO {sensor} in this log: its numbers are left out, and the program needs them from another"
-                for sensor in Sensor
-                if sensor not in numbers.sensors
-            ),
-            f"kind: {self.kind}",
-            *(f"formula: {formula}" for formula in self.formulas),
-            f"axes: {axes}",
-            f"inflation: {_inflation(numbers)}",
-            *(_coverage(numbers, per_axis=self.per_axis) if self.covers else ()),
-        ]
-        lines += _bounds(numbers, used)
-        rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
-        if max(rates) > 1.001 * min(rates):
-            lines.append(
-                "the rates differ: f is each sensor's own"
-                if self.own_rates
-                else f"the rates differ: every number is for one stream at f = {numbers.stream_hz:.9g} Hz"
-            )
-        left_out = _uncovered(numbers) if numbers.covers else _left_out(report.axes, self.carries)
-        return [*lines, *left_out, *_warnings(numbers)]
+        bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
+        return {
+            "target": self,
+            "numbers": numbers,
+            "sensors": numbers.sensors,
+            "factor": numbers.choices.factor,
+            "keys": keys,
+            "every": every,
+            "biased": biased,
+            "used": used,
+            "bounds": bounds,
+            "f": numbers.stream_hz,
+        }
 
 
 def read_targets(families: Iterable[str]) -> Iterator[Target]:
     """Yield the formats of ``formats/FAMILY.toml``; its own keys are those of all its formats."""
     for family in families:
-        text = files("imucal.report.exports").joinpath("formats", f"{family}.toml").read_text("utf-8")
-        table = tomllib.loads(text)
+        table = tomllib.loads(_format(f"{family}.toml"))
         macros = table.pop("macros", "")
         shared = {key: value for key, value in table.items() if not isinstance(value, dict)}
         for name, own in table.items():
@@ -379,7 +288,9 @@ def read_targets(families: Iterable[str]) -> Iterator[Target]:
                 continue
             lists = {key: tuple(value) for key, value in own.items() if isinstance(value, list)}
             keys = tuple(map(Key.parse, own.get("keys", ())))
-            yield Target(name=name, **{**shared, **own, **lists, "keys": keys, "text": macros + own["text"]})
+            heading = re.sub(r" \((.+)\)$", r", its \1", own["title"])
+            made = {"heading": heading, **shared, **own, **lists, "keys": keys, "text": macros + own["text"]}
+            yield Target(name=name, **made)
 
 
 def _entries(numbers: Numbers, keys: Iterable[Key]) -> Iterator[Entry]:
@@ -412,6 +323,11 @@ def _template(text: str) -> "Template":
     return _environment().from_string(text)
 
 
+def _format(name: str) -> str:
+    """Return the text of a file of the folder ``formats``."""
+    return files("imucal.report.exports").joinpath("formats", name).read_text("utf-8")
+
+
 @cache
 def _environment() -> "Environment":
     from jinja2 import Environment, StrictUndefined
@@ -419,9 +335,12 @@ def _environment() -> "Environment":
     made = Environment(  # noqa: S701 - configs, not HTML
         undefined=StrictUndefined, finalize=_spelled, trim_blocks=True, lstrip_blocks=True
     )
-    made.globals |= {"G0": G0, "TERMS": TERMS, "sqrt": math.sqrt, "inf": math.inf, "states": states}
-    made.filters |= {"quoted": quoted, "plain": plain, "comment": comment, "decimal": decimal}
-    made.filters |= {"lines": _lines, "times": _all_times}
+    made.globals |= {"G0": G0, "TERMS": TERMS, "sqrt": math.sqrt, "inf": math.inf}
+    made.globals |= {"INFLATABLE": INFLATABLE, "price": price, "itself": itself}
+    made.filters |= {"quoted": quoted, "plain": one_line, "comment": comment, "decimal": decimal}
+    made.filters["lines"] = _lines
+    # An attribute of each value, times a factor.
+    made.filters["times"] = lambda values, factor, name: [getattr(value, name) * factor for value in values]
     return made
 
 
@@ -435,63 +354,6 @@ def _spelled(value: object) -> object:
 def _lines(found: Iterable[Entry], indent: str = "") -> str:
     """Return a line of YAML for each key, with unit and origin."""
     return "\n".join(f"{indent}{e.name}: {_spelled(e.value)}  # {e.remark}" for e in found)
-
-
-def _all_times(values: Iterable[object], factor: float, name: str) -> list[float]:
-    """Return an attribute of each value, times a factor."""
-    return [getattr(value, name) * factor for value in values]
-
-
-def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
-    axis = numbers.axes(sensor)[0]
-    given = any(finding.code == "rate-given" for finding in (*numbers.report.findings, *axis.findings))
-    origin = "given by the user" if given else "measured"
-    recorded = f"{axis.duration_s:.6g} s recorded" if axis.samples else "nothing recorded"
-    return f"{sensor}: f = {numbers.rate_hz(sensor):.9g} Hz ({origin}), {recorded}"
-
-
-def _inflation(numbers: Numbers) -> str:
-    asked = {name: factor for name, factor in numbers.choices.inflate.items() if factor != 1}
-    if not asked:
-        return "none; the numbers are those of the sensor at rest"
-    parts = (f"{name} ({'/'.join(INFLATABLE[name])}) x {factor:g}" for name, factor in asked.items())
-    return f"{', '.join(parts)}; ALREADY in the numbers below"
-
-
-def _bounds(numbers: Numbers, used: Iterable[Number]) -> list[str]:
-    bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
-    if not bounds:
-        return []
-    written = "is covered in part" if numbers.covers else "is written"
-    level = f"{numbers.report.axes[0].fit.level:.0%}"
-    return [f"not identified, so the {level} upper bound {written}: {', '.join(bounds)}"]
-
-
-def _coverage(numbers: Numbers, *, per_axis: bool) -> list[str]:
-    """Say what the pairs cover, what that costs, and what the fit's own numbers are."""
-    if not numbers.covers:
-        said = "numbers: N and K as fitted; flicker and Gauss-Markov terms are left out, so that a filter"
-        return [f"{said} with them is surer than it should be"]
-    groups = [
-        each
-        for sensor in numbers.sensors
-        for each in ([(axis,) for axis in numbers.triad(sensor)] if per_axis else [numbers.chosen(sensor)])
-    ]
-    pairs = [numbers.pair(axes) for axes in groups]
-    what = "upper limits of the Allan curve" if pairs[0].basis == "curve" else "fitted spectrum"
-    level = "" if pairs[0].level is None else f" ({pairs[0].level:.0%})"
-    said = f"numbers: the least white noise and walk that cover the {what}{level}; filter aided every "
-    return [
-        f"{said}{numbers.choices.step_s:g} s or slower, horizon {numbers.horizon_s:g} s",
-        *(
-            f"{_named(axes)}: {price(pair)}; the fit's own: {itself(axes)}"
-            for axes, pair in zip(groups, pairs, strict=True)
-        ),
-    ]
-
-
-def _named(axes: Sequence[AxisReport]) -> str:
-    return ", ".join(axis.name for axis in axes)
 
 
 def price(pair: FilterNumbers) -> str:
@@ -513,43 +375,3 @@ def itself(axes: Sequence[AxisReport]) -> str:
             limits = f" ({worst.low:.3g} to {worst.high:.3g})" if worst.low < worst.high else ""
             said.append(f"{key} {worst.value:.3g}{limits}")
     return ", ".join(said)
-
-
-def _uncovered(numbers: Numbers) -> list[str]:
-    """Say what two numbers do not cover: what a rounded signal adds, and spectral lines."""
-    said = []
-    for axis in numbers.report.axes:
-        rounding = next((e.value for e in axis.fit.estimates if e.symbol == "Q" and e.value), None)
-        if rounding is not None:
-            said.append(f"{axis.name}: quantization adds at most sqrt(2) Q = {math.sqrt(2) * rounding:.3g}")
-        if axis.fit.goodness.lines:
-            line = max(axis.fit.goodness.lines, key=lambda line: line.amplitude / line.frequency_hz)
-            swing = line.amplitude / (math.pi * line.frequency_hz)
-            said.append(
-                f"{axis.name}: the tone of {line.frequency_hz:.4g} Hz is not covered, it adds {swing:.3g}"
-            )
-    return said
-
-
-def _left_out(axes: Iterable[AxisReport], carries: str) -> list[str]:
-    """Name the terms that were found but have no place in the format, and the walk that GM looks like."""
-    places: dict[str, list[str]] = {}
-    walks = []
-    for axis in axes:
-        for estimate in axis.fit.estimates:
-            if estimate.value is None or estimate.symbol in carries.split():
-                continue
-            places.setdefault(estimate.symbol, []).append(axis.name)
-            if estimate.correlation_time is not None:
-                time = estimate.correlation_time.value
-                walk = estimate.value * math.sqrt(2 / time)
-                walks.append(f"{estimate.key} of {axis.name} looks like K = {walk:.3g} below {time:.3g} s")
-    if not places:
-        return []
-    parts = (f"{symbol} ({', '.join(dict.fromkeys(names))})" for symbol, names in places.items())
-    return [f"found, but without a place in this format: {', '.join(parts)}", *walks]
-
-
-def _warnings(numbers: Numbers) -> list[str]:
-    codes = ", ".join(dict.fromkeys(f.code for f in numbers.report.all_findings if f.level != "info"))
-    return [f"read the report before you use these numbers; it warns of: {codes}"] if codes else []

@@ -7,7 +7,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import band
+from imucal.fitting.spectral import band, starts
 from imucal.fitting.spectral import band as filter_response
 from imucal.fitting.spectral.band import (
     BANDS,
@@ -20,20 +20,18 @@ from imucal.fitting.spectral.band import (
     find_band,
     start_response,
 )
-from imucal.fitting.spectral.likelihood import candidates_of, evaluate
+from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
-from imucal.fitting.spectral.scoring import Maximum
-from tests.fitting.fits import ordinates_of, simulated
+from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 
-def _maximum(objective: float, information: FloatArray) -> Maximum:
-    return Maximum(
-        theta=np.zeros((1, SHAPED)),
+def _maximum(objective: float, information: FloatArray) -> Evaluation:
+    return at_maximum(
+        np.zeros((1, SHAPED)),
         objective=np.array([objective]),
         information=information[None],
         beta=np.zeros((1, 0)),
         beta_covariance=np.zeros((1, 0, 0)),
-        converged=np.ones(1, dtype=bool),
     )
 
 
@@ -101,14 +99,15 @@ def test_orders_that_are_tried() -> None:
 def test_the_deviation_of_white_noise_is_half_that_of_its_logarithm() -> None:
     """Infinite where the model has none."""
     information = np.diag([1.0, 25.0, 1.0, 1.0])
-    assert _deviation_of_white(candidates_of([("N",)], ()), _maximum(0.0, information)) == pytest.approx(0.1)
-    assert _deviation_of_white(candidates_of([("B",)], ()), _maximum(0.0, information)) == np.inf
+    white = _maximum(0.0, information)
+    assert _deviation_of_white(white) == pytest.approx(0.1)
+    assert _deviation_of_white(replace(white, candidates=candidates_of([("B",)], ()))) == np.inf
 
 
 def test_the_level_at_the_top_is_that_of_the_last_eight_bins() -> None:
     """Their power over their ordinates."""
     data = ordinates_of(simulated("N=1", 2000, 1))
-    search = _BandSearch(data, ("N",), 10.0, ())
+    search = _BandSearch(data, ("N",), 10.0)
     assert search.level_at_the_top() == pytest.approx(data.power[-8:].sum() / data.size[-8:].sum())
 
 
@@ -116,7 +115,7 @@ def test_white_noise_at_the_top_makes_most_of_the_power_there() -> None:
     """Of white noise it does, of a walk it does not."""
     for text, white in (("N=1", True), ("K=1", False)):
         data = ordinates_of(simulated(text, 2000, 2))
-        assert _BandSearch(data, ("N", "K"), 10.0, ()).white_at_the_top() == white
+        assert _BandSearch(data, ("N", "K"), 10.0).white_at_the_top() == white
 
 
 def _shaped(data: Ordinates, order: Order, response: FloatArray, white: float) -> Ordinates:
@@ -171,13 +170,10 @@ def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
 def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """By its objective, whichever start it came from."""
     data = ordinates_of(simulated("N=1", 500, 1))
-    found = replace(
-        _maximum(0.0, np.eye(SHAPED)),
-        theta=np.arange(12.0).reshape(3, SHAPED),
-        objective=np.array([5.0, 3.0, 4.0]),
-    )
-    monkeypatch.setattr(band, "maximize", lambda *_, **__: found)
-    npt.assert_array_equal(_BandSearch(data, ("N",), 10.0, ()).blind(data), [[4.0, 5.0, 6.0, 7.0]])
+    found = at_maximum(np.arange(12.0).reshape(3, SHAPED), objective=np.array([5.0, 3.0, 4.0]))
+    monkeypatch.setattr(starts, "maximize", lambda *_, **__: found)
+    monkeypatch.setattr(starts, "find_starts", lambda *_, **__: (np.zeros(3, dtype=int), found.theta))
+    npt.assert_array_equal(_BandSearch(data, ("N",), 10.0).blind(data), [[4.0, 5.0, 6.0, 7.0]])
 
 
 def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +188,7 @@ def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.M
     monkeypatch.setattr(_BandSearch, "responses", lambda *_: [_trial((0, 0), 1.0)])
     for n, whole in ((2000, False), (500, True)):
         data = ordinates_of(simulated("N=1", n, 1))
-        _BandSearch(data, ("N",), 10.0, ()).filtered(None, BANDS)
+        _BandSearch(data, ("N",), 10.0).filtered(None, BANDS)
         expected = data if whole else data.below(0.03125)
         npt.assert_array_equal(seen[-1].lam, expected.lam)
 
@@ -204,9 +200,14 @@ def _scripted(
     asked: list[tuple[list[Order], FloatArray]] = []
 
     def fit(
-        _: _BandSearch, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray
+        _: _BandSearch,
+        seen: Ordinates,
+        fraction: float,
+        orders: list[Order],
+        starts: FloatArray,
+        **_more: float,
     ) -> list[_Trial]:
-        del seen
+        del seen, _more
         assert fraction == 1.0
         asked.append((orders, starts))
         return answers[len(asked) - 1]
@@ -231,7 +232,7 @@ def _flat_trials(
 def test_a_flat_band_needs_one_look_where_it_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each order starts at the blind fit; what is returned has no response."""
     asked = _scripted(monkeypatch, _flat_trials((11.9, 14.9), 3.9))
-    found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0, ()).flat()
+    found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0).flat()
     assert found is not None
     assert (found.fraction, found.order, found.poles, found.response.size) == (1.0, (0, 0), 0, 0)
     ((orders, starts),) = asked
@@ -246,7 +247,7 @@ def test_a_flat_band_is_fitted_again_from_where_the_others_went(
     """Without their responses; the best of the three counts."""
     again = [_trial((0, 0), objective, 0.0) for objective in (101.0, better, 100.0)]
     asked = _scripted(monkeypatch, _flat_trials((16.0, 16.0), 0.0), again)
-    found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0, ()).flat()
+    found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0).flat()
     assert (found is not None) == sound
     orders, starts = asked[1]
     assert orders == [(0, 0)] * 3
@@ -262,7 +263,7 @@ def test_quantization_that_bends_the_top_is_no_filter(
 ) -> None:
     """Where it makes a fifth of the power there, a filter must gain 30 and 33 instead of 12 and 15."""
     data = ordinates_of(simulated("N=1", 2000, 1))
-    search = _BandSearch(data, tuple(structure), 10.0, ())
+    search = _BandSearch(data, tuple(structure), 10.0)
     theta = np.zeros((1, SHAPED + 5))
     theta[0, 0] = np.log(share * search.level_at_the_top() / data.basis[0, -1])
     trials = _flat_trials((29.0, 32.0), 0.0, theta)
@@ -310,7 +311,7 @@ def test_which_description_is_tried_first(
     monkeypatch.setattr(_BandSearch, "white_at_the_top", lambda _: white)
     monkeypatch.setattr(_BandSearch, "filtered", filtered)
     data = ordinates_of(simulated("N=1", 2000, 1))
-    found: object = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, given=given)
+    found: object = find_band(data, ("Q", "N", "GM", "K"), given=given)
     assert found == used
 
 
@@ -318,9 +319,9 @@ def test_a_band_is_looked_for_near_another_first_and_in_the_whole_alone_if_so_as
     """Near the band that it would choose the answer is the same; the whole one is taken, sound or not."""
     samples = np.convolve(simulated("N=1", 20_000, 41), np.full(9, 1 / 9), "valid")
     data = ordinates_of(samples)
-    searched = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0)
+    searched = find_band(data, ("Q", "N", "GM", "K"))
     assert searched.fraction < 1.0
-    near = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, near=searched.fraction)
+    near = find_band(data, ("Q", "N", "GM", "K"), near=searched.fraction)
     assert (near.fraction, near.order, near.poles) == (searched.fraction, searched.order, searched.poles)
     npt.assert_array_equal(near.response, searched.response)
-    assert find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, narrow=False).fraction == 1.0
+    assert find_band(data, ("Q", "N", "GM", "K"), narrow=False).fraction == 1.0

@@ -19,9 +19,8 @@ from imucal.fitting.spectral.estimates import (
     misfits_of,
     model_of,
 )
-from imucal.fitting.spectral.likelihood import candidates_of
-from imucal.fitting.spectral.scoring import Maximum
-from tests.fitting.fits import ordinates_of, simulated
+from imucal.fitting.spectral.likelihood import Evaluation, candidates_of
+from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 TAU0 = 0.25
 UNIT = 8.0
@@ -34,11 +33,8 @@ RAMP = 3.0
 def problem(**widening: float) -> Problem:
     """Return what estimates are made with."""
     return Problem(
-        ordinates=ordinates_of(simulated("N=1", 100, 1)),
+        ordinates=replace(ordinates_of(simulated("N=1", 100, 1)), scale=UNIT),
         level=0.9,
-        shortest=2.0,
-        common=(),
-        unit=UNIT,
         tau0=TAU0,
         widening=widening,
     )
@@ -47,15 +43,15 @@ def problem(**widening: float) -> Problem:
 def fit(theta: FloatArray = THETA, structure: tuple[str, ...] = STRUCTURE, beta: float = RAMP) -> Fitted:
     """Return a maximum; the information of parameter i is (i + 1)²."""
     size = theta.size
-    maximum = Maximum(
-        theta=theta[None],
+    maximum = at_maximum(
+        theta[None],
+        candidates=candidates_of([structure], ["R"]),
         objective=np.zeros(1),
         information=np.diag(np.arange(1.0, size + 1) ** 2)[None],
         beta=np.array([[beta]]),
         beta_covariance=np.array([[[0.25]]]),
-        converged=np.ones(1, dtype=bool),
     )
-    return Fitted(structure=structure, candidate=candidates_of([structure], ["R"]), maximum=maximum)
+    return Fitted(structure=structure, maximum=maximum)
 
 
 def found(
@@ -64,11 +60,8 @@ def found(
 ) -> dict[str, Estimate]:  # fmt: skip
     """Return the estimates, where every limit lies so far below and above its parameter."""
 
-    def limits(
-        _: object, candidates: object, maximum: Maximum, columns: FloatArray, **options: object
-    ) -> object:
-        assert options["shortest"] == 2.0
-        del candidates
+    def limits(_: object, maximum: Evaluation, columns: FloatArray, **options: object) -> object:
+        del options
         rows = np.arange(columns.size)
         values = np.where(columns == -1, maximum.beta[:, 0], maximum.theta[rows, columns])
         return values - below if lowest is None else np.full(values.size, lowest), values + above
@@ -222,5 +215,6 @@ def test_gauss_markov_terms_are_sorted_by_their_times() -> None:
     assert made.by_time().maximum.theta.tolist() == made.maximum.theta.tolist()
     alone = fit(THETA[[0, 1, 2, 3, 4, 6]], ("N", "GM"))
     assert alone.by_time().maximum.theta.tolist() == alone.maximum.theta.tolist()
-    room = replace(fit(structure=("N", "GM")), candidate=candidates_of([("N", "GM")], ["R"], room_shaped=2))
+    roomy = candidates_of([("N", "GM")], ["R"], room_shaped=2)
+    room = Fitted(structure=("N", "GM"), maximum=replace(fit().maximum, candidates=roomy))
     assert room.by_time().maximum.theta.tolist() == room.maximum.theta.tolist()

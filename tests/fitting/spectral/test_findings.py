@@ -18,10 +18,8 @@ from imucal.fitting.spectral.mle import (
     _used,
 )
 from imucal.fitting.spectral.not_noise import line_finding
-from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import Maximum
 from imucal.recording import AxisSeries
-from tests.fitting.fits import ordinates_of
+from tests.fitting.fits import at_maximum
 
 if TYPE_CHECKING:
     from imucal.fitting.spectral.likelihood import Candidates
@@ -118,19 +116,18 @@ def test_the_richest_model_holds_every_candidate() -> None:
     assert set(richest(("Q", "GM", "GM"), 1)) == {"Q", "N", "B", "GM", "K"}
 
 
-def _behind(poles: FloatArray, zeros: int) -> tuple[Ordinates, Fitted]:
-    """Return ordinates and a model of white noise behind the response of these coefficients."""
-    data = ordinates_of(np.random.default_rng(1).standard_normal(300))
+def _behind(poles: FloatArray, zeros: int) -> Fitted:
+    """Return a model of white noise behind the response of these coefficients."""
     candidate: Candidates = candidates_of([("N",)], ("R",), poles=poles.size, zeros=zeros)
-    maximum = Maximum(
-        theta=np.concatenate([np.zeros(4), poles])[None, :],
+    maximum = at_maximum(
+        np.concatenate([np.zeros(4), poles])[None, :],
+        candidates=candidate,
         objective=np.zeros(1),
         information=np.zeros((1, candidate.width, candidate.width)),
         beta=np.zeros((1, 1)),
         beta_covariance=np.zeros((1, 1, 1)),
-        converged=np.ones(1, dtype=bool),
     )
-    return data, Fitted(structure=("N",), candidate=candidate, maximum=maximum)
+    return Fitted(structure=("N",), maximum=maximum)
 
 
 @pytest.mark.parametrize(
@@ -150,8 +147,8 @@ def test_a_response_is_named_and_its_corner_found(
 ) -> None:
     """To the step of 1/2000 of the band; the family by its shape."""
     response = np.array(poles)
-    data, fitted = _behind(response, order[1])
-    found = response_of(data, fitted, _band(1.0, order, response), RATE)
+    fitted = _behind(response, order[1])
+    found = response_of(fitted, _band(1.0, order, response), RATE)
     assert found is not None
     assert found.kind == kind
     if fraction is not None:
@@ -161,9 +158,9 @@ def test_a_response_is_named_and_its_corner_found(
 def test_a_response_without_a_corner_has_no_name() -> None:
     """One of order 0, and one that never falls to a half."""
     response = np.array([0.9])
-    data, fitted = _behind(response, 0)
-    assert response_of(data, fitted, _band(1.0, (1, 0), response), RATE) is None
-    assert response_of(data, fitted, _band(1.0, (0, 0), response), RATE) is None
+    fitted = _behind(response, 0)
+    assert response_of(fitted, _band(1.0, (1, 0), response), RATE) is None
+    assert response_of(fitted, _band(1.0, (0, 0), response), RATE) is None
 
 
 @pytest.mark.parametrize(
@@ -221,8 +218,8 @@ def test_what_is_said_about_a_filter(
 ) -> None:
     """Nothing of a flat whole band; else its name, or what bends the spectrum, or where the fit ends."""
     response = np.array([] if pole is None else [pole])
-    data, fitted = _behind(response, 0)
+    fitted = _behind(response, 0)
     given = Response(kind="one-pole", cutoff_hz=12.5) if named else None
-    found = filter_finding(data, fitted, _band(fraction, order, response), given, rate_hz=RATE, axis="gyro_x")
+    found = filter_finding(fitted, _band(fraction, order, response), given, rate_hz=RATE, axis="gyro_x")
     assert [f.text for f in found] == ([] if text is None else [text])
     assert all((f.level, f.code, f.axis) == ("info", "output-filter", "gyro_x") for f in found)

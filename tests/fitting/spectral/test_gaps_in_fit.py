@@ -165,7 +165,7 @@ def test_at_most_48_blocks_and_the_longest_gaps_part_them() -> None:
         samples[place : place + length] = np.nan
     runs, lost = _runs(series_of(samples))
     longest = lengths > 125 - 48
-    npt.assert_array_equal([run.offset for run in runs[1:]], places[longest] + lengths[longest])
+    npt.assert_array_equal([run.first for run in runs[1:]], places[longest] + lengths[longest])
     assert (len(runs), lost) == (48, 0)
 
 
@@ -208,3 +208,17 @@ def test_a_bend_of_a_hundred_millionth_is_noise_and_one_of_a_hundredth_of_that_i
     assert scale_of(series_of(ramp + 1e-8 * (ramp == 50))) == 1.0
     with pytest.raises(DataError, match="lie on one straight line"):
         scale_of(series_of(ramp + 1e-10 * (ramp == 50)))
+
+
+def test_the_longest_gaps_part_48_blocks_and_of_equal_ones_the_first() -> None:
+    """What lies behind the others is one block, its gaps completed: a limit for logs of regular dropouts."""
+    samples = simulated(TEXT, 60 * 300, 8)
+    for start in range(200, samples.size, 300):
+        samples[start : start + 100] = np.nan
+    samples[-100 - 300 :] = simulated(TEXT, 400, 9)
+    samples[50 * 300 + 180 : 50 * 300 + 300] = np.nan
+    runs, lost = _runs(series_of(samples))
+    assert (len(runs), lost) == (48, 0)
+    # The gap of 120 samples is the longest, so the first 46 of the others stay.
+    assert [run.first for run in runs[:47]] == [300 * number for number in range(47)]
+    assert runs[47].first == 51 * 300

@@ -5,7 +5,7 @@ import pytest
 
 from imucal.fitting.cross_checks import distances, verify_findings
 from imucal.fitting.robust import heavy_tails
-from imucal.fitting.spectral.likelihood import candidates_of
+from imucal.fitting.spectral.likelihood import candidates_of, evaluate
 from imucal.fitting.spectral.scoring import misfit
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
@@ -18,7 +18,7 @@ def test_score_of_the_truth_is_standard_normal() -> None:
     scores = []
     for seed in range(300):
         data = ordinates_of(np.random.default_rng(seed).standard_normal(3000))
-        scores.append(misfit(data, candidate, np.zeros((1, 4))).statistic)
+        scores.append(misfit(data, evaluate(data, candidate, np.zeros((1, 4)))).statistic)
     # Three standard errors of a mean and of a standard deviation; the sum is a little skew.
     assert np.mean(scores) == pytest.approx(0, abs=3 / np.sqrt(300))
     assert np.std(scores) == pytest.approx(1, abs=0.2)

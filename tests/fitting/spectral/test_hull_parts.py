@@ -18,9 +18,6 @@ from tests.fitting.fits import ordinates_of
 PROBLEM = Problem(
     ordinates=ordinates_of(np.random.default_rng(0).standard_normal(100)),
     level=0.9545,
-    shortest=2.0,
-    common=(),
-    unit=1.0,
     tau0=1.0,
     widening={},
 )
@@ -32,8 +29,9 @@ def _ranked(structures: list[Structure], criterion: list[float], fit: list[float
     models = SimpleNamespace(
         structures=structures,
         criterion=np.array(criterion),
-        candidates=SimpleNamespace(parameters=parameters),
-        maximum=SimpleNamespace(objective=np.array(fit) / 2 - parameters),
+        maximum=SimpleNamespace(
+            candidates=SimpleNamespace(parameters=parameters), objective=np.array(fit) / 2 - parameters
+        ),
     )
     return cast("RankedModels", models)
 

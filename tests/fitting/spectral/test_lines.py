@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from imucal.allan.dct import dct_bins, dct_ordinates
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
+from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import _level, find_lines, with_sines, without_strong_lines
 from imucal.noise.model import NoiseModel
@@ -69,22 +70,31 @@ def test_never_takes_the_lowest_ordinates() -> None:
     assert kept is None or kept[:48].all()
 
 
+def _level_of(
+    square: FloatArray, bins: DctBins, kept: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the level about each bin, and how sure it is, of the squares that are kept."""
+    weight = np.ones(square.size) if kept is None else kept.astype(np.float64)
+    starts = bins.first - 1
+    return _level(np.add.reduceat(square * weight, starts), np.add.reduceat(weight, starts), bins)
+
+
 def test_the_level_is_as_sure_as_half_the_ordinates_it_is_made_of() -> None:
     """Seventeen neighbouring bins; of single ordinates at first, of more than a hundred at the end."""
     bins = dct_bins(1000)
-    level, sureness = _level(np.ones(999), None, bins)
+    level, sureness = _level_of(np.ones(999), bins)
     assert sureness[:100].tolist() == [8.5] * 100
     assert sureness[-20] == 0.5 * bins.count[-28:-11].sum() > 40
     assert level[-20] == pytest.approx(1.0)
     # With nothing kept there is still a level, of one degree of freedom.
-    assert _level(np.ones(999), np.arange(999) < 1, bins)[1][-1] == 1.0
+    assert _level_of(np.ones(999), bins, np.arange(999) < 1)[1][-1] == 1.0
 
 
 def test_the_level_is_that_of_the_ordinates_that_are_kept() -> None:
     """Half of them left out, the mean of the others is what it was; they are half as sure."""
     bins = dct_bins(1000)
-    whole, sureness = _level(np.full(999, 4.0), None, bins)
-    level, less = _level(np.where(np.arange(999) % 2, 4.0, 1e9), np.arange(999) % 2 == 1, bins)
+    whole, sureness = _level_of(np.full(999, 4.0), bins)
+    level, less = _level_of(np.where(np.arange(999) % 2, 4.0, 1e9), bins, np.arange(999) % 2 == 1)
     assert level[-20] == pytest.approx(whole[-20]) == pytest.approx(4.0)
     assert less[-20] == pytest.approx(sureness[-20] / 2, rel=0.05)
 

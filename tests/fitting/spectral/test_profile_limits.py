@@ -10,10 +10,10 @@ import pytest
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.spectral import estimates
 from imucal.fitting.spectral.estimates import RAMP, _ProfileSearch, profile_limits, quantile
-from imucal.fitting.spectral.likelihood import Candidates, candidates_of
+from imucal.fitting.spectral.likelihood import Candidates, Evaluation, candidates_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import Maximum, bounds
-from tests.fitting.fits import ordinates_of, simulated
+from imucal.fitting.spectral.scoring import bounds
+from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 #: Columns of the variances of N and of a Gauss-Markov term, and of its time.
 N, SIGMA, TIME = 1, 4, 5
@@ -23,16 +23,16 @@ CENTRE = np.array([0.0, 0.2, 0.0, 0.0, 0.4, np.log(50.0)])
 BETA, PEAK = 0.3, 7.0
 
 
-def maximum(information: FloatArray | None = None) -> Maximum:
+def maximum(information: FloatArray | None = None) -> Evaluation:
     """Return the place of the greatest likelihood."""
     width = CENTRE.size
-    return Maximum(
-        theta=CENTRE[None].copy(),
+    return at_maximum(
+        CENTRE[None].copy(),
+        candidates=CANDIDATES,
         objective=np.array([PEAK]),
         information=(np.eye(width) if information is None else information)[None],
         beta=np.array([[BETA]]),
         beta_covariance=np.array([[[0.04]]]),
-        converged=np.ones(1, dtype=bool),
     )
 
 
@@ -47,10 +47,9 @@ def known(monkeypatch: pytest.MonkeyPatch, deviation: float) -> list[BoolArray]:
         *,
         free: BoolArray,
         ramp: FloatArray,
-        shortest: float,
         **options: Any,  # noqa: ANN401
-    ) -> Maximum:
-        del ordinates, shortest, options
+    ) -> Evaluation:
+        del ordinates, options
         seen.append(free)
         assert candidates.count == len(theta) == len(free) == ramp.size
         away = [np.exp(theta[:, c] / 2) - np.exp(CENTRE[c] / 2) for c in (N, SIGMA)]
@@ -64,15 +63,8 @@ def known(monkeypatch: pytest.MonkeyPatch, deviation: float) -> list[BoolArray]:
 
 def limits(columns: list[int], level: float = 0.95) -> tuple[FloatArray, FloatArray]:
     """Return the limits of some columns."""
-    rows = np.zeros(len(columns), dtype=np.int64)
-    return profile_limits(
-        DATA,
-        CANDIDATES.take(rows),
-        maximum().take(rows),
-        np.array(columns),
-        reach=np.full(len(columns), quantile(level)),
-        shortest=2.0,
-    )
+    reach = np.full(len(columns), quantile(level))
+    return profile_limits(DATA, maximum()[[0] * len(columns)], np.array(columns), reach=reach)
 
 
 def test_the_quantile_of_a_level() -> None:
@@ -117,17 +109,14 @@ def test_a_variance_may_vanish_and_a_time_may_be_any(monkeypatch: pytest.MonkeyP
 
 def search(columns: list[int], information: FloatArray | None = None) -> _ProfileSearch:
     """Return a search from the maximum."""
-    rows = np.zeros(len(columns), dtype=np.int64)
-    return _ProfileSearch(
-        DATA, CANDIDATES.take(rows), maximum(information), rows, columns=np.array(columns), shortest=2.0
-    )
+    return _ProfileSearch(DATA, maximum(information)[[0] * len(columns)], np.array(columns))
 
 
 def test_where_a_search_begins_and_what_bounds_it() -> None:
     """At the estimate, in u; a variance and a ramp have no upper bound, a ramp no lower."""
     found = search([N, TIME, RAMP])
     npt.assert_allclose(found.centre, [np.exp(0.1), CENTRE[TIME], BETA])
-    low, high = bounds(DATA, CANDIDATES, shortest=2.0)
+    low, high = bounds(DATA, CANDIDATES)
     npt.assert_allclose(found.low, [np.exp(low[N] / 2), low[TIME], -np.inf])
     npt.assert_allclose(found.high, [np.inf, high[TIME], np.inf])
     npt.assert_allclose(found.from_u(np.arange(3), np.array([2.0, 2.0, 2.0])), [2 * np.log(2.0), 2.0, 2.0])
@@ -156,5 +145,5 @@ def test_a_variance_too_small_to_see_begins_where_it_would_be_seen() -> None:
     information[N, N] = 1e-4
     found = search([N], information)
     found.centre[:] = 1e-9
-    step = found._width(maximum(information), np.zeros(1, dtype=np.int64), np.full(CENTRE.size, -20.0))
+    step = found._width(maximum(information), np.full(CENTRE.size, -20.0))
     assert step[0] == pytest.approx(np.exp(-4.0))

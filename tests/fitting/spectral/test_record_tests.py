@@ -15,7 +15,7 @@ from tests.fleet.records import bins_from, simulated
 def _least(fit: BinFit, shared: int | None) -> float:
     """Return the least -log L of all records, with one variance for all in the column `shared`."""
     columns = [c for _, c in parameter_columns(fit.whole.structure, 0) if c < SHAPED]
-    low = [bounds(one, fit.whole.candidate, shortest=fit.problem.shortest)[0][columns] for one in fit.records]
+    low = [bounds(one, fit.whole.candidate)[0][columns] for one in fit.records]
     begin = fit.whole.maximum.theta[0]
     own = [column for column in columns if column != shared]
 

@@ -33,9 +33,7 @@ def cut(
 ) -> SegmentOrdinates | None:
     """Return the ordinates of eight segments of a series over the whole band."""
     blocks = make_blocks(series, temperature)
-    return segment_ordinates(
-        series, blocks.blocks, drift=drift or {}, scale=blocks.scale, wanted=8, fraction=1.0
-    )
+    return segment_ordinates(series, blocks, drift=drift or {}, wanted=8, fraction=1.0)
 
 
 def white_levels(found: SegmentOrdinates | None, series: AxisSeries) -> np.ndarray:

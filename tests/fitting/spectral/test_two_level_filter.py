@@ -5,7 +5,7 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.telegraph import _LEAST, Mixtures, _filtered, log_likelihoods
-from imucal.noise.bank import gauss_markov_bank
+from imucal.noise.terms import GaussMarkov
 
 N = 10
 
@@ -23,7 +23,7 @@ def dense(n: int, total: float, m: Mixtures, *, markov: bool) -> FloatArray:
     both = np.minimum(t[:, None], t)
     start = max(total - float(m.markov[0]), _LEAST * total)
     found = m.white[0] * np.eye(n) + start + m.walk[0] * both
-    for term in gauss_markov_bank(1.0, 0.5, n / 3, 1.0):
+    for term in GaussMarkov.bank(1.0, 0.5, n / 3, 1.0):
         found = found + m.flicker[0] * term.sigma**2 * np.exp(-apart / term.T)
     return np.asarray(found + (m.markov[0] * np.exp(-apart / m.time[0]) if markov else 0.0))
 

@@ -22,46 +22,39 @@ def text(value: bytes) -> bytes:
 
 def test_a_schema_and_a_channel_of_an_mcap() -> None:
     body = struct.pack("<H", 3) + text(b"a/B") + text(b"ros2msg") + text(b"int8 x")
-    assert mcap.parse_schema(body) == mcap.Schema(3, "a/B", "ros2msg", "int8 x")
+    assert mcap.parse(mcap.SCHEMA, body)[0] == [3, "a/B", "ros2msg", b"int8 x"]
     with pytest.raises(DamagedError, match=r"^a schema record is damaged$"):
-        mcap.parse_schema(body[:-1])
+        mcap.parse(mcap.SCHEMA, body[:-1])
     body = struct.pack("<HH", 7, 3) + text(b"/imu") + text(b"cdr")
-    assert mcap.parse_channel(body) == (3, Channel(key=7, topic="/imu", type="", encoding="cdr"))
+    assert mcap.parse(mcap.CHANNEL, body)[0] == [7, 3, "/imu", "cdr"]
     with pytest.raises(DamagedError, match=r"^a channel record is damaged$"):
-        mcap.parse_channel(body[:3])
+        mcap.parse(mcap.CHANNEL, body[:3])
 
 
 def test_the_head_of_a_chunk() -> None:
     record = bytes(9) + struct.pack("<QQQI", 1, 2, 300, 99) + text(b"lz4") + struct.pack("<Q", 200)
-    expected = mcap.ChunkHead(size=300, crc=99, compression="lz4", data=len(record), stored=200)
-    assert mcap.parse_chunk_head(record) == expected
+    assert mcap.parse(mcap.CHUNK, record) == ([300, 99, "lz4", 200], len(record))
     with pytest.raises(DamagedError, match=r"^a chunk record is damaged$"):
-        mcap.parse_chunk_head(record[:-1])
+        mcap.parse(mcap.CHUNK, record[:-1])
 
 
 def test_the_index_of_a_chunk() -> None:
     pairs = struct.pack("<HQHQ", 1, 500, 2, 600)
     tail = struct.pack("<Q", 44) + text(b"zstd")
     body = struct.pack("<QQQQI", 5, 9, 100, 300, len(pairs)) + pairs + tail
-    assert mcap.parse_chunk_index(body) == mcap.ChunkIndex(
-        start=100,
-        length=300,
-        compression="zstd",
-        index_length=44,
-        indexes={1: 500, 2: 600},
-    )
+    assert mcap.parse(mcap.CHUNK_INDEX, body)[0] == [100, 300, {1: 500, 2: 600}, 44, "zstd"]
     for size in (len(pairs) - 1, len(pairs) + 1, 100):
         with pytest.raises(DamagedError, match=r"^a chunk index record is damaged$"):
-            mcap.parse_chunk_index(struct.pack("<QQQQI", 5, 9, 100, 300, size) + pairs + tail)
+            mcap.parse(mcap.CHUNK_INDEX, struct.pack("<QQQQI", 5, 9, 100, 300, size) + pairs + tail)
 
 
 def test_the_statistics_of_an_mcap() -> None:
     pairs = struct.pack("<HQ", 1, 12)
     head = struct.pack("<QHIIIIQQ", 12, 1, 2, 3, 4, 6, 50, 90)
-    assert mcap.parse_statistics(head + text(pairs)) == (12, 6, 50, 90, {1: 12})
+    assert mcap.parse(mcap.STATISTICS, head + text(pairs))[0] == [12, 1, 2, 3, 4, 6, 50, 90, {1: 12}]
     for body in (head + text(pairs)[:-1], head + text(pairs[:-1]), head[:-1]):
         with pytest.raises(DamagedError, match=r"^a statistics record is damaged$"):
-            mcap.parse_statistics(body)
+            mcap.parse(mcap.STATISTICS, body)
 
 
 def test_a_record_of_a_ros1_bag() -> None:
@@ -141,8 +134,9 @@ def test_numbers_of_sqlite() -> None:
     value, end = varint(data, np.array([0, 1, 3, 12]))
     npt.assert_array_equal(value, [127, 128, -1, 1])
     npt.assert_array_equal(end, [1, 3, 12, 15])
-    data = np.frombuffer(b"\xff\x01\x02\x03\x04\x05\x06\x07\x08", dtype=np.uint8)
-    found = _integers(data, np.array([1, 1, 1, 1, 1, 1, 0, 0, 0]), np.array([1, 2, 3, 4, 5, 6, 1, 8, 9]))
+    # Behind the head of a page.
+    data = np.frombuffer(bytes(8) + b"\xff\x01\x02\x03\x04\x05\x06\x07\x08", dtype=np.uint8)
+    found = _integers(data, 8 + np.array([1, 1, 1, 1, 1, 1, 0, 0, 0]), np.array([1, 2, 3, 4, 5, 6, 1, 8, 9]))
     npt.assert_array_equal(found, [1, 0x102, 0x10203, 0x1020304, 0x10203040506, 0x102030405060708, -1, 0, 1])
 
 

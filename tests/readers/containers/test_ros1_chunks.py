@@ -58,7 +58,7 @@ def test_a_chunk_gives_the_messages_of_its_index_records(held: Held) -> None:
 def test_an_index_record_without_entries_lists_no_messages(held: Held) -> None:
     """The others are there."""
     found = loaded(held, chunk(RAW), index(1), TWO)
-    assert (found[1].n, found[1].header, found[1].sizes, found[1].loss) == (0, 0, 0, None)
+    assert (found[1].n, payloads(found[1]), found[1].loss) == (0, [], None)
     assert payloads(found[2]) == [b""]
 
 

@@ -17,13 +17,11 @@ from imucal.readers.containers.ros1 import _guards
 def test_all_but_the_time_is_guarded(head: bytes) -> None:
     """Every byte before and behind the eight of the time, once."""
     guards = _guards(head)
-    assert guards is not None
     assert all(head[at : at + len(part)] == part for at, part in guards)
     guarded = [place for at, part in guards for place in range(at, at + len(part))]
     at = head.index(b"time=") + 5
     assert guarded == [place for place in range(len(head)) if not at <= place < at + 8]
 
 
-def test_a_header_without_a_time_has_none() -> None:
-    """Then every record is checked by itself."""
-    assert _guards(b"op=2") is None
+def test_a_header_without_a_time_is_guarded_whole() -> None:
+    assert _guards(b"op=2") == ((0, b"op=2"),)

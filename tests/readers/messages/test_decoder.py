@@ -10,9 +10,9 @@ import pytest
 
 from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.definitions import Field, flatten
+from imucal.readers.messages.definitions import Definition, Field
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
-from imucal.readers.messages.plain import BinaryDecoder, Shape
+from imucal.readers.messages.plain import BinaryDecoder, Shape, is_reachable
 from imucal.readers.store import Columns
 from imucal.recording import Sensor
 
@@ -30,7 +30,7 @@ HEADER = 12
 
 def fields(text: str = TEXT, *, ros1: bool = True) -> tuple[Field, ...]:
     """Return the fields of a message."""
-    return flatten("pkg/M", text, ros1=ros1)
+    return Definition("pkg/M", text, ros1=ros1).fields()
 
 
 def payload(row: int, code: int | None, text: bytes = b"imu\0") -> bytes:
@@ -372,3 +372,11 @@ def test_seconds_are_signed_in_ros_2_alone() -> None:
     """A ROS 1 stamp reaches to the year 2106, a ROS 2 one before 1970."""
     assert [field.code for field in fields("time t")] == ["u4", "u4"]
     assert [field.code for field in fields("builtin_interfaces/Time t", ros1=False)] == ["i4", "u4"]
+
+
+def test_numbers_before_lists_of_texts_are_reached_by_steps() -> None:
+    """So are elements of arrays; a text, and what stands behind such a list, take another way."""
+    spread = Vector(sensor=GYRO, paths=("g[0]", "g[1]", "g[2]"))
+    assert is_reachable(replace(IMU, vectors=(spread,)), fields())
+    for path, reached in (("c", True), ("g[2]", True), ("g[3]", False), ("s", False), ("none", False)):
+        assert is_reachable(replace(IMU, vectors=(), temperature=path), fields()) == reached

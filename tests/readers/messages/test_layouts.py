@@ -8,7 +8,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from imucal.readers import read
-from imucal.readers.messages.definitions import DefinitionError, Field, built_in, flatten
+from imucal.readers.messages.definitions import Definition, DefinitionError, Field, built_in
 from imucal.readers.messages.message_types import Vector
 from imucal.readers.messages.plain import Place, adjacent
 from imucal.recording import Sensor
@@ -19,7 +19,7 @@ _POINTS = "P[] points\nfloat64 x\n===\nMSG: pkg/P\n"
 
 def fields_of(text: str, *, ros1: bool = False) -> list[Field]:
     """Return the fields of a message of the type pkg/M."""
-    return list(flatten("pkg/M", text, ros1=ros1))
+    return list(Definition("pkg/M", text, ros1=ros1).fields())
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_the_standard_type_is_laid_out_as_rosbags_does(ros1: bool) -> None:  # n
         theirs, _ = types.generate_msgdef(name, ros_version=1 if ros1 else 2)
         own = built_in(name, ros1=ros1)
         assert own is not None
-        assert flatten(name, own, ros1=ros1) == flatten(name, theirs, ros1=ros1)
+        assert Definition(name, own, ros1=ros1).fields() == Definition(name, theirs, ros1=ros1).fields()
     assert built_in("sensor_msgs/msg/Image", ros1=ros1) is None
 
 

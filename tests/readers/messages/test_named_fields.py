@@ -170,6 +170,27 @@ def test_fields_that_are_not_there(tmp_path: Path) -> None:
     )
 
 
+def test_a_temperature_that_is_named(tmp_path: Path) -> None:
+    """It is read, or asked for: one that is no number of the messages is not passed over."""
+    names = ("gx", "gy", "gz", "ax", "ay", "az")
+    text = "std_msgs/Header header\nstring note\n" + "".join(f"float64 {name}\n" for name in names)
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        values = dict(zip(names, TRUTH.all[row], strict=True))
+        return {"header": stamp(types, row), "note": "", **values, "warmth": 20.0 + row / 4}
+
+    path = ros(tmp_path, text + "float32 warmth", build)
+    sensors = "gyro=gx,gy,gz accel=ax,ay,az"
+    found = read(path, fields=f"{sensors} temp=warmth").temperature
+    assert found is not None
+    npt.assert_array_equal(found.samples, 20.0 + np.arange(120) / 4)
+    assert read(path, fields=sensors).temperature is None
+    for wrong in ("note", "coldness"):
+        problem = said(path, fields=f"{sensors} temp={wrong}")
+        assert f"the temperature {wrong} is none of the numbers beside the samples; found " in problem
+        assert "warmth float32" in problem
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [

@@ -265,17 +265,18 @@ HEADERS = ["stamp", "wx", "wy", "wz", "ax", "ay", "az", "I", "temp"]
 )
 def test_columns_text(text: str) -> None:
     """Places from 0 with the end left out, or names joined by +."""
-    asked = parse_columns_text(text, named(*HEADERS))
-    assert (asked.time, [spec.indices for spec in asked.sensors]) == ((0,), [(1, 2, 3), (4, 5, 6)])
+    sensors, time, _ = parse_columns_text(text, named(*HEADERS))
+    assert (time, [spec.indices for spec in sensors]) == ((0,), [(1, 2, 3), (4, 5, 6)])
 
 
 def test_columns_text_takes_rows_and_temperature() -> None:
     """A tag or a column with its value chooses the rows; any order of axes can be given."""
-    asked = parse_columns_text("g=3+2+1@imu,a=4:7@I:0,temp=8,t=0+7", named(*HEADERS))
-    gyro, accel = asked.sensors
+    (gyro, accel), time, temperature = parse_columns_text(
+        "g=3+2+1@imu,a=4:7@I:0,temp=8,t=0+7", named(*HEADERS)
+    )
     assert (gyro.indices, gyro.rows) == ((3, 2, 1), (-1, "imu"))
     assert (accel.indices, accel.rows) == ((4, 5, 6), (7, "0"))
-    assert (asked.temperature, asked.time) == (8, (0, 7))
+    assert (temperature, time) == (8, (0, 7))
 
 
 @pytest.mark.parametrize(
@@ -287,14 +288,14 @@ def test_columns_text_takes_rows_and_temperature() -> None:
 )
 def test_columns_text_of_single_axes(text: str, axes: list[str], indices: list[int]) -> None:
     """A log of one axis, or of some, names each by its letter; gyroscope first, in the order x, y, z."""
-    asked = parse_columns_text(text, named(*HEADERS))
-    assert [f"{spec.sensor.short}_{axis}" for spec in asked.sensors for axis in spec.axes] == axes
-    assert [index for spec in asked.sensors for index in spec.indices] == indices
+    sensors, _, _ = parse_columns_text(text, named(*HEADERS))
+    assert [f"{spec.sensor.short}_{axis}" for spec in sensors for axis in spec.axes] == axes
+    assert [index for spec in sensors for index in spec.indices] == indices
 
 
 def test_a_column_may_serve_both_sensors_in_different_rows() -> None:
     """Tagged rows: the same columns hold the gyroscope and the accelerometer in turn."""
-    gyro, accel = parse_columns_text("g=1:4@I:0,a=1:4@I:1", named(*HEADERS)).sensors
+    (gyro, accel), _, _ = parse_columns_text("g=1:4@I:0,a=1:4@I:1", named(*HEADERS))
     assert gyro.indices == accel.indices
     assert (gyro.rows, accel.rows) == ((7, "0"), (7, "1"))
 

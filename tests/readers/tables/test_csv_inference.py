@@ -1,6 +1,7 @@
 """Units that no header states: what settles them, what is taken with a warning, what is refused."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,6 +110,26 @@ def test_gyroscope(rows: FloatArray, accel: str | None, unit: str | None, reason
     """Only SI beside SI is taken, where rate and noise are those of a gyroscope; and never as sure."""
     found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit=accel)
     assert (found.unit, found.assumed, found.reason) == (unit, unit is not None, reason)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"gyro_unit": "deg/s"}, "deg/s as given"),
+        ({"gyro_scale": 1e-4}, "0.0001 rad/s per count as given"),
+        ({"gyro_unit": "rad/s", "accel_unit": "m/s^2"}, ""),
+        ({}, ""),
+    ],
+)
+def test_a_unit_against_the_header_is_a_warning(given: dict[str, Any], said: str, tmp_path: Path) -> None:
+    """It is taken, as headers may be wrong; by one that agrees nothing changes."""
+    path, t = tmp_path / "log.csv", truth()
+    names = "t (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
+    path.write_text(lines(names, seconds(t), *xyz(t.gyro), *xyz(t.accel)), encoding="utf-8")
+    findings = [finding for finding in read(path, ReadOptions(**given)).findings if "unit" in finding.code]
+    text = f"The unit of the gyroscope is {said}; the log says rad/s, from the column header."
+    assert [finding.text for finding in findings] == [text] * bool(said)
+    assert all((f.level, f.code, f.axis) == ("warning", "unit-given", "gyro") for f in findings)
 
 
 def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:

@@ -385,13 +385,16 @@ def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) 
         text_table.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
 
 
-def test_topics_are_refused(tmp_path: Path) -> None:
-    """A table has columns, not topics: nothing that was asked for is passed over."""
+@pytest.mark.parametrize("asked", [{"topics": ("/imu",)}, {"fields": ("gyro=a",)}])
+def test_what_tables_lack_is_refused(asked: dict[str, tuple[str]], tmp_path: Path) -> None:
+    """A table has columns, neither topics nor fields: nothing that was asked for is passed over."""
     path = store(tmp_path, plain())
+    ((what, (name,)),) = asked.items()
     with pytest.raises(ChoiceError) as caught:
-        read(path, ReadOptions(topics=("/imu",)))
+        read(path, ReadOptions(**asked))  # type: ignore[arg-type]
     assert str(caught.value) == (
-        f"{path}: a table of text has no topics, but /imu was asked for; expected no topic, or a columns text"
+        f"{path}: a table of text has no {what}, but {name} was asked for; "
+        f"expected no {what.rstrip('s')}, or a columns text"
     )
 
 

@@ -5,7 +5,6 @@ import pytest
 from imucal.readers.tables.layout import (
     BLANKS,
     TextLayout,
-    _decimal,
     _fitting,
     _named_delimiter,
     _start,
@@ -168,7 +167,7 @@ def test_which_lines_are_rows(rows: list[list[str]], expected: tuple[int, list[i
 )
 def test_the_decimal_sign(row: list[str], decimal: str) -> None:
     """The sign that more numbers have, the point where there are as many."""
-    assert _decimal([row]) == decimal
+    assert found(";".join(["1", "2", "3", *row])).decimal == decimal
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from imucal.readers.tables.layout import BLANKS, TextLayout
-from imucal.readers.tables.text_table import BlockReader, Kind, _number, _read_blocks, _row_pattern
+from imucal.readers.tables.layout import BLANKS, TextLayout, row_pattern
+from imucal.readers.tables.text_table import BlockReader, Kind, _number, _read_blocks
 
 
 def reader(**changes: object) -> BlockReader:
@@ -76,16 +76,15 @@ def test_bad_rows_are_counted_and_the_first_is_kept() -> None:
     ("index", "delimiter", "found"),
     [
         (0, ",", [b"IMU,1,2", b'"IMU" ,3,4']),
-        (1, ",", [b"7,IMU,5"]),
-        (-1, ",", [b"IMU,1,2", b'"IMU" ,3,4', b"7,IMU,5"]),
+        (1, ",", [b"7,IMU,5", b"8,'IMU',9"]),
+        (-1, ",", [b"IMU,1,2", b'"IMU" ,3,4', b"7,IMU,5", b"8,'IMU',9"]),
         (0, BLANKS, [b'"IMU" ,3,4', b" IMU 8 9"]),
     ],
 )
 def test_tagged_rows(index: int, delimiter: str, found: list[bytes]) -> None:
     """The cell at the place holds the whole text; a place of -1 is any."""
-    pattern = _row_pattern((index, "IMU"), delimiter)
-    assert pattern is not None
-    text = b'IMU,1,2\n"IMU" ,3,4\n7,IMU,5\nIMU2,1,2\n IMU 8 9\n'
+    pattern = row_pattern((index, "IMU"), delimiter)
+    text = b"""IMU,1,2\n"IMU" ,3,4\n7,IMU,5\nIMU2,1,2\n IMU 8 9\n8,'IMU',9\n"""
     assert pattern.findall(text) == found
 
 

@@ -42,6 +42,12 @@ def parquet_lists(path: Path) -> None:
     pl.DataFrame({"timestamp": STAMPS, "gyro": GYRO.tolist(), "accel": ACCEL.tolist()}).write_parquet(path)
 
 
+def parquet_arrays(path: Path) -> None:
+    """Write lists of a fixed length, a type of its own."""
+    table = pl.DataFrame({"timestamp": STAMPS, "gyro": GYRO.tolist(), "accel": ACCEL.tolist()})
+    table.with_columns(pl.col("gyro", "accel").list.to_array(3)).write_parquet(path)
+
+
 def parquet_structs(path: Path) -> None:
     def rows(values: Any) -> list[dict[str, float]]:  # noqa: ANN401 - an array
         return [dict(zip("xyz", row, strict=True)) for row in values.tolist()]
@@ -88,6 +94,7 @@ WRITERS: tuple[tuple[str, Callable[[Path], None]], ...] = (
     ("log.parquet", parquet),
     ("dates.parquet", parquet_dates),
     ("lists.parquet", parquet_lists),
+    ("arrays.parquet", parquet_arrays),
     ("structs.parquet", parquet_structs),
     ("log.npz", npz),
     ("columns.npz", npz_columns),

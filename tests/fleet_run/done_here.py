@@ -1,0 +1,45 @@
+"""Logs of a fleet done in this process: a child imports everything anew, longer than a short log takes."""
+
+import contextlib
+import os
+import pickle
+import threading
+from collections.abc import Callable, Iterator
+from unittest import mock
+
+from imucal.fleet_run import running
+from imucal.processes import Answer, ChildProcess
+
+__all__ = ["logs_done_here"]
+
+_ONE_AT_A_TIME = threading.Lock()
+
+
+class DoneHere(ChildProcess):
+    """Answers as a child does, with its variables and in its folder; nothing here bounds time and memory.
+
+    Questions and answers are pickled on their way, as they are on that to a child.
+    """
+
+    def ask(self, function: Callable[..., object], *args: object, seconds: float, memory: int) -> Answer:
+        """Call the function."""
+        del seconds, memory
+        self._refuse_closed()
+        there, here = {k: v for k, v in self._environment.items() if v is not None}, os.environ
+        with _ONE_AT_A_TIME, mock.patch.dict(here, there), contextlib.chdir(self._folder or "."):
+            for name in self._environment.keys() - there.keys():
+                here.pop(name, None)
+            try:
+                asked, given = pickle.loads(pickle.dumps((function, args)))  # noqa: S301 - our own
+                answer = Answer(outcome="done", value=asked(*given))
+            except Exception as error:  # noqa: BLE001 - as a child does
+                answer = Answer(outcome="failed", words=f"{type(error).__name__}: {error}")
+        back: Answer = pickle.loads(pickle.dumps(answer, protocol=5))  # noqa: S301 - our own
+        return back
+
+
+@contextlib.contextmanager
+def logs_done_here() -> Iterator[None]:
+    """Have the logs of fleets done in this process."""
+    with mock.patch.object(running, "ChildProcess", DoneHere):
+        yield

@@ -1,0 +1,20 @@
+"""Pages that several tests look at, each drawn once a process: their pictures take seconds."""
+
+import functools
+
+from imucal.report.html_page import render_page
+from tests.report.synthetic import consumer_report, small_report
+
+__all__ = ["consumer_page", "small_page"]
+
+
+@functools.cache
+def consumer_page() -> str:
+    """Return the page of a report with everything in it."""
+    return render_page(consumer_report())
+
+
+@functools.cache
+def small_page() -> str:
+    """Return the page of one short axis."""
+    return render_page(small_report())
