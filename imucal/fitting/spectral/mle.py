@@ -27,14 +27,13 @@ from imucal.fitting.homogeneity import (
     widened_covariance,
 )
 from imucal.fitting.noise_fit import MISFIT, Goodness, NoiseFit, Segments
-from imucal.fitting.robust import heavy_tails, resolution_effect
+from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
 from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import (
-    SHORTEST,
     SHORTEST_GIVEN,
     Structure,
     all_structures,
@@ -186,7 +185,7 @@ def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels
         _structures(settings.structure, settings.max_gm, filtered=band.poles > 0),
         criterion=settings.criterion,
         band=band,
-        shortest=SHORTEST if settings.structure is None else SHORTEST_GIVEN,
+        shortest=band.shortest if settings.structure is None else SHORTEST_GIVEN,
     )
 
 
@@ -236,6 +235,7 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
         richest(settings.structure, settings.max_gm),
         given=settings.structure,
         narrow=settings.still,
+        rounding=lambda: ((step_size(series.samples) or 0.0) / blocks.scale) ** 2 / 12,
     )
     return View(
         blocks=blocks,
