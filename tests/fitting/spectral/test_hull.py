@@ -17,6 +17,7 @@ def fits() -> list[NoiseFit]:
     return [fitted(simulated(WEAK, N, 100 + seed, rate_hz=RATE), rate_hz=RATE) for seed in range(24)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("symbol", "truth"), [("N", 1e-4), ("B", 3e-5), ("K", 3e-6)])
 def test_intervals_hold_when_the_model_is_chosen(fits: list[NoiseFit], symbol: str, truth: float) -> None:
     """At 95 %, fewer than 20 of 24 hold in one of 170 such tests; those of the chosen model alone, 17."""
@@ -53,12 +54,14 @@ def walks() -> list[NoiseFit]:
     return [fitted(simulated("N=1 + K=0.01", 10_000, 200 + seed)) for seed in range(24)]
 
 
+@pytest.mark.slow
 def test_a_weak_walk_is_shown(walks: list[NoiseFit]) -> None:
     """In 20 of 24 at least (97 of 100 in `tests/benchmarks/coverage_auto.py`), and held by its interval."""
     assert sum(fit["K"].value is not None for fit in walks) >= 20
     assert sum(fit["K"].low <= 0.01 <= fit["K"].high for fit in walks) >= 20
 
 
+@pytest.mark.slow
 def test_whether_a_walk_is_shown_is_no_matter_of_the_rate(walks: list[NoiseFit]) -> None:
     """Means of ten samples hold the same walk: a parameter has the same price there."""
     means = (simulated("N=1 + K=0.01", 10_000, 200 + seed).reshape(-1, 10).mean(axis=1) for seed in range(24))
