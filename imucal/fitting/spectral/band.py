@@ -170,13 +170,16 @@ def _two_readings(
     fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> Finding:
     """Return the warning for a spectrum that a filter and a Gauss-Markov term explain equally well."""
-    of_filter = f" ({response.kind}, -3 dB at {response.cutoff_hz:.3g} Hz)" if response else ""
+    of_filter, time_s = "", band.masked / rate_hz
+    if response:
+        of_filter = f" ({response.kind}, -3 dB at {response.cutoff_hz:.3g} Hz)"
+        time_s = 1 / (2 * np.pi * response.cutoff_hz)
     # The density at the top of the band, compared with that of N.
     seen = fitted.maximum.spectrum[0, -_TOP:].mean()
     below = float(np.sqrt(seen / np.exp(fitted.maximum.theta[0, COLUMN["N"]])))
     text = (
         f"The spectrum has two explanations: white noise behind a low-pass filter{of_filter}, or a Gauss-"
-        f"Markov term of T = {band.masked / rate_hz:.3g} s whose white noise is too weak to see. The fit "
+        f"Markov term of T = {time_s:.3g} s whose white noise is too weak to see. The fit "
         f"assumes the filter. Without one, N would be less than {below:.2g} times the reported value."
     )
     advice = (

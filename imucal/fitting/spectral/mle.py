@@ -46,6 +46,7 @@ from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
+from imucal.noise.terms import GaussMarkov
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
 
@@ -125,6 +126,11 @@ def fit_mle(
     misfits = misfits_of(problem, fitted, found)
     estimates = widened(estimates, segments, misfits)
     covariance = widened_covariance(names, covariance, segments, misfits)
+    if band.masked:
+        estimates = tuple(
+            replace(e, alternatives=(*e.alternatives, GaussMarkov.symbol)) if e.key == "N" else e
+            for e in estimates
+        )
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
     findings += line_finding(view.blocks.lines, series)
