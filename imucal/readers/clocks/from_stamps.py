@@ -16,6 +16,7 @@ from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.frozen import frozen_alone
+from imucal.readers.clocks.changes import rate_change
 from imucal.readers.clocks.period import Period, estimate_period, evened
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
@@ -242,9 +243,11 @@ class _Stamps:
         if repeated is not None and (twice := count(repeated)):
             self._drop(repeated, twice)
         self._replace_zeros()
+        self._keep_one_rate(rate_hz)
         period = estimate_period(self.stamps, rate_hz)
         if period is None and self.log_ns is not None and self.source != LOG_TIME and self.stamps.size > 1:
             self._use(self.log_ns, "do not advance")
+            self._keep_one_rate(rate_hz)
             period = estimate_period(self.stamps, rate_hz)
         n = self.stamps.size
         if period is not None:
@@ -263,6 +266,28 @@ class _Stamps:
         self.order = self.room.places(keep)
         self.stamps = self.room.chosen(self.stamps, keep)
         self.log_ns = self.room.chosen(self.log_ns, keep) if self.log_ns is not None else None
+
+    def _keep_one_rate(self, rate_hz: float | None) -> None:
+        """Keep the part with one rate: the one nearest to a given rate, or else the longer one."""
+        while (change := rate_change(self.stamps)) is not None:
+            n = self.stamps.size
+            part, rate = change.part(n, rate_hz)
+            before, after = change.rates_hz
+            other = after if rate == before else before
+            seconds = (int(self.stamps[change.end]) - int(self.stamps[0])) / 1e9
+            text = (
+                f"The sampling rate changes from {before:.5g} Hz to {after:.5g} Hz at about {seconds:.6g} s. "
+                f"Samples {part.start} to {part.stop - 1} of {n} are read, at {rate:.5g} Hz; the others are "
+                "left out."
+            )
+            advice = f"To read the other part, give its rate, {other:.5g} Hz; two sensors may share one name."
+            self.notes.append(Finding("warning", "rate-changes", text, advice))
+            keep = self.room.made(n, np.bool_, lambda _: False)
+            keep[part] = True
+            kept = self.room.places(keep)
+            self.order = kept if self.order is None else self.room.taken(self.order, kept)
+            self.stamps = self.stamps[part]
+            self.log_ns = self.log_ns[part] if self.log_ns is not None else None
 
     def _replace_zeros(self) -> None:
         """Take log time instead of zeros or constants; fill single zeros."""

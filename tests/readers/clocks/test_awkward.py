@@ -14,6 +14,7 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError
 from imucal.readers import read
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
+from imucal.readers.clocks.changes import rate_change
 from tests.cli.run import run
 from tests.readers.clocks.awkward import (
     MS,
@@ -26,9 +27,11 @@ from tests.readers.clocks.awkward import (
     even,
     fifo,
     fifos,
+    fused,
     kinds,
     lossy,
     scheduled,
+    switched,
     throttled,
 )
 from tests.readers.logs import Samples, imu_messages, write_bag, write_mcap
@@ -173,6 +176,58 @@ def test_two_readings_are_named(case: Awkward, taken: str, other: float) -> None
     assert taken in note.text
     codes = {finding.code for finding in clock_of(case, other).findings}
     assert not {"two-readings", "rate-given"} & codes
+
+
+@pytest.mark.parametrize("pauses", [0, 3])
+@pytest.mark.parametrize(
+    ("case", "before", "after", "edge"),
+    [
+        (switched(100.0, 50.0, share=0.3), 100.0, 50.0, 1800),
+        (switched(104.0, 208.0, share=0.8), 104.0, 208.0, 4800),
+        (switched(100.0, 25.0, n=100_000, share=0.6), 100.0, 25.0, 60_000),
+        (fused(9.5, share=0.3), 19.0, 9.5, 3600),
+        (fused(100.0, share=0.8, offset=0.1), 200.0, 100.0, 9600),
+    ],
+)
+def test_one_part_of_a_log_with_two_rates_is_read(
+    case: Awkward, before: float, after: float, edge: int, pauses: int
+) -> None:
+    """The longer one without a given rate, and else the one with that rate; pauses change nothing."""
+    n = case.stamps.size
+    stops = np.searchsorted(np.linspace(0, n, pauses + 2)[1:-1], np.arange(n)) * 100 * SECOND
+    case = replace(case, stamps=case.stamps + stops)
+    longer = before if 2 * edge >= n else after
+    for given in (None, before, after):
+        reading = clock_of(case, given)
+        (note,) = (finding for finding in reading.findings if finding.code == "rate-changes")
+        assert note.level == "warning"
+        rates = [float(rate) for rate in re.findall(r"([0-9.]+) Hz", note.text)]
+        npt.assert_allclose(rates, [before, after, given or longer], rtol=2e-3)
+        assert reading.clock.rate_hz == pytest.approx(given or longer, rel=1e-3)
+        kept = reading.order
+        assert kept is not None
+        assert (kept.max() < edge) == ((given or longer) == before)
+        assert kept.size == pytest.approx(edge if kept.max() < edge else n - edge, abs=0.02 * n)
+
+
+def test_the_rate_of_one_sensor_does_not_change() -> None:
+    """Losses that begin, gaps, batches and coarse clocks are no change of the rate."""
+    rng = np.random.default_rng(12)
+    case = even(100.0, n=8000)
+    for share in (0.1, 0.4, 0.6):
+        lost = (rng.random(8000) < share) & (case.samples > 3000)
+        assert rate_change(case.stamps[~lost]) is None
+    for name, clock in (*KINDS.items(), *fifos()):
+        assert rate_change(clock.stamps) is None, name
+
+
+def test_a_rate_that_changes_twice() -> None:
+    """The longest part is read, and each change is a finding."""
+    steps = np.repeat([SECOND // 100, SECOND // 50, SECOND // 200], [2000, 5000, 2000])
+    reading = clock_from_stamps(START + np.cumsum(steps), source="stamps")
+    assert [f.code for f in reading.findings if f.level == "warning"] == ["rate-changes"] * 2
+    assert reading.clock.rate_hz == pytest.approx(50.0, rel=1e-3)
+    assert reading.clock.missing == 0
 
 
 def test_gaps_between_random_batches() -> None:
