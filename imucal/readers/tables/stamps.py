@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray, blocks
+from imucal.arrays import FloatArray, IntArray, blocks, median
 from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.clocks import estimate_period
@@ -224,8 +224,10 @@ def typical_step(values: Numbers) -> float:
     span = float(np.ptp(since)) if since.size else 0.0
     if not 0 < span < np.inf:
         return 0.0
-    # Whole numbers of as many digits as a float holds.
-    scale = 1.0 if values.dtype.kind == "i" else 10.0 ** (15 - np.ceil(np.log10(span)))
+    # Whole numbers of as many digits as a float holds; the unit is not known, a usual step is about 10 ms.
+    steps = np.abs(np.diff(since))
+    digits = min(15 - np.ceil(np.log10(span)), np.rint(7 - np.log10(median(steps[steps > 0]))))
+    scale = 1.0 if values.dtype.kind == "i" else 10.0**digits
     try:
         period = estimate_period(np.round(since * scale).astype(np.int64))
     except ChoiceError:
