@@ -51,6 +51,9 @@ _SENSOR = 2000.0
 _NOMINAL = 0.1
 #: Share of missing samples up to which steps inside a batch are too long for the reading of a buffer.
 _MOST = 0.55
+#: Longest cycle of losses, in samples, fewest cycles, most missing samples per sample, and tolerances of
+#: a mean step and of the number of periods that the longest one has.
+_CYCLE, _CYCLES, _LOSES, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
 #: Stamps that show where the phases of a clock with coarse ticks begin.
 _LOOK = 4096
 #: Samples that may be read at once, at most; also those that may catch up after a pause.
@@ -111,7 +114,7 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     Raises ChoiceError if most samples are missing, or none and they came in batches, and no `rate_hz` says
     which.
     """
-    runs = _runs(stamps)
+    runs = every = _runs(stamps)
     steps = np.concatenate([np.diff(run) for run in runs])
     positive = steps[steps > 0]
     wide = _mean_step(runs)
@@ -127,12 +130,13 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
         late, conserved = _late(runs, steps, wide, quantum)
     late = replace(late, other_ns=other, trials=bool(trials))
     chosen = late if other else _reading(runs, late, wide, quantum, rate_hz, conserved=conserved)
+    chosen = _or_cycle(chosen, every, quantum, rate_hz)
     reach = 0.5 if chosen.coherent else 0.25
     near = (
         steps if chosen is late or chosen.tick_ns else positive[np.abs(positive / chosen.tau_ns - 1) < reach]
     )
     # The standard deviation of one stamp, from the median absolute deviation of steps.
-    deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2)
+    deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2) if near.size else 0.0
     usual = median(steps)
     return replace(
         chosen,
@@ -270,6 +274,7 @@ def _of_ticks(
     if off > min(1.01 * quantum, 0.2 * unit) or not longer.size or median(longer) > 2:
         return None
     some = runs[:: max(len(runs) // 5, 1)]
+    unit = float(np.sum(steps) / np.sum(whole))
     slips = [slip for run in some if (slip := _slips(np.rint(np.diff(run) / unit).astype(np.int64)))]
     if 2 * len(slips) <= len(some):
         return None
@@ -285,6 +290,45 @@ def _of_ticks(
     if np.log10(quantum) % 1 == 0:
         return replace(found, other_ns=unit)
     return Period(tau_ns=unit, other_ns=found.tau_ns)
+
+
+def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float | None) -> Period:
+    """Return a reading, or the one of a regular cycle of losses where jitter or ticks hid the cycle."""
+    cycles = [cycle for run in runs if (cycle := _cycle(run[: 4 * _LOOK], quantum)) is not None]
+    if found.other_ns or 2 * len(cycles) <= len(runs):
+        return found
+    cycle = sorted(cycles, key=lambda each: each.tau_ns)[len(cycles) // 2]
+    if abs(found.tau_ns / cycle.tau_ns - 1) < _SAME / 2 and cycle.jitter < _LOOSE:
+        return found
+    return cycle if rate_hz is None else _nearest(found, cycle, rate_hz)
+
+
+def _cycle(stamps: IntArray, quantum: int) -> Period | None:
+    """Return the period of stamps of which the same few of every cycle are missing; None without one.
+
+    The mean steps at each place of the cycle are one period, but for one of several. Means remove jitter
+    and ticks: an even sensor has such a cycle only on a clock with ticks of about a period, and then only
+    one sample of each cycle is missing.
+    """
+    steps = np.diff(stamps).astype(np.float64)
+    for size in range(2, min(_CYCLE, steps.size // _CYCLES) + 1):
+        cycles = steps[: steps.size // size * size].reshape(-1, size)
+        means = cycles.mean(axis=0)
+        longest = int(np.argmax(means))
+        usual = float(np.delete(means, longest).mean())
+        periods = round(means[longest] / usual) if usual > (1 - _LOOSE) * quantum else 0
+        if not 2 <= periods <= 1 + size * _LOSES or abs(means[longest] / usual / periods - 1) > _WHOLE:
+            continue
+        # Gaps and batches change the means as well, but not in all cycles.
+        half = len(cycles) // 2
+        moves = np.abs(cycles[:half].mean(axis=0) - cycles[half:].mean(axis=0)).max()
+        short = np.delete(cycles, longest, axis=1) / usual
+        steady = moves < 0.5 * usual and median(cycles[:, longest]) > 1.5 * usual
+        if steady and np.abs(short.mean(axis=0) - 1).max() < _LOOSE:
+            tau, coarse = float(means.sum()) / (size - 1 + periods), quantum > (1 - _LOOSE) * usual
+            other = float(means.mean()) if coarse and periods == 2 else 0.0
+            return Period(tau_ns=tau, jitter=float(short.std()), coherent=True, other_ns=other)
+    return None
 
 
 def _slips(ticks: IntArray) -> float:
