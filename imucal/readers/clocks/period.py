@@ -54,6 +54,8 @@ _MOST = 0.55
 #: Longest cycle of losses, in samples, fewest cycles, most missing samples per sample, and tolerances of
 #: a mean step and of the number of periods that the longest one has.
 _CYCLE, _CYCLES, _LOSES, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
+#: Relative difference of two periods of a clock with coarse ticks that counts as the same.
+_EXACT = 1e-3
 #: Stamps that show where the phases of a clock with coarse ticks begin.
 _LOOK = 4096
 #: Samples that may be read at once, at most; also those that may catch up after a pause.
@@ -281,9 +283,11 @@ def _of_ticks(
     share = median(np.array(slips))
     found = Period(tau_ns=unit / (1 - share), tick_ns=unit)
     between = np.concatenate([np.diff(np.flatnonzero(np.diff(run) > 1.5 * unit)) for run in runs])
-    if percentile(between, 5) < percentile(between, 95):
+    exact = unit * (1 + 1 / median(between))
+    # Few slips at other distances move the rate, but not the percentiles.
+    if percentile(between, 5) < percentile(between, 95) or abs(exact / found.tau_ns - 1) > _EXACT:
         return found if rate_hz is None else _nearest(found, Period(tau_ns=unit), rate_hz)
-    found = replace(found, tau_ns=unit * (1 + 1 / median(between)))
+    found = replace(found, tau_ns=exact)
     if rate_hz is not None:
         return _nearest(found, Period(tau_ns=unit), rate_hz)
     # Clocks count in powers of ten more often than sensors do.

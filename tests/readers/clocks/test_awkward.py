@@ -230,6 +230,32 @@ def test_a_rate_that_changes_twice() -> None:
     assert reading.clock.missing == 0
 
 
+@pytest.mark.parametrize("jitter", [0.001, 0.05])
+@pytest.mark.parametrize(("keep", "of"), [(2, 3), (7, 8), (32, 33), (12, 16), (100, 110)])
+@pytest.mark.parametrize("rate", [208.0, 500.0, 1000.0])
+def test_duty_cycles_with_jitter_in_ms(rate: float, keep: int, of: int, jitter: float) -> None:
+    """The rate is that of the sensor; where a clock with coarse ticks fits as well, a finding names both."""
+    case = even(rate, MS, n=40_000, jitter=jitter)
+    reading = clock_from_stamps(case.stamps[case.samples % of < keep], source="stamps")
+    text = " ".join(finding.text for finding in reading.findings if finding.code == "two-readings")
+    named = [float(hz) for hz in re.findall(r"([0-9.]+) Hz", text)] or [reading.clock.rate_hz]
+    assert min(named, key=lambda hz: abs(hz - rate)) == pytest.approx(rate, rel=1e-3)
+    if keep + 1 < of:
+        assert not text
+
+
+def test_buffers_and_stalls_are_no_duty_cycle() -> None:
+    """A gap moves the phase of a buffer; a late sample catches up."""
+    case = fifo(208.0, 2, 100.0, MS, n=2500, anchor="last")
+    keep = (case.samples < 833) | (case.samples >= 1833)
+    assert clock_from_stamps(case.stamps[keep], source="stamps").clock.rate_hz == pytest.approx(208, rel=1e-3)
+    stamps = even(200.0, n=8000).stamps
+    stamps[::40] += 4 * MS
+    reading = clock_from_stamps(stamps, source="stamps")
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-4)
+    assert reading.clock.missing == 0
+
+
 def test_gaps_between_random_batches() -> None:
     """Lost batches are gaps, and the rate is that of the samples within each run."""
     case = fifo(200.0, 20, 100.0, 1, seed=5, n=8000)
