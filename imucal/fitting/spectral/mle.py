@@ -88,7 +88,7 @@ def fit_mle(
     if structure is None:
         fitted, own, estimates = hull_estimates(problem, choice)
         if view.doubtful:
-            # With the doubtful cycle taken out too.
+            # With the doubtful warm-up or cycle taken out too.
             names = (*view.whole.names, *view.doubtful)
             other = bin_blocks(view.blocks.blocks, view.blocks.scale, names).below(band.fraction)
             beside = replace(problem, ordinates=other)
