@@ -209,9 +209,9 @@ _DOUBT = -0.5
 #: The same for a slow cycle, which a random walk looks like more often, and for a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
 #: A warm-up or a slow cycle explains a record as well as a random walk does if N and B beside it gain this
-#: much on the rich model. By simulation one in 10 records with a weak walk gains either, the worst case, and
-#: one in 25 beside flicker.
-_RIVAL_WARM_UP, _RIVAL_CYCLE = 4.0, 11.0
+#: much on the rich model. By simulation one in 20 records with a weak walk gains either, the worst case, and
+#: one in 50 beside flicker.
+_RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
 #: Without this factor between the spectra with and without the walk no walk is shown.
 _NO_WALK = 2.0
 #: Logarithm of a variance that is zero.
