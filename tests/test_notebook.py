@@ -26,6 +26,7 @@ from tests.report.synthetic import consumer_report
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_the_notebook_of_the_docs_runs(tmp_path: Path) -> None:
     """From top to bottom, in a folder with the sample logs: tables, pictures and texts."""

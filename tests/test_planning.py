@@ -137,6 +137,7 @@ def test_a_term_must_also_be_shown() -> None:
     assert faint.shown < 0.4
 
 
+@pytest.mark.slow
 def test_what_is_planned_is_found() -> None:
     """Records of the planned length show K about as precisely as planned, most of them; of a tenth few do."""
     model = NoiseModel.parse("N=1e-4 + K=1e-5")

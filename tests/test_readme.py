@@ -4,12 +4,15 @@ import json
 import shutil
 from pathlib import Path
 
+import pytest
+
 from tests.cli.run import run
 from tests.code_blocks import code_blocks, run_block
 
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 def test_the_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
     """In order, in one folder that holds the sample logs and a short `log.mcap`."""
     shutil.copytree(ROOT / "sample_logs", tmp_path / "sample_logs")

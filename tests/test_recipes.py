@@ -52,6 +52,7 @@ def recipes() -> dict[str, str]:
     return {found["name"]: found["text"] for found in _RECIPES.finditer(text)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", recipes())
 def test_a_recipe_is_complete(name: str, tmp_path: Path) -> None:
     """Each file is named, each step is there; what was added passes the tests of its family."""

@@ -63,6 +63,7 @@ def test_a_log_is_the_same_in_blocks_of_any_size(
     assert parts.read_bytes() == whole.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_long_log_is_never_held_whole(tmp_path: Path) -> None:
     """The messages of this one are 80 MB; a multiple of what a block takes would show."""
     script = f"""

@@ -280,15 +280,21 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
     if is_slow(estimate.symbol) and low < _NARROW * value:
         low, high = value - factor * (value - low), value + factor * (high - value)
     else:
-        low, high = (value * (end / value) ** factor for end in (low, high))
+        low, high = (_stretched(value, end, factor) for end in (low, high))
     if is_slow(estimate.symbol) and low <= NOUGHT * high:
         bounded = Estimate.bounded(estimate.key, estimate.symbol, high)
         return replace(bounded, alternatives=estimate.alternatives, widening=factor)
     time = estimate.correlation_time
     if time is not None:
-        ends = [time.value * (end / time.value) ** factor for end in (time.low, time.high)]
+        ends = [_stretched(time.value, end, factor) for end in (time.low, time.high)]
         time = Interval(value=time.value, low=ends[0], high=ends[1])
     return replace(estimate, low=low, high=high, correlation_time=time, widening=factor)
+
+
+def _stretched(value: float, end: float, factor: float) -> float:
+    """Return a limit so many times as far from its value in logarithms; infinite beyond the largest float."""
+    with np.errstate(over="ignore"):
+        return float(value * np.power(np.float64(end / value), factor))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

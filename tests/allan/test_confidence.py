@@ -37,6 +37,7 @@ def avar(variances: tuple[float, ...], m: FloatArray) -> FloatArray:
     return np.asarray(sum(v * law.avar(m) for law, v in zip(PowerLaw, variances, strict=True)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STANDARD)
 def test_intervals_cover_at_every_octave(name: str) -> None:
     """95 % intervals hold the truth in 95 % of 250 series, within four standard errors downwards.
@@ -49,6 +50,7 @@ def test_intervals_cover_at_every_octave(name: str) -> None:
     assert 0.925 < share.mean() < 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Butterworth-4, 0.3 Nyquist", "resonance", "Laplace", "N + R"])
 def test_intervals_cover_what_no_power_law_describes(name: str) -> None:
     """Filtered, heavy-tailed and drifting noise: at least 91 % in the long run."""

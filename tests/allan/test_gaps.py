@@ -184,6 +184,7 @@ def test_white_noise_stays_white_whatever_is_lost(share: float) -> None:
     assert np.all(np.abs(np.mean(ratios, axis=0) - 1) < 4 * error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["10 % scattered", "5 bursts of 4 %", "many bursts of 8"])
 def test_intervals_cover_through_gaps(kind: str) -> None:
     """150 series of 4096 places: between 87 and 100 % at every octave, 92 to 98 % on average."""

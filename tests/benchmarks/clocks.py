@@ -1,11 +1,16 @@
 """How many clocks of known truth are read right, and the clocks of real logs: rate, samples, gaps, findings.
 
     python -m tests.benchmarks.clocks 3000 --seed 7
+    python -m tests.benchmarks.clocks 1000 --seed 7 --pathologies
     python -m tests.benchmarks.clocks --real FOLDER > now.txt    # the same at another commit, and diff
 
 The sweep draws buffers of 2 to 128 samples with own ticks of 1 us to 1 ms, fixed and random, on clocks of ns,
 us and ms, with and without a gap or a stop of an hour; and losses of 0.1 to 40 % with jitter. Right is a rate
 within 0.1 % with all samples kept; refused is an error that names two readings.
+
+`--pathologies` draws concatenated trials, duty cycles, FIFO overruns, clocks whose tick is longer than half a
+period, rates that change and two sensors under one name. Right also needs the number of missing samples;
+warned is a finding that names the cause.
 """
 
 import argparse
@@ -14,10 +19,23 @@ from pathlib import Path
 
 import numpy as np
 
-from imucal.errors import ImucalError
+from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import read
 from imucal.readers.clocks import clock_from_stamps
-from tests.readers.clocks.awkward import MS, SECOND, SIZES, US, Awkward, fifo, lossy
+from tests.readers.clocks.awkward import (
+    MS,
+    SECOND,
+    SIZES,
+    US,
+    Awkward,
+    coarse,
+    even,
+    fifo,
+    fused,
+    lossy,
+    switched,
+    trials,
+)
 
 _LOGS = {".csv", ".txt", ".bag", ".mcap", ".db3", ".ulg", ".npz"}
 
@@ -39,6 +57,89 @@ def drawn(rng: np.random.Generator) -> tuple[str, Awkward]:
     stamps = case.stamps + np.where((place >= n // 2) & (kind == "stop"), 3600 * SECOND, 0)
     name = f"{size} of {rate:g} Hz, {own:g} us, tick {tick} ns, {anchor}, {kind}, seed {seed}"
     return name, Awkward(stamps=stamps[keep], rate_hz=rate, samples=case.samples[keep])
+
+
+def _trials(rng: np.random.Generator) -> tuple[str, Awkward]:
+    count, size = int(rng.choice([5, 10, 30, 100, 300])), int(rng.choice([25, 50, 100, 200, 500, 1000]))
+    rate, jitter = float(rng.choice([20, 50, 64, 100, 104, 200, 500, 1000])), float(rng.choice([0, 1.5]))
+    jitter = min(jitter, 200 / rate)
+    sizes = np.full(count, size) if rng.random() < 0.5 else rng.integers(size // 2, 3 * size // 2, count)
+    least, most = np.sort(rng.uniform(1, 60, 2))
+    tick = int(rng.choice([1, US, MS]))
+    case = trials(rate, sizes, rng.uniform(least, most, count), jitter_ms=jitter, tick=tick)
+    name = f"{count} trials of {size} at {rate:g} Hz, jitter {jitter:g} ms, tick {tick} ns"
+    return f"{name}, pauses {least:.3g} to {most:.3g} s", case
+
+
+def _duty(rng: np.random.Generator) -> tuple[str, Awkward]:
+    rate, n = float(rng.choice([20, 50, 100, 104, 200, 208, 500, 1000])), 40_000
+    if rng.random() < 0.4:
+        keep = round(float(rng.choice([0.5, 1, 5, 10])) * rate)
+        of = keep + round(float(rng.choice([0.5, 1, 5, 10, 30])) * rate)
+    else:
+        keep, of = ((64, 72), (32, 33), (9, 10), (7, 8), (2, 3), (12, 16), (100, 110), (28, 40))[
+            rng.integers(8)
+        ]
+    jitter = float(rng.choice([0, 0.001, 0.05]))
+    tick = int(rng.choice([1, US, MS] if rate < 200 and not jitter else [1, US]))
+    sample = np.flatnonzero(np.arange(max(n, 12 * of)) % of < keep)
+    case = even(rate, tick, n=max(n, 12 * of), jitter=jitter)
+    case = Awkward(stamps=case.stamps[sample], rate_hz=rate, samples=sample)
+    return f"{keep} of {of} at {rate:g} Hz, jitter {jitter:g}, tick {tick} ns", case
+
+
+def _coarse(rng: np.random.Generator) -> tuple[str, Awkward]:
+    rates = {4e6: (150, 240), 8e6: (80, 122), 2e6: (300, 460), 1e6: (600, 952), 1e9 / 256: (140, 245),
+             1e9 / 128: (75, 122), 1e9 / 64: (36, 60)}  # fmt: skip
+    tick = float(rng.choice(list(rates)))
+    rate, lost = float(rng.uniform(*rates[tick])), float(rng.choice([0, 0.01, 0.03, 0.05]))
+    if rng.random() < 0.4:
+        rate, lost = {4e6: 200.0, 8e6: 100.0, 2e6: 400.0, 1e6: 800.0}.get(tick, round(rate)), 0.0
+    n = int(rng.choice([3000, 6000, 60_000]))
+    case = coarse(rate, tick, n=n, lost=lost, seed=int(rng.integers(1 << 30)))
+    return f"{rate:.6g} Hz, tick {tick / MS:g} ms, lost {lost:g}, n {n}", case
+
+
+def _changing(rng: np.random.Generator) -> tuple[str, Awkward]:
+    share, n = float(rng.uniform(0.1, 0.9)), int(rng.choice([3000, 20_000, 100_000]))
+    if rng.random() < 0.5:
+        first, then = ((100, 50), (50, 100), (200, 100), (100, 25), (104, 208))[rng.integers(5)]
+        return f"{first} to {then} Hz after {share:.2f}, n {n}", switched(first, then, n=n, share=share)
+    rate, offset = float(rng.choice([9.5, 50, 100])), float(rng.uniform(0.1, 0.9))
+    return f"two sensors of {rate:g} Hz, {share:.2f}, {offset:.2f}, n {n}", fused(
+        rate, n=n, share=share, offset=offset
+    )
+
+
+def pathology(rng: np.random.Generator) -> tuple[str, Awkward]:
+    """Return a clock of random kind whose stamps have a wrong reading that is close at hand, by name."""
+    return (_trials, _duty, _coarse, _changing)[rng.integers(4)](rng)
+
+
+def verdict_of_pathology(case: Awkward) -> str:
+    """Return the verdict on such a clock; a finding that names the cause makes a wrong rate known."""
+    try:
+        reading = clock_from_stamps(case.stamps, source="stamps")
+    except ChoiceError:
+        return "refused"
+    clock = reading.clock
+    lost = int(case.samples[-1] - case.samples[0]) + 1 - case.stamps.size
+    off = abs(clock.rate_hz / case.rate_hz - 1)
+    gaps = np.count_nonzero(np.diff(case.samples) > 1)
+    # A coarse or jittering stamp hides at most one sample of a gap.
+    kept = (
+        clock.n >= 0.998 * case.stamps.size - 2
+        and abs(clock.missing - lost) <= 2 + gaps + (1e-3 + off) * lost
+    )
+    told = {f.code for f in reading.findings if f.level == "warning"} & {"two-readings", "rate-changes"}
+    if told:
+        return f"warned: {off:.2%} off"
+    # The least-squares slope of short trials with jitter is no better than this.
+    sizes = np.diff(np.flatnonzero(np.diff(case.samples, prepend=-9, append=1 << 60) > 1))
+    best = 4 * np.sqrt(12) * clock.jitter_s * clock.rate_hz / np.sqrt(float((sizes**3.0).sum()))
+    if off < max(1e-3, best) and kept:
+        return "right"
+    return f"wrong: {clock.rate_hz:.6g} Hz, {clock.n} samples, {clock.missing} missing, not {lost}"
 
 
 def verdict(case: Awkward) -> str:
@@ -69,6 +170,7 @@ def main() -> None:
     parser.add_argument("count", type=int, nargs="?", default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--real", type=Path)
+    parser.add_argument("--pathologies", action="store_true")
     arguments = parser.parse_args()
     if arguments.real:
         for path in sorted(p for p in arguments.real.rglob("*") if p.suffix in _LOGS):
@@ -77,8 +179,8 @@ def main() -> None:
     rng = np.random.default_rng(arguments.seed)
     found = Counter[str]()
     for _ in range(arguments.count):
-        name, case = drawn(rng)
-        said = verdict(case)
+        name, case = pathology(rng) if arguments.pathologies else drawn(rng)
+        said = verdict_of_pathology(case) if arguments.pathologies else verdict(case)
         found[said.partition(":")[0]] += 1
         if said != "right":
             print(f"{name}: {said}")

@@ -29,6 +29,7 @@ _RECORDER = (
 _seconds: dict[str, float] = {}
 _failed: set[str] = set()
 _ran: list[str] = []
+_slow: list[str] = []
 
 
 def pytest_configure() -> None:
@@ -60,6 +61,8 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     if _RECORDER:
         _RECORDER.switch_context(item.nodeid)
         _ran.append(item.nodeid)
+        if item.get_closest_marker("slow"):
+            _slow.append(item.nodeid)
     result = yield
     if _RECORDER:
         _RECORDER.switch_context("")
@@ -79,5 +82,5 @@ def pytest_sessionfinish() -> None:
         _RECORDER.stop()
     if _RECORDER and _FOLDER and _ran:
         _RECORDER.save()
-        seen = {"seconds": _seconds, "failed": sorted(_failed)}
+        seen = {"seconds": _seconds, "failed": sorted(_failed), "slow": _slow}
         (Path(_FOLDER) / f"{os.getpid()}.json").write_text(json.dumps(seen), encoding="utf-8")

@@ -34,11 +34,14 @@ class Suite:
         File -> line -> tests that run it.
     seconds
         Test -> how long it took, while it was recorded.
+    slow
+        Tests with the marker `slow`.
     """
 
     root: Path
     lines: dict[str, dict[str, list[str]]]
     seconds: dict[str, float]
+    slow: frozenset[str]
 
     def tests_of(self, path: str, mutation: Mutation) -> tuple[list[str], bool]:
         """Return the tests that may notice, in their order, and whether any runs what is broken.

@@ -6,6 +6,8 @@ met every one. A mutant that hangs or can not be imported is caught; time is tha
 that a busy machine does not look like a hang. What is left alone is said in `mutation_points`. The record
 of the suite is kept, and found again while no file has changed.
 
+The tests of the marker `slow` run last, so that the result shows which mutants the default tests miss.
+
 Run as ``python -m tests.benchmarks.mutants [--n 100] [--seed 1] [--rooms allan fitting] [--timeout 60]``.
 """
 
@@ -50,6 +52,8 @@ _ALONE = ("-o", "addopts=--import-mode=importlib", "-p", "no:xdist", "-x")
 _SURVIVED = frozenset({0, 5})
 
 
+#: What follows the name of a test that is slow.
+_SLOW = " (slow)"
 #: What pytest printed for the last mutant of a tree.
 _SAID = "said.txt"
 
@@ -71,17 +75,19 @@ def main() -> None:
             finally:
                 copies.put(copy)
 
-        caught = 0
+        caught = late = 0
         with ThreadPoolExecutor(options.jobs) as pool:
             for number, (job, (noticed, text)) in enumerate(
                 zip(chosen, pool.map(fate, chosen), strict=True), start=1
             ):
                 caught += noticed
+                late += noticed and text.endswith(_SLOW)
                 print(f"[{number}/{len(chosen)}] {'caught' if noticed else 'SURVIVED'} {text}")
                 if not noticed:
                     print("".join(_difference(*job)))
                 sys.stdout.flush()
-    print(f"caught {caught} of {len(chosen)} ({100 * caught / max(len(chosen), 1):.0f} %)")
+    share = 100 * caught / max(len(chosen), 1)
+    print(f"caught {caught} of {len(chosen)} ({share:.0f} %), {late} by slow tests only")
 
 
 def _options() -> argparse.Namespace:
@@ -140,23 +146,35 @@ def _recorded(folder: Path, chosen: list[str]) -> Suite:
     if not kept.exists():
         print("running the suite once, to see which test runs which line ...", flush=True)
         suite = _record(folder, chosen)
-        kept.write_text(json.dumps({"lines": suite.lines, "seconds": suite.seconds}), encoding="utf-8")
+        record = {"lines": suite.lines, "seconds": suite.seconds, "slow": sorted(suite.slow)}
+        kept.write_text(json.dumps(record), encoding="utf-8")
     found = json.loads(kept.read_text(encoding="utf-8"))
-    return Suite(root=ROOT, lines=found["lines"], seconds=found["seconds"])
+    return Suite(root=ROOT, lines=found["lines"], seconds=found["seconds"], slow=frozenset(found["slow"]))
 
 
 def _record(folder: Path, chosen: list[str]) -> Suite:
     tree, lines = _copy(folder / "recorded"), folder / "lines"
     lines.mkdir()
     environment = {**_environment(tree), "IMUCAL_LINES": str(lines)}
-    command = [sys.executable, "-m", "pytest", *_OPTIONS, f"--basetemp={folder / 'pytest'}", *chosen]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        *_OPTIONS,
+        "-m",
+        "",
+        f"--basetemp={folder / 'pytest'}",
+        *chosen,
+    ]
     subprocess.run(command, cwd=tree, env=environment, check=False, stdout=subprocess.DEVNULL)  # noqa: S603
     seconds: dict[str, float] = {}
     failed: set[str] = set()
+    slow: set[str] = set()
     for seen in lines.glob("*.json"):
         found = json.loads(seen.read_text(encoding="utf-8"))
         seconds |= found["seconds"]
         failed |= set(found["failed"])
+        slow |= set(found["slow"])
     if failed:
         print(f"{len(failed)} tests fail without a mutant and are left out:", *sorted(failed), sep="\n  ")
     tests: dict[str, dict[str, list[str]]] = {}
@@ -167,7 +185,7 @@ def _record(folder: Path, chosen: list[str]) -> Suite:
             here = tests.setdefault(Path(measured).relative_to(tree).as_posix(), {})
             for line, names in data.contexts_by_lineno(measured).items():
                 here.setdefault(str(line), []).extend(name for name in names if name and name not in failed)
-    return Suite(root=ROOT, lines=tests, seconds=seconds)
+    return Suite(root=ROOT, lines=tests, seconds=seconds, slow=frozenset(slow))
 
 
 def _environment(tree: Path, seconds: float = math.inf) -> dict[str, str]:
@@ -191,11 +209,13 @@ def _fate(
     how = "no test runs the line" if not met else "all passed"
     with _broken(tree, path, mutation):
         noticed = False
-        for part in _rounds(tests, suite.seconds, most):
+        default, slow = ([test for test in tests if (test in suite.slow) is late] for late in (False, True))
+        for part in (*_rounds(default, suite.seconds, most), *_rounds(slow, suite.seconds, most)):
             ended = _run(tree, part, timeout=timeout + 3 * sum(suite.seconds[test] for test in part))
             noticed = ended not in _SURVIVED
             if noticed:
                 how = "hung" if ended is None else _failure(tree)
+                how += _SLOW if part[0] in suite.slow else ""
                 break
     old = (ROOT / path).read_bytes()[mutation.start : mutation.stop].decode()
     change = f"{old!r} -> {mutation.new!r}"

@@ -1,5 +1,7 @@
 """What follows from the segments of a record: Q, the Birge ratio, wider intervals, the finding."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -154,6 +156,16 @@ def test_the_larger_of_segments_and_misfit_counts() -> None:
     assert [e.widening for e in widened(terms, None, {"B": 3.0})] == [1.0, 3.0]
     covariance = widened_covariance(("N", "B"), np.eye(2), changing, {"N": 1.5, "B": 3.0})
     npt.assert_allclose(covariance, np.diag([4.0, 9.0]))
+
+
+def test_a_limit_beyond_the_largest_float_is_infinite() -> None:
+    """A wide interval and a large factor once ended in an OverflowError."""
+    (found,) = widened([estimate("N", 1.0, 1e-3, 1e3)], None, {"N": 200.0})
+    assert (found.low, found.high, found.widening) == (0.0, np.inf, 200.0)
+    time = Interval(value=1.0, low=1e-3, high=1e3)
+    (found,) = widened([replace(estimate("N", 1.0, 0.9, 1.1), correlation_time=time)], None, {"N": 200.0})
+    assert found.correlation_time is not None
+    assert (found.correlation_time.low, found.correlation_time.high) == (0.0, np.inf)
 
 
 def test_covariance_is_that_of_the_wider_intervals() -> None:

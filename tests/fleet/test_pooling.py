@@ -72,6 +72,7 @@ def test_bins_are_the_ordinates_bit_for_bit() -> None:
         npt.assert_array_equal(getattr(again, name), getattr(whole, name))
 
 
+@pytest.mark.slow
 def test_limits_hold_the_truth(pools: list[PooledFit]) -> None:
     """As often as their level says, within three standard errors."""
     least = 0.95 - 3 * np.sqrt(0.95 * 0.05 / POOLS)
@@ -173,6 +174,7 @@ def test_a_walk_in_one_record_only_is_found() -> None:
     assert pooled["K"].high > 1.5e-3
 
 
+@pytest.mark.slow
 def test_widened_limits_hold_the_mean_of_scattered_records() -> None:
     """Records whose N scatters by 25 %: the limits hold the median unit's value."""
     rng = np.random.default_rng(12)
@@ -207,6 +209,7 @@ def test_scales_with_the_samples(factor: float) -> None:
         npt.assert_allclose(other[key].variance_growth, one[key].variance_growth, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
     """Its mean over 60 records is K², and the law at K² their scatter; a bound alone would say 0 … high."""
     text, truth = "N=1e-3 + B=6e-4 + K=2e-4", 2e-4**2
@@ -221,6 +224,7 @@ def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
     assert 0.8 < np.mean(deviations) / scatter < 1.25
 
 
+@pytest.mark.slow
 def test_a_walk_that_each_log_barely_shows_is_pooled_without_bias() -> None:
     """Of 60 logs that tell it at one to two deviations, those that drew low do not count for more.
 

@@ -150,6 +150,7 @@ def test_a_weak_term_is_pooled_without_bias() -> None:
     assert all(any(x.code == "weak-term" for x in f.findings) for f in found[:1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("units", "logs", "tau", "error"), [(6, 2, 0.1, 5.0), (10, 1, 0.3, 2.0), (24, 3, 0.3, 8.0)]
 )
@@ -227,6 +228,7 @@ def _uneven_fleet(rng: np.random.Generator, odd: float) -> list[LogValue]:
     return logs
 
 
+@pytest.mark.slow
 def test_units_known_unequally_are_called_odd_rarely() -> None:
     """Spreads between and within units are not known; of 25 such fleets 5 % have a false alarm."""
     rng = np.random.default_rng(4503)
@@ -328,6 +330,7 @@ def test_a_term_that_no_log_shows_is_bounded() -> None:
     assert sum(held) >= 3
 
 
+@pytest.mark.slow
 def test_limits_of_a_weak_median_hold_it() -> None:
     """Ten units that tell the square to 0.8 each: a posterior that leans to zero does not drag them along."""
     found = [

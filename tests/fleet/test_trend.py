@@ -143,6 +143,7 @@ def test_as_many_logs_as_unknowns_leave_no_scatter_to_judge() -> None:
     assert moved.drift.value == pytest.approx(found.drift.value, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "error", "omega"), [((10, 4), 0.006, 0.15), ((12, 2), 0.006, 0.15), ((8, 5), -0.8, 0.0)]
 )

@@ -443,6 +443,7 @@ def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:
     )
 
 
+@pytest.mark.slow
 def test_units_of_the_fleet_fail_a_check_rarely() -> None:
     """New units of 60 draws: a false alarm in about 5 % of them, by the membership of one term."""
     from imucal.fleet.population import membership

@@ -23,6 +23,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return bench
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", QUICK, ids=lambda fault: fault.__name__)
 def test_a_fault_costs_nothing_but_time(bench: Bench, fault: Callable[[Bench], str]) -> None:
     """Nothing lost, nothing twice, the right exit code, and the results of an undisturbed run."""

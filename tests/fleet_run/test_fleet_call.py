@@ -33,6 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same rows with the same keys; what failed is in the fleet, and progress is told when asked for."""
     monkeypatch.chdir(folder)
@@ -81,6 +82,7 @@ print(fleet.asked, len(fleet.logs), __file__)
 """
 
 
+@pytest.mark.slow
 def test_a_script_needs_no_guard(folder: Path) -> None:
     """Workers do not run it: its line is printed once."""
     script = folder / "script.py"
@@ -92,6 +94,7 @@ def test_a_script_needs_no_guard(folder: Path) -> None:
     assert FleetStore(folder / "scripted").results().equals(FleetStore(folder / "typed").results())
 
 
+@pytest.mark.slow
 def test_a_notebook_may_call_it(folder: Path) -> None:
     """Where a loop of events runs in the main thread already, and there is no script."""
     cell = (

@@ -43,6 +43,7 @@ def as_nobody(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return done
 
 
+@pytest.mark.slow
 def test_a_run_opens_no_port_and_no_pipe_to_others(tmp_path: Path) -> None:
     """Of none of its processes; and what speaks to them is closed to other users."""
     bench = Bench(tmp_path.resolve())

@@ -175,6 +175,7 @@ def test_a_fit_of_an_unknown_sensor_is_refused() -> None:
         imucal.drift(replace(small_report().axes[0].fit, sensor=None))
 
 
+@pytest.mark.slow
 def test_limits_hold_the_truth() -> None:
     """Of 40 records in 91 to 100 %, three standard errors about 95 %, by the default fit."""
     text = "N=1e-3 + K=2e-5"

@@ -17,6 +17,7 @@ LABELS = ("--labels", "{model}/{unit}/*.csv")
 pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 
+@pytest.mark.slow
 def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:  # noqa: ANN401
     """By wildcards: labels from the keys; copies go after use; again does nothing, a new object is done."""
     for seed, unit in enumerate(("u1", "u2")):

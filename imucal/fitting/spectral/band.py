@@ -13,8 +13,15 @@ below its corner. DC gain is 1, so that N keeps its meaning.
 A description is sound when the misfit is within chance and the next orders of the response add
 nothing. Among the sound ones the one that tells N best is taken, and then one order more than it
 needs, so that what the response can't follow does not bias N.
+
+White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise.
+Every sensor has white noise. So if a Gauss-Markov term makes up the top of the spectrum, the search is
+repeated with correlation times that are too long to imitate a filter. If this finds a sound
+description, N is the level in front of the filter, and a finding names both readings.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
 from math import comb
 from typing import TypeAlias
 
@@ -25,12 +32,14 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
 from imucal.fitting.spectral.likelihood import (
+    COLUMN,
     SHORTEST,
     SHORTEST_GIVEN,
     Candidates,
     Evaluation,
     Structure,
     candidates_of,
+    derivatives,
     shaped_symbols,
 )
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, band_top, coarser
@@ -48,12 +57,23 @@ _CORNERS = (0.03, 0.97, 24)
 Order: TypeAlias = tuple[int, int]
 
 
+#: Returns the variance of the samples' rounding, in scaled units.
+Rounding: TypeAlias = Callable[[], float]
+
+
+def _no_rounding() -> float:
+    return 0.0
+
+
 @frozen_alone
 class Band:
     """The part of the spectrum to fit, up to a `fraction` of Nyquist, and the response there.
 
     `order` has the poles and zeros of the simplest response that is sound; `poles` and `zeros` are those of
     the one to fit, one more, 0 where it is flat, with coefficients a, shape (poles,).
+
+    Gauss-Markov terms have correlation times of at least `shortest` samples. If such a term could explain
+    the spectrum instead of a filter in front of it, `masked` is its correlation time in samples, else 0.
     """
 
     fraction: float
@@ -61,6 +81,8 @@ class Band:
     poles: int
     zeros: int
     response: FloatArray
+    shortest: float = SHORTEST
+    masked: float = 0.0
 
     @property
     def flat(self) -> bool:
@@ -91,11 +113,15 @@ def _fitted_response(fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray
 def _response(band: Band, response: FloatArray, zeros: int) -> tuple[FloatArray, FloatArray, float | None]:
     """Return fractions of Nyquist up to the band's end, |H|² there, shape (2000,) each, and the corner."""
     frequency = np.linspace(0.0, band.fraction, 2001)[1:]
-    lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
-    denominator = 1 + (lam[:, None] / band_top(band.fraction)) ** np.arange(1, response.size + 1) @ response
-    power: FloatArray = (1 - lam / 4) ** zeros / denominator
+    power = _power(4 * np.sin(np.pi / 2 * frequency) ** 2, band_top(band.fraction), response, zeros)
     below = np.flatnonzero(power < 0.5)
     return frequency, power, float(frequency[below[0]]) if below.size else None
+
+
+def _power(lam: FloatArray, top: float, response: FloatArray, zeros: int) -> FloatArray:
+    """Return |H|² at each of `lam`, shape (b,), of the coefficients a, shape (poles,)."""
+    denominator = 1 + (lam[:, None] / top) ** np.arange(1, response.size + 1) @ response
+    return np.asarray(np.maximum(1 - lam / 4, 0.0) ** zeros / denominator)
 
 
 def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -> str:
@@ -135,14 +161,41 @@ def filter_finding(
             "the fit uses what is below."
         )
     advice = "The model is that of the noise before the filter, right at times beyond the filter's."
+    if band.masked:
+        return (_two_readings(fitted, band, response, rate_hz=rate_hz, axis=axis),)
     return (Finding("info", "output-filter", text, advice, axis=axis),)
 
 
-def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int, room: int) -> FloatArray:
+def _two_readings(
+    fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
+) -> Finding:
+    """Return the warning for a spectrum that a filter and a Gauss-Markov term explain equally well."""
+    of_filter, time_s = "", band.masked / rate_hz
+    if response:
+        of_filter = f" ({response.kind}, -3 dB at {response.cutoff_hz:.3g} Hz)"
+        time_s = 1 / (2 * np.pi * response.cutoff_hz)
+    # The density at the top of the band, compared with that of N.
+    seen = fitted.maximum.spectrum[0, -_TOP:].mean()
+    below = float(np.sqrt(seen / np.exp(fitted.maximum.theta[0, COLUMN["N"]])))
+    text = (
+        f"The spectrum has two explanations: white noise behind a low-pass filter{of_filter}, or a Gauss-"
+        f"Markov term of T = {time_s:.3g} s whose white noise is too weak to see. The fit "
+        f"assumes the filter. Without one, N would be less than {below:.2g} times the reported value."
+    )
+    advice = (
+        "Look for a low-pass filter or smoothing in the sensor's settings and in the driver. Switch it off "
+        "and record again, or keep it and use this N."
+    )
+    return Finding("warning", "output-filter", text, advice, axis=axis)
+
+
+def start_response(
+    seen: Ordinates, low: FloatArray, order: Order, *, width: int, room: int, lowest: float = _CORNERS[0]
+) -> FloatArray:
     """Return starting parameters, shape (1, p): slow terms as given, response from the spectrum.
 
     `low`, shape (1, >= width), holds the slow terms in its first `width` columns; `room` columns for
-    the response follow.
+    the response follow. White noise dominates above `lowest`, a fraction of Nyquist.
 
     Where white noise dominates, numerator / S = (1 + sum a_i x^i) / N²: a linear regression in 1/N²
     and a/N². Where that is not positive, the flattest response 1 + c x^j that fits best.
@@ -152,7 +205,7 @@ def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int
     if not poles:
         return theta
     x = seen.lam / seen.top
-    high = seen.fraction > min(0.03, 0.3 * float(seen.fraction.max()))
+    high = seen.fraction > min(lowest, 0.3 * float(seen.fraction.max()))
     numerator = np.maximum(1 - seen.lam / 4, 1e-12) ** zeros
     target = (numerator * seen.size / np.maximum(seen.power, 1e-300))[high]
     powers = x[:, None] ** np.arange(poles + 1)
@@ -161,7 +214,7 @@ def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int
     for _ in range(2):
         fitted = powers @ solution
         if np.any(fitted <= 0) or solution.sum() <= 0:
-            solution = _flattest(seen, high, numerator, order)
+            solution = _flattest(seen, high, numerator, order, lowest)
             break
         weight = np.sqrt(seen.size[high]) / fitted[high]
         better = np.linalg.lstsq(powers[high] * weight[:, None], target * weight, rcond=None)[0]
@@ -170,17 +223,19 @@ def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int
         solution = better
     if solution[0] <= 0:
         # Positive in every bin, and not at zero frequency: no response.
-        solution = _flattest(seen, high, numerator, order)
+        solution = _flattest(seen, high, numerator, order, lowest)
     theta[0, 1] = -np.log(solution[0])
     theta[0, width : width + poles] = solution[1:] / solution[0]
     return theta
 
 
-def _flattest(seen: Ordinates, high: BoolArray, numerator: FloatArray, order: Order) -> FloatArray:
+def _flattest(
+    seen: Ordinates, high: BoolArray, numerator: FloatArray, order: Order, lowest: float
+) -> FloatArray:
     """Return the best of a row of Butterworth responses, as coefficients of numerator / S."""
     poles, zeros = order
     x, best, solution = seen.lam / seen.top, np.inf, np.zeros(poles + 1)
-    for corner in np.geomspace(*_CORNERS):
+    for corner in np.geomspace(lowest, *_CORNERS[1:]):
         # |H|² = (1 - lam/4)^z / ((1 - lam/4)^z + c lam^j), one half at the corner.
         at = float(np.sin(np.pi / 2 * corner)) ** 2
         binomial = np.array([comb(zeros, i) * (-seen.top / 4) ** i for i in range(zeros + 1)])
@@ -197,7 +252,26 @@ def _flattest(seen: Ordinates, high: BoolArray, numerator: FloatArray, order: Or
 
 
 #: Bands that are tried, as fractions of Nyquist.
-BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
+BANDS = (
+    1.0,
+    0.9,
+    0.7,
+    0.5,
+    0.35,
+    0.25,
+    0.18,
+    0.125,
+    0.09,
+    0.0625,
+    0.045,
+    0.03125,
+    0.022,
+    0.016,
+    0.011,
+    0.008,
+)
+#: Slow terms are first fitted below this fraction of Nyquist, where most filters are flat.
+_LOW = 0.03125
 #: Misfit score below which a description is sound.
 _SOUND = 3.0
 #: The same for the whole band without a response, where no response would help.
@@ -208,6 +282,13 @@ _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
 #: Quantization noise and a response bend the same part of the spectrum: where quantization explains
 #: it, a filter instead needs strong reasons.
 _GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
+#: Share of the highest frequencies' power from which a Gauss-Markov term hides the white noise.
+_MASKING = 0.5
+#: A Gauss-Markov term is compared with the rounding where its density is this many times the white noise's;
+#: white noise of less than this many times the variance of the rounding is not the sensor's.
+_ABOVE, _ROUNDED = 4.0, 3.0
+#: A Gauss-Markov term that is this many times slower can't imitate the filter.
+_SLOWER = 10.0
 #: Highest number of poles.
 _ORDERS = 5
 #: Above this fraction of Nyquist a response's zeros show; at Nyquist itself they leave nothing.
@@ -219,6 +300,8 @@ _WITH_ZEROS: list[Order] = [
 ]
 #: A band needs so many bins.
 _FEWEST = 24
+#: Bins of the highest frequencies.
+_TOP = 8
 
 
 @frozen_alone
@@ -239,6 +322,7 @@ def find_band(
     given: Structure | None = None,
     near: float | None = None,
     narrow: bool = True,
+    rounding: Rounding = _no_rounding,
 ) -> Band:
     """Return the band, and the response in it, that a rich model describes, which holds all the candidates.
 
@@ -247,15 +331,29 @@ def find_band(
     time of any length describe the whole band beside white noise.
     Of ordinates that are known not to be flat the band up to `near`, a fraction of Nyquist, is tried first,
     and taken if it has a sound description; without `narrow` no band but the whole one is.
+    `rounding` returns the variance of the samples' rounding in scaled units.
     """
-    if near is None and (flat := flat_band(ordinates, rich, given=given)):
-        return flat
+    coarse, fractions = _coarse(ordinates), BANDS if narrow else BANDS[:1]
     plain = tuple(symbol for symbol in rich if symbol != "Q")
-    search = _BandSearch(_coarse(ordinates), plain, SHORTEST)
-    return search.filtered(near, BANDS if narrow else BANDS[:1])
+    found = flat_band(ordinates, rich, given=given, rounding=rounding) if near is None else None
+    if found is None:
+        search = _BandSearch(coarse, plain, SHORTEST, rounding)
+        found = search.sound(near, fractions) or search.least_bad()
+    if found.masked and near is None and not shaped_symbols(given or ()):
+        slow = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding)
+        behind = slow.sound(None, fractions)
+        if behind is not None and not behind.masked:
+            return replace(behind, masked=found.masked)
+    return found
 
 
-def flat_band(ordinates: Ordinates, rich: Structure, *, given: Structure | None = None) -> Band | None:
+def flat_band(
+    ordinates: Ordinates,
+    rich: Structure,
+    *,
+    given: Structure | None = None,
+    rounding: Rounding = _no_rounding,
+) -> Band | None:
     """Return the whole band without a response, as `find_band`; None if the data ask for more."""
     coarse = _coarse(ordinates)
     if given is not None and shaped_symbols(given):
@@ -263,7 +361,7 @@ def flat_band(ordinates: Ordinates, rich: Structure, *, given: Structure | None 
         flat = own.flat()
         if flat and (own.white_at_the_top() or "N" not in given):
             return flat
-    return _BandSearch(coarse, rich, SHORTEST).flat()
+    return _BandSearch(coarse, rich, SHORTEST, rounding).flat()
 
 
 def _coarse(ordinates: Ordinates) -> Ordinates:
@@ -273,9 +371,13 @@ def _coarse(ordinates: Ordinates) -> Ordinates:
 class _BandSearch:
     """Fits of one structure to several bands with several responses."""
 
-    def __init__(self, ordinates: Ordinates, structure: Structure, shortest: float) -> None:
+    def __init__(
+        self, ordinates: Ordinates, structure: Structure, shortest: float, rounding: Rounding = _no_rounding
+    ) -> None:
         self.ordinates, self.structure, self.shortest = ordinates, structure, shortest
+        self.rounding = rounding
         self.width = SHAPED + 2 * len(shaped_symbols(structure))
+        self.tried: list[_Trial] = []
 
     def candidates(self, orders: list[Order]) -> Candidates:
         return candidates_of(
@@ -333,20 +435,19 @@ class _BandSearch:
 
     def level_at_the_top(self) -> float:
         """Return the mean square of the ordinates of the highest frequencies."""
-        last = slice(-8, None)
+        last = slice(-_TOP, None)
         return float(self.ordinates.power[last].sum() / self.ordinates.size[last].sum())
 
     def white_at_the_top(self) -> bool:
         """Whether white noise makes most of the blind fit's power at the highest frequencies."""
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
-    def filtered(self, near: float | None, fractions: tuple[float, ...]) -> Band:
-        """Return a sound description `near`, the best sound one of all bands, or the least bad one."""
-        narrow = self.ordinates.below(BANDS[-1])
+    def sound(self, near: float | None, fractions: tuple[float, ...]) -> Band | None:
+        """Return a sound description `near`, the best sound one of all bands, or None."""
+        narrow = self.ordinates.below(_LOW)
         low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
         if near is not None and (found := _simplest(self.responses(near, low))):
             return self.simplest(found)
-        every: list[_Trial] = []
         best: tuple[_Trial, _Trial] | None = None
         for fraction in fractions:
             seen = self.ordinates.below(fraction)
@@ -355,19 +456,25 @@ class _BandSearch:
             if best is not None and best[0].deviation < np.sqrt(0.5 / seen.count):
                 break
             trials = self.responses(fraction, low)
-            every += trials
+            self.tried += trials
             found = _simplest(trials)
             if found is not None and (best is None or found[0].deviation < best[0].deviation):
                 best = found
-        if best is None:
-            return self.band(min(every, key=lambda t: t.statistic))
-        return self.simplest(best)
+        return self.simplest(best) if best else None
+
+    def least_bad(self) -> Band:
+        """Return the description with the smallest misfit of those that were tried and are not sound."""
+        return self.band(min(self.tried, key=lambda t: t.statistic))
 
     def responses(self, fraction: float, low: FloatArray) -> list[_Trial]:
         """Return the fits of one band with every order of the response that has a likelihood there."""
         seen = self.ordinates.below(fraction)
         orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
-        starts = [start_response(seen, low, order, width=self.width, room=_ORDERS) for order in orders]
+        lowest = min(_CORNERS[0], 1 / self.shortest)
+        starts = [
+            start_response(seen, low, order, width=self.width, room=_ORDERS, lowest=lowest)
+            for order in orders
+        ]
         fits = self.fit(seen, fraction, orders, np.concatenate(starts))
         return [t for t in fits if np.isfinite(t.maximum.objective[0])]
 
@@ -385,7 +492,26 @@ class _BandSearch:
             poles=poles,
             zeros=zeros,
             response=trial.maximum.theta[0, self.width : self.width + poles],
+            shortest=self.shortest,
+            masked=self.masked(trial),
         )
+
+    def masked(self, trial: _Trial) -> float:
+        """Return the correlation time of the term that hides the white noise, in samples; 0 if none does."""
+        found, seen = trial.maximum, self.ordinates.below(trial.fraction)
+        times = found.theta[0, found.candidates.variances : found.candidates.response]
+        if not times.size:
+            return 0.0
+        # White noise is looked for where the response is flat.
+        power = _power(seen.lam, seen.top, found.theta[0, self.width :], trial.order[1])
+        parts = derivatives(seen, found.candidates, found.theta)[: found.candidates.variances, power > 0.5]
+        white, shaped = parts[COLUMN["N"]], parts[SHAPED:]
+        top = parts[:, -_TOP:].sum(axis=1)
+        hidden = top[SHAPED:].sum() > _MASKING * top.sum()
+        if not hidden and np.any(shaped > _ABOVE * white):
+            # The white noise is visible, but it may be that of the rounding.
+            hidden = float(np.exp(found.theta[0, COLUMN["N"]])) < _ROUNDED * self.rounding()
+        return float(np.exp(times[np.argmax(top[SHAPED:])])) if hidden else 0.0
 
 
 def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:

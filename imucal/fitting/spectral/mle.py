@@ -27,14 +27,13 @@ from imucal.fitting.homogeneity import (
     widened_covariance,
 )
 from imucal.fitting.noise_fit import MISFIT, Goodness, NoiseFit, Segments
-from imucal.fitting.robust import heavy_tails, resolution_effect
+from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
 from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import (
-    SHORTEST,
     SHORTEST_GIVEN,
     Structure,
     all_structures,
@@ -47,6 +46,7 @@ from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
+from imucal.noise.terms import GaussMarkov
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
 
@@ -126,6 +126,11 @@ def fit_mle(
     misfits = misfits_of(problem, fitted, found)
     estimates = widened(estimates, segments, misfits)
     covariance = widened_covariance(names, covariance, segments, misfits)
+    if band.masked:
+        estimates = tuple(
+            replace(e, alternatives=(*e.alternatives, GaussMarkov.symbol)) if e.key == "N" else e
+            for e in estimates
+        )
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
     findings += line_finding(view.blocks.lines, series)
@@ -186,7 +191,7 @@ def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels
         _structures(settings.structure, settings.max_gm, filtered=band.poles > 0),
         criterion=settings.criterion,
         band=band,
-        shortest=SHORTEST if settings.structure is None else SHORTEST_GIVEN,
+        shortest=band.shortest if settings.structure is None else SHORTEST_GIVEN,
     )
 
 
@@ -236,6 +241,7 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
         richest(settings.structure, settings.max_gm),
         given=settings.structure,
         narrow=settings.still,
+        rounding=lambda: ((step_size(series.samples) or 0.0) / blocks.scale) ** 2 / 12,
     )
     return View(
         blocks=blocks,

@@ -66,10 +66,24 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
     elif doubled:
         text = f"{doubled} of {n} samples are one too many for the clock and are dropped."
         notes.append(Finding("warning", "extra-samples", text))
+    if period.other_ns:
+        text = (
+            f"The stamps have two readings: {period.rate_hz:.6g} Hz, which is taken, or "
+            f"{1e9 / period.other_ns:.6g} Hz with {_kind(period)}. N goes with the root of the rate."
+        )
+        advice = "Give the sampling rate if it is the other one."
+        notes.append(Finding("warning", "two-readings", text, advice))
     if back:
         text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
         notes.append(Finding("info", "stamps-out-of-order", text))
     return notes
+
+
+def _kind(period: Period) -> str:
+    """Return what the other reading of a period says of the samples."""
+    if period.other_ns > period.tau_ns:
+        return f"no sample missing, on a clock with ticks of {period.tau_ns / 1e6:.4g} ms"
+    return f"{1 - period.other_ns / period.tau_ns:.2g} of the samples missing"
 
 
 def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
@@ -285,7 +299,7 @@ class _Stamps:
         stamps = evened(stamps, period, self.room)
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
         # How many samples a gap between two batches misses is known to a batch.
-        for longest in (0, 0) if period.burst > 1 else (10,) if steps.even else (10, 1000):
+        for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
             if period.coherent:

@@ -42,6 +42,17 @@ _READ = ((True, True), (False, False), (False, True))
 _WHITE, _ALONE, _FEWEST, _PHASES, _COHERENT = 0.1, 0.55, 256, 2048, 0.12
 #: The least ratio of the period to the mean step where losses are many enough to be worth it.
 _LOST = 1.003
+#: Trials: a pause is longer than so many usual steps, a trial has so many samples, fewest pauses, and fewest
+#: starts that show whether the beat is even.
+_PAUSE, _TRIAL, _PAUSES, _STARTS = 4, 8, 3, 6
+#: The highest rate, in Hz, at which the steps inside a batch may also be those of a sensor.
+_SENSOR = 2000.0
+#: Share of missing samples up to which a driver may have stamped batches with a nominal period.
+_NOMINAL = 0.1
+#: Share of missing samples up to which steps inside a batch are too long for the reading of a buffer.
+_MOST = 0.55
+#: Stamps that show where the phases of a clock with coarse ticks begin.
+_LOOK = 4096
 #: Samples that may be read at once, at most; also those that may catch up after a pause.
 REACH = 1 << 13
 #: Samples worked on at once: what fits the processor's cache.
@@ -76,6 +87,17 @@ class Period:
     bounded: bool = True
     #: Whether the period is that of the stamps' phases, which needs no count of what is missing.
     coherent: bool = False
+    #: Tick of a clock, in ns, that is a little shorter than the period; 0 where the clock is finer.
+    tick_ns: float = 0.0
+    #: Sampling period of another reading that fits the stamps as well, in ns; 0 where there is none.
+    other_ns: float = 0.0
+    #: Whether the log is made of trials: a pause need not be a whole number of periods.
+    trials: bool = False
+
+    @property
+    def free(self) -> bool:
+        """Whether a gap need not be a whole number of periods."""
+        return self.trials or self.burst > 1
 
     @property
     def rate_hz(self) -> float:
@@ -95,36 +117,218 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     wide = _mean_step(runs)
     if not positive.size or not wide > 0:
         return None
-    # The resolution: whole us stay so as floats of seconds since 1970.
-    some = steps[:100_000]
-    whole = 1000 * np.rint(some / 1000).astype(np.int64)
-    quantum = int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
+    quantum = _quantum(steps)
     late, conserved = _late(runs, steps, wide, quantum)
-    # The usual short step.
-    unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
-    missing = None
-    if unit < (1 - _SAME) * late.tau_ns:
-        missing = _of_phases(runs, steps, wide, quantum, conserved=conserved)
-        if missing is None and (unit := _whole_unit(positive, unit)):
-            missing = Period(tau_ns=unit)
-    chosen = late
-    if missing is not None:
-        longer = positive[positive > 1.4 * missing.tau_ns]
-        coarse = quantum > missing.tau_ns / 2 and np.log10(quantum) % 1 == 0
-        paused = bool(coarse or median(longer) >= 4 * missing.tau_ns)
-        chosen = _chosen(late, missing, rate_hz, conserved=conserved, paused=paused, pauses=longer.size)
+    trials, other = _trials(runs, late, rate_hz)
+    if trials:
+        runs = trials
+        steps = np.concatenate([np.diff(run) for run in runs])
+        positive, wide = steps[steps > 0], _mean_step(runs)
+        late, conserved = _late(runs, steps, wide, quantum)
+    late = replace(late, other_ns=other, trials=bool(trials))
+    chosen = late if other else _reading(runs, late, wide, quantum, rate_hz, conserved=conserved)
     reach = 0.5 if chosen.coherent else 0.25
-    near = positive[np.abs(positive / chosen.tau_ns - 1) < reach] if chosen is missing else steps
+    near = (
+        steps if chosen is late or chosen.tick_ns else positive[np.abs(positive / chosen.tau_ns - 1) < reach]
+    )
     # The standard deviation of one stamp, from the median absolute deviation of steps.
     deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2)
     usual = median(steps)
     return replace(
         chosen,
-        jitter=float(deviation / chosen.tau_ns),
+        jitter=0.0 if chosen.tick_ns else float(deviation / chosen.tau_ns),
         resolution_ns=quantum,
         usual_ns=usual,
-        regular=bool(np.mean(np.abs(steps - usual) < 0.05 * usual) > 0.6),
+        regular=not chosen.tick_ns and bool(np.mean(np.abs(steps - usual) < 0.05 * usual) > 0.6),
     )
+
+
+def _reading(
+    runs: list[IntArray], late: Period, wide: float, quantum: int, rate_hz: float | None, *, conserved: bool
+) -> Period:
+    """Return the reading of the stamps: samples that are late, or missing, or a clock with coarse ticks."""
+    steps = np.concatenate([np.diff(run) for run in runs])
+    positive = steps[steps > 0]
+    # The usual short step.
+    unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
+    if unit >= (1 - _SAME) * late.tau_ns:
+        return late
+    ticks = _of_ticks(runs, steps, unit, quantum, rate_hz)
+    if ticks is not None:
+        return ticks
+    missing = _of_phases(runs, steps, wide, quantum, conserved=conserved)
+    if missing is None and (unit := _whole_unit(positive, unit)):
+        missing = Period(tau_ns=unit, trials=late.trials)
+    if missing is None:
+        return late
+    longer = positive[positive > 1.4 * missing.tau_ns]
+    paused = bool(median(longer) >= 4 * missing.tau_ns)
+    return _chosen(late, missing, rate_hz, conserved=conserved, paused=paused, pauses=longer.size)
+
+
+def _quantum(steps: IntArray) -> int:
+    """Return the greatest common divisor of the steps in ns; whole us stay so as floats since 1970."""
+    some = steps[:100_000]
+    whole = 1000 * np.rint(some / 1000).astype(np.int64)
+    return int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
+
+
+def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[list[IntArray], float]:
+    """Return the runs without the pauses between trials; none where there are no trials.
+
+    The second value is the period inside a batch, in ns, where the batches of a buffer may also be trials.
+    Raises ChoiceError where both readings fit and no `rate_hz` decides.
+    """
+    steps = np.concatenate([np.diff(run) for run in runs])
+    usual = median(steps)
+    pieces = _pieces(runs, _PAUSE * usual)
+    if len(pieces) - len(runs) < _PAUSES:
+        return [], 0.0
+    inside = sum(map(len, pieces))
+    own = sum(int(piece[-1] - piece[0]) for piece in pieces) / (inside - len(pieces))
+    # Where single samples are missing everywhere, pauses are longer losses. No sensor is faster than RATES.
+    if inside < 0.9 * sum(map(len, runs)) or own > 1.1 * usual or own < 1e9 / RATES[1]:
+        return [], 0.0
+    size = inside / len(pieces)
+    beat, uneven, starts = _beat(runs, _PAUSE * usual, size)
+    missing, batches = Period(tau_ns=own), Period(tau_ns=beat or late.tau_ns, burst=round(size))
+    pauses = steps[steps > _PAUSE * usual] / own
+    if rate_hz is not None:
+        return pieces if _nearest(batches, missing, rate_hz) is missing else [], 0.0
+    if _are_apart(missing, batches, pauses, uneven):
+        return pieces, 0.0
+    if not 1e9 / _SENSOR < own < (1 - _MOST) * batches.tau_ns:
+        return [], 0.0
+    if own > _SLOWEST or uneven > 1 or starts < _STARTS:
+        raise _two_readings(missing, batches)
+    return [], own
+
+
+def _are_apart(missing: Period, batches: Period, pauses: FloatArray, uneven: float) -> bool:
+    """Say whether pauses, in periods, are between trials; batches of a buffer may fit as well or better."""
+    share = 1 - missing.tau_ns / batches.tau_ns
+    if share < _MOST:
+        # A driver may stamp batches with a nominal period, which leaves no whole periods between them.
+        return share > _NOMINAL or median(np.abs(pauses - np.rint(pauses))) < 0.12
+    odd = batches.burst > _DEEPEST or batches.rate_hz < RATES[0]
+    return odd or uneven > (1.0 if missing.tau_ns > _SLOWEST else 1.5)
+
+
+def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
+    """Return the trials of runs: what is between two pauses, and long enough."""
+    if pause <= 0:
+        return []
+    cut = [np.split(run, np.flatnonzero(np.abs(np.diff(run)) > pause) + 1) for run in runs]
+    return [piece for pieces in cut for piece in pieces if piece.size >= _TRIAL]
+
+
+def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float, int]:
+    """Return the period of samples whose batches of about `size` begin at an even beat, in ns.
+
+    The second value is by how many batches they stray from that line, the third is the number of batches.
+    A buffer is full at an even beat: its batches stray by about one.
+    """
+    found = []
+    for last_stamp, last_place in _READ:
+        anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
+        beat = _slope_of(anchors)
+        late = [times / beat - places for times, places in anchors if times.size]
+        spread = [float(np.ptp(_about_a_line(_without_jumps(one, 0.0)))) / size for one in late]
+        if spread:
+            found.append((median(np.array(spread)), beat, sum(one.size for one in late)))
+    uneven, beat, starts = min(found, default=(0.0, 0.0, 0))
+    return beat, uneven, starts
+
+
+def _nearest(late: Period, missing: Period, rate_hz: float) -> Period:
+    return min(late, missing, key=lambda reading: abs(np.log(reading.rate_hz / rate_hz)))
+
+
+def _two_readings(missing: Period, late: Period) -> ChoiceError:
+    share = 1 - missing.tau_ns / late.tau_ns
+    batches = f"in batches of about {late.burst}" if late.burst > 1 else "with uneven stamps"
+    return ChoiceError(
+        f"the stamps have two readings: {missing.rate_hz:.6g} Hz with {share:.0%} of the samples missing, or "
+        f"{late.rate_hz:.6g} Hz {batches}; expected one; give the sampling rate"
+    )
+
+
+def _of_ticks(
+    runs: list[IntArray], steps: IntArray, unit: float, quantum: int, rate_hz: float | None
+) -> Period | None:
+    """Return the period of samples stamped by a clock with ticks of `unit` ns; None where they are not.
+
+    Stamps lie within one tick after an even grid. Their steps are one tick, and two where the grid gained a
+    whole one. The spectrum of the ticks with a sample has its highest line at the rate of these slips, and
+    no sample has a phase in the part of the period by which it is longer than the tick. Losses only thin
+    the stamps out. Where slips come at equal distances, a sensor with a period of one tick that loses one
+    sample of every few fits just as well.
+    """
+    whole = np.rint(steps / unit)
+    longer = whole[whole > 1]
+    off = percentile(np.abs(steps - whole * unit), 99)
+    if off > min(1.01 * quantum, 0.2 * unit) or not longer.size or median(longer) > 2:
+        return None
+    some = runs[:: max(len(runs) // 5, 1)]
+    slips = [slip for run in some if (slip := _slips(np.rint(np.diff(run) / unit).astype(np.int64)))]
+    if 2 * len(slips) <= len(some):
+        return None
+    share = median(np.array(slips))
+    found = Period(tau_ns=unit / (1 - share), tick_ns=unit)
+    between = np.concatenate([np.diff(np.flatnonzero(np.diff(run) > 1.5 * unit)) for run in runs])
+    if percentile(between, 5) < percentile(between, 95):
+        return found if rate_hz is None else _nearest(found, Period(tau_ns=unit), rate_hz)
+    found = replace(found, tau_ns=unit * (1 + 1 / median(between)))
+    if rate_hz is not None:
+        return _nearest(found, Period(tau_ns=unit), rate_hz)
+    # Clocks count in powers of ten more often than sensors do.
+    if np.log10(quantum) % 1 == 0:
+        return replace(found, other_ns=unit)
+    return Period(tau_ns=unit, other_ns=found.tau_ns)
+
+
+def _slips(ticks: IntArray) -> float:
+    """Return the share of ticks that have no sample because the period is longer; 0 where it is not longer.
+
+    The steps from sample to sample, shape (n - 1,), are in ticks.
+    """
+    at = np.concatenate([[0], np.cumsum(ticks)])
+    at = at[: np.searchsorted(at, _PHASES)]
+    n = int(at[-1]) + 1
+    if at.size < _FEWEST // 2 or n == at.size or np.any(ticks[: at.size - 1] < 1):
+        return 0.0
+    taken = np.zeros(n)
+    taken[at] = 1.0
+    lost = 1 - at.size / n
+    width = 4 << n.bit_length()
+    lines = np.abs(np.fft.rfft(taken - taken.mean(), width))
+    low, high = 4 * width // n, int(width * lost) + 2 * width // n
+    if high <= low:
+        return 0.0
+    near = (low + int(np.argmax(lines[low:high]))) / width
+    # By chance all of so many neighbours in phase are lost at one of the rates.
+    few = np.log(1e6 * n) / np.log(1 / lost)
+    # The lines at multiples of the rate are nearly as high.
+    for first in (near, near / 2, near / 3):
+        # Fine enough that phases smear by a quarter of the part without samples.
+        rates = first + np.linspace(-0.2, 0.2, int(min(max(40, 1.6 / first), 160)) + 1) / n
+        each = [_least_taken(rate * np.arange(n) % 1.0, taken, 0.6 * rate, few) for rate in rates.tolist()]
+        shares = np.array(each)
+        if shares.min() <= 0.1:
+            return median(rates[shares == shares.min()])
+    return 0.0
+
+
+def _least_taken(phases: FloatArray, taken: FloatArray, width: float, few: float) -> float:
+    """Return the least share of ticks with a sample, of ticks whose phases are at most `width` apart."""
+    order = np.argsort(phases)
+    phases = phases[order]
+    samples = np.concatenate([[0.0], np.cumsum(np.tile(taken[order], 2))])
+    start = np.arange(phases.size)
+    stop = np.searchsorted(np.concatenate([phases, phases + 1]), phases + width, side="right")
+    many = stop - start >= max(few, 0.5 * width * phases.size)
+    shares = (samples[stop] - samples[start])[many] / (stop - start)[many]
+    return float(shares.min(initial=1.0))
 
 
 def _of_phases(
@@ -138,6 +342,8 @@ def _of_phases(
     """
     usual = median(steps)
     off = np.abs(steps - usual)
+    if wide > 8 * usual:
+        return None
     if max(_WHITE * usual, quantum) > 1.05 * median(off) or np.mean(2 * off < usual) < _ALONE:
         return None
     least, found = wide / 1.05 if conserved else min(0.75 * usual, wide), []
@@ -165,7 +371,7 @@ def _chosen(
     """Return the reading that a given rate names, or else the one that explains the stamps."""
     share = 1 - missing.tau_ns / late.tau_ns
     if rate_hz is not None:
-        return min(late, missing, key=lambda reading: abs(np.log(reading.rate_hz / rate_hz)))
+        return _nearest(late, missing, rate_hz)
     if missing.coherent:
         return missing
     buffered = late.burst <= _DEEPEST and missing.tau_ns <= _SLOWEST
@@ -173,12 +379,7 @@ def _chosen(
         return late
     if share <= 0.5 or pauses < 3 or late.burst > _DEEPEST:
         return missing
-    batches = f"in batches of about {late.burst}" if late.burst > 1 else "with uneven stamps"
-    msg = (
-        f"the stamps have two readings: {missing.rate_hz:.6g} Hz with {share:.0%} of the samples missing, or "
-        f"{late.rate_hz:.6g} Hz {batches}; expected one; give the sampling rate"
-    )
-    raise ChoiceError(msg)
+    raise _two_readings(missing, late)
 
 
 def _runs(stamps: IntArray) -> list[IntArray]:
@@ -330,12 +531,14 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
 
     The one stamp of a batch that tells when it was read gives those of its samples, a period apart.
     """
-    if period.burst == 1:
+    if period.burst == 1 and not period.tick_ns:
         return stamps
 
     def of(part: slice) -> IntArray:
         start = max(part.start - REACH, 0)
         block = stamps[start : min(part.stop + REACH, stamps.size)]
+        if period.tick_ns:
+            return _without_ticks(block, period)[part.start - start : part.stop - start]
         first, last = _edges(block, period.pause_ns)
         sizes = last - first + 1
         times = block[last if period.last_stamp else first]
@@ -350,3 +553,18 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         return np.asarray(spread[part.start - start : part.stop - start])
 
     return room.made(stamps.size, np.int64, of, stamps)
+
+
+def _without_ticks(stamps: IntArray, period: Period) -> IntArray:
+    """Return the even places of stamps in ns, shape (n,), that a clock with a coarse tick rounded down."""
+    cuts = np.flatnonzero(np.abs(np.diff(stamps)) > 64 * period.tau_ns) + 1
+    cuts = np.unique(np.concatenate([cuts, np.arange(_LOOK, stamps.size - _LOOK // 2, _LOOK)]))
+    even = []
+    for piece in np.split(stamps, cuts.tolist()):
+        places = (piece - piece[0]) / period.tau_ns
+        phases = np.sort(places % 1.0)
+        free = np.diff(phases, append=phases[0] + 1)
+        at = int(np.argmax(free))
+        first = phases[at] + free[at] / 2
+        even.append(piece[0] + np.round((np.floor(places - first) + first + 0.5) * period.tau_ns))
+    return np.concatenate(even).astype(np.int64)

@@ -11,6 +11,7 @@ from imucal.fitting.spectral import band, starts
 from imucal.fitting.spectral import band as filter_response
 from imucal.fitting.spectral.band import (
     BANDS,
+    Band,
     Order,
     _BandSearch,
     _deviation_of_white,
@@ -161,7 +162,7 @@ def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
         numerator = (1 - data.lam / 4) ** zeros
         slope = (data.lam / 4 / at) ** poles * (1 - at) ** zeros
         wave = replace(data, power=data.size * 7.0 * numerator / (numerator + slope))
-        solution = filter_response._flattest(wave, np.ones(data.lam.size, dtype=bool), numerator, order)
+        solution = filter_response._flattest(wave, np.ones(data.lam.size, dtype=bool), numerator, order, low)
         assert 1 / solution[0] == pytest.approx(7.0, rel=1e-9)
         powers = (data.lam / data.top)[:, None] ** np.arange(poles + 1)
         npt.assert_allclose(numerator / (powers @ solution), wave.power / wave.size, rtol=1e-9)
@@ -188,7 +189,7 @@ def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.M
     monkeypatch.setattr(_BandSearch, "responses", lambda *_: [_trial((0, 0), 1.0)])
     for n, whole in ((2000, False), (500, True)):
         data = ordinates_of(simulated("N=1", n, 1))
-        _BandSearch(data, ("N",), 10.0).filtered(None, BANDS)
+        _BandSearch(data, ("N",), 10.0).sound(None, BANDS)
         expected = data if whole else data.below(0.03125)
         npt.assert_array_equal(seen[-1].lam, expected.lam)
 
@@ -271,6 +272,12 @@ def test_quantization_that_bends_the_top_is_no_filter(
     assert (search.flat() is not None) == sound
 
 
+def _band(name: str) -> Band:
+    """Return a band that can be told from others: the letters of its name are its coefficients."""
+    response = np.array([float(ord(letter)) for letter in name])
+    return Band(fraction=1.0, order=(0, 0), poles=0, zeros=0, response=response)
+
+
 @pytest.mark.parametrize(
     ("given", "own", "white", "rich", "used"),
     [
@@ -293,26 +300,54 @@ def test_which_description_is_tried_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Terms that were given where white noise remains, then the rich model, then without Q a response."""
-    asked: list[tuple[str, ...]] = []
+    bands = {name: _band(name) for name in ("given", "rich", "filtered")}
 
-    def flat(search: _BandSearch) -> str | None:
-        asked.append(search.structure)
+    def flat(search: _BandSearch) -> Band | None:
         assert search.shortest == (2.0 if search.structure == given else 10.0)
         if search.structure == given:
-            return "given" if own else None
-        return "rich" if rich else None
+            return bands["given"] if own else None
+        return bands["rich"] if rich else None
 
-    def filtered(search: _BandSearch, near: float | None, fractions: tuple[float, ...]) -> str:
+    def sound(search: _BandSearch, near: float | None, fractions: tuple[float, ...]) -> Band:
         assert (near, fractions) == (None, BANDS)
         assert search.structure == ("N", "GM", "K")
-        return "filtered"
+        return bands["filtered"]
 
     monkeypatch.setattr(_BandSearch, "flat", flat)
     monkeypatch.setattr(_BandSearch, "white_at_the_top", lambda _: white)
-    monkeypatch.setattr(_BandSearch, "filtered", filtered)
+    monkeypatch.setattr(_BandSearch, "sound", sound)
     data = ordinates_of(simulated("N=1", 2000, 1))
-    found: object = find_band(data, ("Q", "N", "GM", "K"), given=given)
-    assert found == used
+    assert find_band(data, ("Q", "N", "GM", "K"), given=given) is bands[used]
+
+
+@pytest.mark.parametrize(
+    ("given", "behind", "taken"),
+    [
+        (None, 0.0, True),
+        (("N", "B"), 0.0, True),
+        (("N", "GM"), 0.0, False),
+        (None, 300.0, False),
+        (None, None, False),
+    ],
+)
+def test_a_filter_is_looked_for_where_a_term_hides_the_white_noise(
+    given: tuple[str, ...] | None, behind: float | None, *, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its search has times ten times as long; a term that was given, or that hides the noise again, stays."""
+    masked, asked = replace(_band("masked"), masked=12.0), []
+
+    def sound(search: _BandSearch, near: float | None, fractions: tuple[float, ...]) -> Band | None:
+        assert (near, fractions) == (None, BANDS)
+        asked.append(search.shortest)
+        return None if behind is None else replace(_band("filtered"), masked=behind, shortest=120.0)
+
+    monkeypatch.setattr(_BandSearch, "flat", lambda _: masked)
+    monkeypatch.setattr(_BandSearch, "white_at_the_top", lambda _: True)
+    monkeypatch.setattr(_BandSearch, "sound", sound)
+    found = find_band(ordinates_of(simulated("N=1", 2000, 1)), ("Q", "N", "GM", "K"), given=given)
+    assert asked == ([] if given == ("N", "GM") else [120.0])
+    assert found.masked == 12.0
+    assert found.shortest == (120.0 if taken else 10.0)
 
 
 def test_a_band_is_looked_for_near_another_first_and_in_the_whole_alone_if_so_asked() -> None:

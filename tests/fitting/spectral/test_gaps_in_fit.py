@@ -30,6 +30,7 @@ def with_gaps(kind: str, seed: int) -> FloatArray:
     return samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["scattered", "bursts"])
 def test_intervals_hold_the_truth_with_samples_missing(kind: str) -> None:
     """N and K are inside their intervals in most of twenty records, without bias."""

@@ -45,6 +45,7 @@ def test_heavy_tails_widen_n() -> None:
     assert factor == pytest.approx(np.sqrt(2.5), rel=0.05)
 
 
+@pytest.mark.slow
 def test_n_of_laplace_noise_is_covered() -> None:
     """The 95 % interval of N holds the truth with heavy tails too."""
     hits = 0

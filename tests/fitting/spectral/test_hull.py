@@ -1,9 +1,12 @@
 """Intervals after the choice: they hold though the chosen model lacks a term, and say what it stands for."""
 
+import re
+
 import numpy as np
 import pytest
 
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral import band
 from tests.fitting.fits import fitted, simulated
 
 #: A consumer gyroscope for half an hour, at a tenth of its rate: B and K are weak beside one another.
@@ -17,6 +20,7 @@ def fits() -> list[NoiseFit]:
     return [fitted(simulated(WEAK, N, 100 + seed, rate_hz=RATE), rate_hz=RATE) for seed in range(24)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("symbol", "truth"), [("N", 1e-4), ("B", 3e-5), ("K", 3e-6)])
 def test_intervals_hold_when_the_model_is_chosen(fits: list[NoiseFit], symbol: str, truth: float) -> None:
     """At 95 %, fewer than 20 of 24 hold in one of 170 such tests; those of the chosen model alone, 17."""
@@ -53,12 +57,14 @@ def walks() -> list[NoiseFit]:
     return [fitted(simulated("N=1 + K=0.01", 10_000, 200 + seed)) for seed in range(24)]
 
 
+@pytest.mark.slow
 def test_a_weak_walk_is_shown(walks: list[NoiseFit]) -> None:
     """In 20 of 24 at least (97 of 100 in `tests/benchmarks/coverage_auto.py`), and held by its interval."""
     assert sum(fit["K"].value is not None for fit in walks) >= 20
     assert sum(fit["K"].low <= 0.01 <= fit["K"].high for fit in walks) >= 20
 
 
+@pytest.mark.slow
 def test_whether_a_walk_is_shown_is_no_matter_of_the_rate(walks: list[NoiseFit]) -> None:
     """Means of ten samples hold the same walk: a parameter has the same price there."""
     means = (simulated("N=1 + K=0.01", 10_000, 200 + seed).reshape(-1, 10).mean(axis=1) for seed in range(24))
@@ -83,8 +89,25 @@ def test_a_slow_gauss_markov_term_speaks_for_the_walk() -> None:
     assert sum(k.horizon_s < time for k in rivals) >= len(rivals) - 2
 
 
-def test_n_is_always_a_value() -> None:
-    """Where a quick Gauss-Markov term may be all there is, N is the floor below every near model."""
+def test_n_in_front_of_a_filter_has_a_rival() -> None:
+    """A Gauss-Markov term of 15 samples that hides N has the spectrum of white noise behind a filter."""
+    plateau = 1e-3 * np.sqrt(2 * 1.5)
+    for seed in range(3):
+        fit = fitted(simulated("N=1e-5 + GM(sigma=1e-3, T=1.5)", N, seed, rate_hz=RATE), rate_hz=RATE)
+        n = fit["N"]
+        assert n.value is not None
+        assert n.low < plateau < n.high
+        assert "GM" in n.alternatives
+        (found,) = (finding for finding in fit.findings if finding.code == "output-filter")
+        assert found.level == "warning"
+        time = re.search(r"Gauss-Markov term of T = (\S+) s", found.text)
+        assert time
+        assert float(time[1]) == pytest.approx(1.5, rel=0.15)
+
+
+def test_n_is_always_a_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If a Gauss-Markov term hides N and no filter explains it, N is the floor below every near model."""
+    monkeypatch.setattr(band, "_MASKING", 2.0)
     for seed in range(3):
         fit = fitted(simulated("N=1e-5 + GM(sigma=1e-3, T=1.5)", N, seed, rate_hz=RATE), rate_hz=RATE)
         n = fit["N"]

@@ -15,11 +15,11 @@ SLACK = 3 * np.sqrt(0.95 * 0.05 / REPEATS)
 @pytest.mark.parametrize(
     ("text", "model"),
     [
-        ("N=1 + K=0.03", "N + K"),
         ("N=1 + B=0.3", "N + B"),
-        ("N=1 + GM(sigma=1, T=20)", "N + GM"),
-        ("N=1 + R=1e-3", "N + R"),
-        ("Q=2 + N=1", "Q + N"),
+        pytest.param("N=1 + K=0.03", "N + K", marks=pytest.mark.slow),
+        pytest.param("N=1 + GM(sigma=1, T=20)", "N + GM", marks=pytest.mark.slow),
+        pytest.param("N=1 + R=1e-3", "N + R", marks=pytest.mark.slow),
+        pytest.param("Q=2 + N=1", "Q + N", marks=pytest.mark.slow),
     ],
 )
 def test_intervals_hold_the_truth(text: str, model: str) -> None:
@@ -40,6 +40,7 @@ def test_intervals_hold_the_truth(text: str, model: str) -> None:
         assert count / REPEATS == pytest.approx(0.95, abs=SLACK), key
 
 
+@pytest.mark.slow
 def test_a_bound_holds_a_truth_that_is_too_small_to_see() -> None:
     """K below what the record can tell: its interval from 0 holds it in 95 % of records or more."""
     truth, held, bounded = 2e-3, 0, 0
@@ -52,6 +53,7 @@ def test_a_bound_holds_a_truth_that_is_too_small_to_see() -> None:
     assert bounded > REPEATS / 2
 
 
+@pytest.mark.slow
 def test_white_noise_shows_no_b_and_no_k() -> None:
     """A wrong B or K is found in at most 5 % of records, of any model that is chosen."""
     wrong = 0

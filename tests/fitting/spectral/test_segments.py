@@ -198,6 +198,7 @@ def test_limits_of_a_sum_are_its_extremes_where_the_likelihood_allows_it(steep: 
     npt.assert_allclose(high, np.where(allowed, sums, -np.inf).max(axis=0), rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "rate"), [("N=1e-4 + B=1e-4 + K=2e-5", 10.0), ("N=1e-4 + B=3e-5", 10.0)])
 def test_floors_of_segments_hold_the_true_one(text: str, rate: float) -> None:
     """93 to 99 of 100 do (`tests/benchmarks/coverage_auto.py`); those of one record miss together."""

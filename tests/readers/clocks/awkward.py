@@ -237,6 +237,55 @@ def interpolated(rate: float, camera: float, n: int = 6000) -> Awkward:
     )  # fmt: skip
 
 
+def trials(
+    rate: float,
+    sizes: IntArray,
+    pauses_s: FloatArray,
+    *,
+    jitter_ms: float = 0.0,
+    tick: int = 1,
+    seed: int = 7,
+    said: str = "",
+) -> Awkward:
+    """Return trials with sizes of shape (m,), and a pause of so many seconds after each, shape (m,).
+
+    A trial starts at any time: pauses are no whole numbers of periods. `samples` has the nearest places.
+    """
+    trial = np.repeat(np.arange(sizes.size), sizes)
+    first = np.cumsum(sizes) - sizes
+    spans = (sizes - 1) * (SECOND / rate) + pauses_s * SECOND
+    starts = np.cumsum(spans) - spans
+    times = starts[trial] + (np.arange(trial.size) - first[trial]) * (SECOND / rate)
+    noise = np.random.default_rng(seed).normal(0, jitter_ms * MS, times.size)
+    samples = np.round(times * (rate / SECOND)).astype(np.int64)
+    return Awkward(stamps=_whole(times + noise, tick), rate_hz=rate, samples=samples, said=said)
+
+
+def coarse(rate: float, tick: float, *, n: int = 6000, lost: float = 0.0, seed: int = 8) -> Awkward:
+    """Return samples of a clock whose ticks, in ns, need not be whole, of which a share is lost."""
+    kept = np.flatnonzero(np.random.default_rng(seed).random(n) >= lost)
+    stamps = np.round(np.floor(kept * (SECOND / rate) / tick + 0.3) * tick).astype(np.int64)
+    return Awkward(stamps=START + stamps, rate_hz=rate, samples=kept, said="coarse-stamps")
+
+
+def switched(first_hz: float, then_hz: float, *, n: int = 6000, share: float = 0.5) -> Awkward:
+    """Return samples of a sensor whose rate changes after a share of them."""
+    steps = np.where(np.arange(n) < share * n, SECOND / first_hz, SECOND / then_hz)
+    return Awkward(stamps=_whole(np.cumsum(steps)), rate_hz=first_hz, samples=np.arange(n))
+
+
+def fused(
+    rate: float, *, n: int = 6000, share: float = 0.5, offset: float = 0.4, jitter: float = 0.02
+) -> Awkward:
+    """Return two sensors under one name, the second of which stops after a share of the log."""
+    rng = np.random.default_rng(9)
+    one = _clock(rate, n)
+    two = _clock(rate * 1.0003, round(share * n)) + offset * SECOND / rate
+    times = np.concatenate([one, two])
+    times = np.sort(times + rng.normal(0, jitter * SECOND / rate, times.size))
+    return Awkward(stamps=_whole(times), rate_hz=rate, samples=np.arange(times.size))
+
+
 def kinds() -> Iterator[tuple[str, Awkward]]:
     """Yield the kinds of clocks, by name; batches of a buffer come by `fifos`."""
     for rate in (50.0, 200.0, 1000.0):
@@ -280,6 +329,17 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     yield "stopped for an hour", stopped(200.0)
     yield "two of three", throttled(200.0, 2, 3)
     yield "nine of ten", throttled(200.0, 9, 10)
+    yield "64 of 72", throttled(100.0, 64, 72)
+    yield "half of the time", throttled(100.0, 500, 1000, 20_000)
+    yield "12 of 16", throttled(100.0, 12, 16)
+    for count, size, rate in ((300, 100, 50.0), (20, 25, 100.0), (8, 600, 200.0)):
+        pauses = np.random.default_rng(count).uniform(1, 60, count)
+        sizes = np.full(count, size)
+        yield f"{count} trials of {size}", trials(rate, sizes, pauses, said="gaps")
+        yield f"{count} trials of {size}, jitter", trials(rate, sizes, pauses, jitter_ms=0.2, said="gaps")
+    for rate, ticks, lost in ((201.3, 4.0, 0.0), (98.7, 8.0, 0.0), (903.0, 1.0, 0.03), (337.0, 2.0, 0.01)):
+        yield f"{rate:g} Hz in {ticks:g} ms, lost {lost:g}", coarse(rate, ticks * MS, lost=lost)
+    yield "100 Hz in single precision after 20 h", coarse(100.0, SECOND / 128)
     yield "an eighth of it", throttled(200.0, 7, 8)
 
 

@@ -22,6 +22,7 @@ from tests.readers.clocks.awkward import (
     START,
     US,
     Awkward,
+    coarse,
     even,
     fifo,
     fifos,
@@ -134,6 +135,44 @@ def test_stops_of_a_log_are_no_second_reading() -> None:
     case = throttled(200.0, 1200, 40_000, 200_000)
     assert clock_of(case).clock.rate_hz == pytest.approx(200)
     assert clock_of(case).clock.missing == 4 * 38_800
+
+
+@pytest.mark.parametrize(
+    "name", ["300 trials of 100", "64 of 72", "half of the time", "903 Hz in 1 ms, lost 0.03"]
+)
+def test_what_is_missing_is_counted(name: str) -> None:
+    """Pauses between trials, overruns of a buffer and losses on a coarse clock."""
+    case = KINDS[name]
+    clock = clock_of(case).clock
+    lost = int(case.samples[-1] - case.samples[0]) + 1 - case.samples.size
+    assert clock.missing == pytest.approx(lost, rel=1e-3, abs=5)
+
+
+def test_a_given_rate_chooses_between_trials_and_batches() -> None:
+    """Trials at an even beat are refused with both rates; each one reads the log."""
+    case = throttled(100.0, 200, 1000, 40_000)
+    with pytest.raises(ChoiceError, match=r"100 Hz with 80% of the samples missing, or 20 Hz in batches"):
+        clock_of(case)
+    assert clock_of(case, 100.0).clock.missing == pytest.approx(31_200, abs=1)
+    assert clock_of(case, 20.0).clock.missing == 0
+
+
+@pytest.mark.parametrize(
+    ("case", "taken", "other"),
+    [
+        (throttled(200.0, 9, 10), "200 Hz, which is taken, or 180 Hz with no sample missing", 180.0),
+        (throttled(100.0, 9, 10), "Hz, which is taken, or 100 Hz with 0.1 of the samples missing", 100.0),
+        (coarse(200.0, 4.0 * MS), "250 Hz, which is taken, or 200 Hz with no sample missing", 200.0),
+        (throttled(1000.0, 100, 400, 40_000), "250 Hz, which is taken, or 1000 Hz with 0.75 of", 1000.0),
+    ],
+)
+def test_two_readings_are_named(case: Awkward, taken: str, other: float) -> None:
+    """Where both fit exactly, the finding names both, and the other rate reads the log."""
+    (note,) = (finding for finding in clock_of(case).findings if finding.code == "two-readings")
+    assert note.level == "warning"
+    assert taken in note.text
+    codes = {finding.code for finding in clock_of(case, other).findings}
+    assert not {"two-readings", "rate-given"} & codes
 
 
 def test_gaps_between_random_batches() -> None:
