@@ -283,4 +283,4 @@ def test_gains_of_single_regressors_are_those_of_each_alone() -> None:
     tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
     names = ["exp:80.0", "exp:900.0", "R"]
     alone = [tool.gain(names[:1]), tool.gain(names[1:2]), 0.0]
-    assert tool.singly(names) == pytest.approx(alone, rel=1e-8, abs=1e-8)
+    assert tool.gains_alone(names) == pytest.approx(alone, rel=1e-8, abs=1e-8)
