@@ -11,7 +11,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.band import Band, corner_of, find_band
+from imucal.fitting.spectral.band import Band, corner_of, find_band, hump_finding
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
 from imucal.fitting.spectral.disturbances import (
     Disturbance,
@@ -143,8 +143,10 @@ def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], f
 
 
 def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
-    """Return a note on the output filter that shapes the spectrum."""
+    """Return a note on the output filter or the vibration that shapes the spectrum."""
     nyquist, corner = series.rate_hz / 2, corner_of(band)
+    if band.hump:
+        return (hump_finding(band.hump, rate_hz=series.rate_hz, axis=series.name, fitted=False),)
     if corner is not None:
         text = (
             f"The density of {series.name} falls to half near {corner * nyquist:.3g} Hz: a low-pass filter "
