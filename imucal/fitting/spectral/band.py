@@ -19,8 +19,7 @@ Every sensor has white noise. So, if a Gauss-Markov term makes up the top of the
 repeated with correlation times that are too long to imitate a filter. If this finds a sound
 description, N is the level in front of the filter, and a finding names both readings.
 
-Vibration and sway add power in an interval of frequencies, with the same white noise below and above it.
-The interval is found by repeated fits of N, B, K and R to the bins outside it, and it is left out of the fit.
+The bins of a hump, which vibration or sway makes, are left out.
 """
 
 from collections.abc import Callable
@@ -34,6 +33,7 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
+from imucal.fitting.spectral.hump import Hump, find_hump, hump_finding
 from imucal.fitting.spectral.likelihood import (
     COLUMN,
     SHORTEST,
@@ -43,13 +43,12 @@ from imucal.fitting.spectral.likelihood import (
     Structure,
     candidates_of,
     derivatives,
-    evaluate,
     shaped_symbols,
 )
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, band_top, coarser
 from imucal.fitting.spectral.scoring import covariance, maximize, misfit
 from imucal.fitting.spectral.starts import fit_blindly
-from imucal.frozen import frozen, frozen_alone
+from imucal.frozen import frozen_alone
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.
@@ -67,15 +66,6 @@ Rounding: TypeAlias = Callable[[], float]
 
 def _no_rounding() -> float:
     return 0.0
-
-
-@frozen
-class Hump:
-    """An interval of frequencies, as fractions of Nyquist, with up to `times` the density of the noise."""
-
-    low: float
-    high: float
-    times: float
 
 
 @frozen_alone
@@ -110,7 +100,7 @@ class Band:
         fraction = ordinates.fraction
         inside = fraction <= self.fraction * (1 + 1e-9)
         if self.hump:
-            inside &= (fraction < self.hump.low) | (fraction > self.hump.high)
+            inside &= self.hump.outside(fraction)
         return inside
 
     def select(self, ordinates: Ordinates) -> Ordinates:
@@ -194,19 +184,6 @@ def filter_finding(
     if band.masked:
         return (_two_readings(fitted, band, response, rate_hz=rate_hz, axis=axis),)
     return (Finding("info", "output-filter", text, advice, axis=axis),)
-
-
-def hump_finding(hump: Hump, *, rate_hz: float, axis: str, fitted: bool) -> Finding:
-    """Return the warning for a hump; if it is not `fitted`, nothing was left out."""
-    low, high = hump.low * rate_hz / 2, hump.high * rate_hz / 2
-    text = (
-        f"Between {low:.3g} and {high:.3g} Hz the density is up to {hump.times:.2g} times that of the noise: "
-        "a vibration or a sway."
-    )
-    if fitted:
-        text += " The fit leaves these frequencies out; the Allan curve contains them."
-    advice = "Record on a firm surface, away from motors, fans and footsteps."
-    return Finding("warning", "hump", text, advice, axis=axis)
 
 
 def _two_readings(
@@ -334,11 +311,6 @@ _MASKING = 0.5
 _ABOVE, _ROUNDED = 4.0, 3.0
 #: A Gauss-Markov term that is this many times slower can't imitate the filter.
 _SLOWER = 10.0
-#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. It is one if
-#: the sum reaches `_HUMP`, at least `_BELOW` ordinates lie below it and the share `_BEYOND` of all above it.
-_EXCESS, _HUMP, _BELOW, _BEYOND = 0.5, 25.0, 16.0, 0.05
-_HUMP_ROUNDS, _GUARD = 10, 1.2
-_NONE = np.zeros(0)
 #: Highest number of poles.
 _ORDERS = 5
 #: Above this fraction of Nyquist a response's zeros show; at Nyquist itself they leave nothing.
@@ -386,21 +358,38 @@ def find_band(
     coarse, fractions = _coarse(ordinates), BANDS if narrow else BANDS[:1]
     plain = tuple(symbol for symbol in rich if symbol != "Q")
     found = flat_band(ordinates, rich, given=given, rounding=rounding) if near is None else None
-    if near is None and (found is None or found.statistic > _UNSURE):
-        # A Gauss-Markov term follows a weak hump, but not closely.
-        laws = tuple(symbol for symbol in rich if symbol in {"N", "B", "K", "R"})
-        around = _BandSearch(coarse, laws, SHORTEST).around_hump()
-        if around and (found is None or around.statistic < found.statistic - 1):
-            return around
+    # A Gauss-Markov term follows a weak hump, but not closely.
+    unsure = found is None or found.statistic > _UNSURE
+    if near is None and unsure and (around := _around_hump(coarse, rich, found)):
+        return around
     if found is None:
         search = _BandSearch(coarse, plain, SHORTEST, rounding)
         found = search.sound(near, fractions) or search.least_bad()
-    if found.masked and near is None and not shaped_symbols(given or ()):
-        slow = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding)
-        behind = slow.sound(None, fractions)
-        if behind is not None and not behind.masked:
-            return replace(behind, masked=found.masked)
-    return found
+    if near is not None or shaped_symbols(given or ()):
+        return found
+    return _as_a_filter(found, coarse, plain, fractions, rounding) or found
+
+
+def _as_a_filter(
+    found: Band, coarse: Ordinates, plain: Structure, fractions: tuple[float, ...], rounding: Rounding
+) -> Band | None:
+    """Return the filter that explains the spectrum as well as a Gauss-Markov term that hides the noise."""
+    if not found.masked:
+        return None
+    behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None, fractions)
+    return replace(behind, masked=found.masked) if behind and not behind.masked else None
+
+
+def _around_hump(coarse: Ordinates, rich: Structure, flat: Band | None) -> Band | None:
+    """Return the whole band without a hump, if power laws describe it, and better than `flat` does."""
+    laws = tuple(symbol for symbol in rich if symbol in {"N", "B", "K", "R"})
+    hump = find_hump(coarse, laws) if "N" in laws else None
+    if hump is None:
+        return None
+    around = _BandSearch(coarse[hump.outside(coarse.fraction)], laws, SHORTEST).flat()
+    if around is None or (flat and around.statistic > flat.statistic - 1):
+        return None
+    return replace(around, hump=hump)
 
 
 def flat_band(
@@ -488,38 +477,6 @@ class _BandSearch:
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
             trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
         return self.band(trials[0]) if _enough(trials, chance, _SOUND_FLAT) else None
-
-    def around_hump(self) -> Band | None:
-        """Return the whole band around a hump; None if the rest of the spectrum asks for a response."""
-        every = self.ordinates
-        order = np.argsort(every.fraction, kind="stable")
-        fraction, size = every.fraction[order], every.size[order]
-        hump: Hump | None = None
-        for _ in range(_HUMP_ROUNDS):
-            seen = Band(fraction=1.0, order=(0, 0), poles=0, zeros=0, response=_NONE, hump=hump).select(every)
-            if seen.size.size < _FEWEST:
-                return None
-            (trial,) = self.fit(seen, 1.0, [(0, 0)], self.blind(seen))
-            found = trial.maximum
-            spectrum = evaluate(every, found.candidates, found.theta).spectrum[0]
-            ratio = (every.rest(found.beta[0]) / every.size / spectrum)[order]
-            first, last, excess = _largest_run((ratio - 1) * np.sqrt(size / 2) - _EXCESS)
-            if excess < _HUMP or size[:first].sum() < _BELOW or size[last + 1 :].sum() < _BEYOND * size.sum():
-                return None
-            edges = 0.5 * (fraction[first - 1] + fraction[first]), 0.5 * (fraction[last] + fraction[last + 1])
-            previous = hump
-            hump = Hump(low=float(edges[0]), high=float(edges[1]), times=float(ratio[first : last + 1].max()))
-            if previous and (previous.low, previous.high) == (hump.low, hump.high):
-                break
-        orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
-        trials = self.fit(seen, 1.0, orders, np.repeat(found.theta, 3, axis=0), tolerance=1e-2)
-        white = derivatives(seen, found.candidates, found.theta)[COLUMN["N"], -_TOP:].sum()
-        visible = white > 0.5 * found.spectrum[0, -_TOP:].sum()
-        if hump is None or not (visible and _enough(trials, _GAIN_FLAT, _SOUND_FLAT)):
-            return None
-        # The bins next to the run are those that happened to be low: leave some of them out too.
-        wider = replace(hump, low=hump.low / _GUARD, high=min(hump.high * _GUARD, (1 + hump.high) / 2))
-        return replace(self.band(trials[0]), hump=wider)
 
     def level_at_the_top(self) -> float:
         """Return the mean square of the ordinates of the highest frequencies."""
@@ -618,15 +575,6 @@ def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: fl
     first = trials[0]
     gains = [2 * float(first.maximum.objective[0] - t.maximum.objective[0]) for t in trials[1:]]
     return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))
-
-
-def _largest_run(values: FloatArray) -> tuple[int, int, float]:
-    """Return the first and last index of the run with the largest sum, and the sum; shape (n,)."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    lowest = np.minimum.accumulate(total)
-    last = int(np.argmax(total - lowest))
-    first = int(np.argmin(total[: last + 1]))
-    return first, last - 1, float(total[last] - total[first])
 
 
 def _deviation_of_white(maximum: Evaluation) -> float:

@@ -291,9 +291,24 @@ def find_disturbances(
             if likely[row] > _DOUBT:
                 doubtful = _sized([candidates[row]], fits, row)
             break
-        found.append(candidates[best])
-        base = _fits(low, [(*names, *candidates[best].names)])
+        taken, base = _taken_out(candidates[best], low, names, length)
+        found.append(taken)
     return _sized(found, base), (*doubtful, *_rival(low, base, found))
+
+
+def _taken_out(
+    one: Disturbance, low: Sequence[Block], names: tuple[str, ...], length: int
+) -> tuple[Disturbance, "_Fits"]:
+    """Return a shape and the fit with it, beside the regressors `names`.
+
+    The spectrum without a warm-up contains the warm-up's power. With the right spectrum its time constant is
+    found again.
+    """
+    base = _fits(low, [(*names, *one.names)])
+    if one.kind != "warm-up":
+        return one, base
+    one = _warm_up(Whitened.by(low, base.spectrum, ("R", *names)), length)[1]
+    return one, _fits(low, [(*names, *one.names)])
 
 
 def _sized(found: Sequence[Disturbance], fits: "_Fits", row: int = 0) -> tuple[Disturbance, ...]:

@@ -11,7 +11,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.band import Band, corner_of, find_band, hump_finding
+from imucal.fitting.spectral.band import Band, corner_of, find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
 from imucal.fitting.spectral.disturbances import (
     Disturbance,
@@ -20,6 +20,7 @@ from imucal.fitting.spectral.disturbances import (
     exact_places,
     find_disturbances,
 )
+from imucal.fitting.spectral.hump import hump_finding
 from imucal.fitting.spectral.likelihood import richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding

@@ -91,30 +91,3 @@ def test_given_gauss_markov_terms_may_be_short() -> None:
     assert times[1] is not None
     assert times[0].low < 5 < times[0].high
     assert times[1].low < 200 < times[1].high
-
-
-@pytest.mark.parametrize("times", [5, 26])
-def test_a_hump_is_left_out(times: int) -> None:
-    """N and B are those of the noise below and above a band of vibration, which a warning names."""
-    n, rate = 60_000, 100.0
-    passed = signal.butter(1, (0.02, 0.05), "band")
-    held = {"N": 0, "B": 0}
-    for seed in range(6):
-        rng = np.random.default_rng([times, seed])
-        vibration = signal.lfilter(*passed, rng.standard_normal(n)) * 1e-4 * np.sqrt(rate * (times - 1))
-        fit = fitted(simulated("N=1e-4 + B=5e-5", n, seed, rate_hz=rate) + vibration, rate_hz=rate)
-        held["N"] += fit["N"].low <= 1e-4 <= fit["N"].high
-        held["B"] += fit["B"].low <= 5e-5 <= fit["B"].high
-        (found,) = (finding for finding in fit.findings if finding.code in {"hump", "output-filter"})
-        assert (found.code, found.level) == ("hump", "warning")
-    assert held["N"] >= 5
-    assert held["B"] >= 5
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_without_vibration_has_no_hump(seed: int) -> None:
-    """Neither a Gauss-Markov term nor a low-pass filter is one."""
-    samples = simulated("N=1e-4 + GM(sigma=5e-4, T=0.5) + K=1e-5", 60_000, seed, rate_hz=100.0)
-    smooth = signal.lfilter([0.2], [1, -0.8], samples - samples[0])[200:]
-    for own in (samples, smooth):
-        assert all(finding.code != "hump" for finding in fitted(own, rate_hz=100.0).findings)

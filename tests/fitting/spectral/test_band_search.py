@@ -21,6 +21,7 @@ from imucal.fitting.spectral.band import (
     find_band,
     start_response,
 )
+from imucal.fitting.spectral.hump import Hump
 from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
@@ -362,21 +363,10 @@ def test_a_band_is_looked_for_near_another_first_and_in_the_whole_alone_if_so_as
     assert find_band(data, ("Q", "N", "GM", "K"), narrow=False).fraction == 1.0
 
 
-def test_the_largest_run_is_that_of_all_pairs() -> None:
-    """First, last and sum, against a search through all runs."""
-    rng = np.random.default_rng(5)
-    for _ in range(20):
-        values = rng.standard_normal(12)
-        first, last, total = band._largest_run(values)
-        every = {(i, j): values[i : j + 1].sum() for i in range(12) for j in range(i, 12)}
-        assert total == pytest.approx(max(every.values()))
-        assert every[first, last] == pytest.approx(total)
-
-
 def test_a_band_selects_the_bins_outside_its_hump() -> None:
     """Up to its end, without those between the edges."""
     data = ordinates_of(simulated("N=1", 2000, 1))
-    hump = band.Hump(low=0.1, high=0.2, times=3.0)
+    hump = Hump(low=0.1, high=0.2, times=3.0)
     found = replace(_band("x"), fraction=0.5, hump=hump).select(data)
     expected = (data.fraction <= 0.5) & ~((data.fraction >= 0.1) & (data.fraction <= 0.2))
     npt.assert_array_equal(found.lam, data.lam[expected])
