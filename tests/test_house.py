@@ -11,7 +11,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(13620, 101100, 52),  # trials and duty cycles, coarse clocks, two readings named
-    "fitting": Size(9280, 72150, 34),  # smoothing, humps, warm-ups and slow cycles are named
+    "fitting": Size(9310, 72320, 34),  # smoothing, humps, warm-ups, slow cycles and many lost samples
     "report": Size(4960, 37532, 19),  # one view for page, table and notebook; pictures for papers
     "top": Size(4071, 23357, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3558, 22812, 20),  # --open, --figure, errors as JSON, defaults from a file
@@ -26,7 +26,7 @@ BUDGET = {
     "prediction": Size(948, 6647, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(47_965, 346_920, 197)  # what real sensors and loggers do: clocks, smoothing, humps, warm-ups
+IN_ALL = Size(47_995, 347_100, 197)  # what real sensors and loggers do: clocks, smoothing, humps, warm-ups
 #: Modules of the package that one fit with its report may load.
 LOADED = 129
 
