@@ -11,7 +11,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(13790, 102740, 53),  # changes of the rate, and duty cycles with jitter on coarse clocks
-    "fitting": Size(9020, 70200, 33),  # smoothing is read as a filter, and a warning names both readings
+    "fitting": Size(9310, 72320, 34),  # smoothing, humps, warm-ups, slow cycles and many lost samples
     "report": Size(4960, 37532, 19),  # one view for page, table and notebook; pictures for papers
     "top": Size(4071, 23357, 24),  # a notebook's calls: fit, check, info, plot; defaults from a file
     "cli": Size(3558, 22812, 20),  # --open, --figure, errors as JSON, defaults from a file
@@ -26,9 +26,10 @@ BUDGET = {
     "prediction": Size(948, 6647, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(47_890, 346_680, 197)  # changes of the sampling rate, duty cycles with jitter
+# What real sensors and loggers do has taken 840 lines: clocks, smoothing, humps, warm-ups, lost samples.
+IN_ALL = Size(48_165, 348_800, 198)
 #: Modules of the package that one fit with its report may load.
-LOADED = 128
+LOADED = 130
 
 
 def beyond(size: Size, budget: Size) -> dict[str, str]:

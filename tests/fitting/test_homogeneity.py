@@ -9,6 +9,7 @@ from scipy.stats import bartlett, chi2
 
 from imucal.fitting.homogeneity import (
     VarianceChange,
+    _period,
     bartlett_correction,
     cochran_q,
     homogeneity,
@@ -260,3 +261,13 @@ def test_the_time_of_a_shift_lies_inside_its_segment() -> None:
 def test_a_weak_term_has_no_shift() -> None:
     """What single segments do not tell changes in the eyes of the likelihood alone."""
     assert homogeneity("B", 60.0, 3 * LEVELS, np.full(8, 40.0), spans(8)).shift is None
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_period_depends_on_the_shape_of_the_logarithms_only(size: float) -> None:
+    """A cosine of 12 periods has its period, white noise has none, whatever their size."""
+    places = np.arange(256)
+    cosine = np.cos(2 * np.pi * 12 * places / 256)
+    white = np.random.default_rng(8).standard_normal(256)
+    assert _period(size * cosine, 600.0) == pytest.approx(50.0)
+    assert _period(size * white, 600.0) is None

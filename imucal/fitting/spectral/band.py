@@ -15,9 +15,11 @@ nothing. Among the sound ones the one that tells N best is taken, and then one o
 needs, so that what the response can't follow does not bias N.
 
 White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise.
-Every sensor has white noise. So if a Gauss-Markov term makes up the top of the spectrum, the search is
+Every sensor has white noise. So, if a Gauss-Markov term makes up the top of the spectrum, the search is
 repeated with correlation times that are too long to imitate a filter. If this finds a sound
 description, N is the level in front of the filter, and a finding names both readings.
+
+The bins of a hump, which vibration or sway makes, are left out.
 """
 
 from collections.abc import Callable
@@ -31,6 +33,7 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
+from imucal.fitting.spectral.hump import Hump, find_hump, hump_finding
 from imucal.fitting.spectral.likelihood import (
     COLUMN,
     SHORTEST,
@@ -74,6 +77,7 @@ class Band:
 
     Gauss-Markov terms have correlation times of at least `shortest` samples. If such a term could explain
     the spectrum instead of a filter in front of it, `masked` is its correlation time in samples, else 0.
+    The bins of a `hump` are left out. `statistic` is the misfit score.
     """
 
     fraction: float
@@ -83,11 +87,25 @@ class Band:
     response: FloatArray
     shortest: float = SHORTEST
     masked: float = 0.0
+    hump: Hump | None = None
+    statistic: float = 0.0
 
     @property
     def flat(self) -> bool:
-        """Whether it is the whole spectrum, without a response."""
-        return self.poles == 0 and self.fraction == 1.0
+        """Whether it is the whole spectrum, without a response or a hump."""
+        return self.poles == 0 and self.fraction == 1.0 and self.hump is None
+
+    def holds(self, ordinates: Ordinates) -> BoolArray:
+        """Return which bins lie in the band, shape (b,)."""
+        fraction = ordinates.fraction
+        inside = fraction <= self.fraction * (1 + 1e-9)
+        if self.hump:
+            inside &= self.hump.outside(fraction)
+        return inside
+
+    def select(self, ordinates: Ordinates) -> Ordinates:
+        """Return the bins of the band that hold any ordinate."""
+        return replace(ordinates[self.holds(ordinates) & (ordinates.size > 0)], top=band_top(self.fraction))
 
 
 def response_of(fitted: Fitted, band: Band, rate_hz: float) -> Response | None:
@@ -143,6 +161,8 @@ def filter_finding(
     top = band.fraction * rate_hz / 2
     if band.flat:
         return ()
+    if band.hump:
+        return (hump_finding(band.hump, rate_hz=rate_hz, axis=axis, fitted=True),)
     if response is not None:
         text = (
             f"An output filter ({response.kind}, -3 dB at {response.cutoff_hz:.4g} Hz) shapes the spectrum; "
@@ -276,6 +296,8 @@ _LOW = 0.03125
 _SOUND = 3.0
 #: The same for the whole band without a response, where no response would help.
 _SOUND_FLAT = 4.0
+#: Misfit score of the whole band above which a hump is looked for: one in 40 clean records.
+_UNSURE = 2.0
 #: Twice the log-likelihood that one, or two more orders of the response may gain by chance. A
 #: filter where there is none costs N a factor of two, so the flat band has the benefit of the doubt.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
@@ -336,15 +358,38 @@ def find_band(
     coarse, fractions = _coarse(ordinates), BANDS if narrow else BANDS[:1]
     plain = tuple(symbol for symbol in rich if symbol != "Q")
     found = flat_band(ordinates, rich, given=given, rounding=rounding) if near is None else None
+    # A Gauss-Markov term follows a weak hump, but not closely.
+    unsure = found is None or found.statistic > _UNSURE
+    if near is None and unsure and (around := _around_hump(coarse, rich, found)):
+        return around
     if found is None:
         search = _BandSearch(coarse, plain, SHORTEST, rounding)
         found = search.sound(near, fractions) or search.least_bad()
-    if found.masked and near is None and not shaped_symbols(given or ()):
-        slow = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding)
-        behind = slow.sound(None, fractions)
-        if behind is not None and not behind.masked:
-            return replace(behind, masked=found.masked)
-    return found
+    if near is not None or shaped_symbols(given or ()):
+        return found
+    return _as_a_filter(found, coarse, plain, fractions, rounding) or found
+
+
+def _as_a_filter(
+    found: Band, coarse: Ordinates, plain: Structure, fractions: tuple[float, ...], rounding: Rounding
+) -> Band | None:
+    """Return the filter that explains the spectrum as well as a Gauss-Markov term that hides the noise."""
+    if not found.masked:
+        return None
+    behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None, fractions)
+    return replace(behind, masked=found.masked) if behind and not behind.masked else None
+
+
+def _around_hump(coarse: Ordinates, rich: Structure, flat: Band | None) -> Band | None:
+    """Return the whole band without a hump, if power laws describe it, and better than `flat` does."""
+    laws = tuple(symbol for symbol in rich if symbol in {"N", "B", "K", "R"})
+    hump = find_hump(coarse, laws) if "N" in laws else None
+    if hump is None:
+        return None
+    around = _BandSearch(coarse[hump.outside(coarse.fraction)], laws, SHORTEST).flat()
+    if around is None or (flat and around.statistic > flat.statistic - 1):
+        return None
+    return replace(around, hump=hump)
 
 
 def flat_band(
@@ -494,6 +539,7 @@ class _BandSearch:
             response=trial.maximum.theta[0, self.width : self.width + poles],
             shortest=self.shortest,
             masked=self.masked(trial),
+            statistic=trial.statistic,
         )
 
     def masked(self, trial: _Trial) -> float:

@@ -6,7 +6,8 @@ of C' diag(1/S) C (C the DCT). Their mean is found by conjugate gradients, their
 
     E[X_k² | observed] = (mean X_k)² + var X_k
 
-replaces X_k². The share of the variance in it is information that the gaps took.
+replaces X_k². The share of the variance in it is information that the gaps took. The variance is averaged
+over neighbouring frequencies, because the scatter of one draw looks like a misfit.
 
 Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23;
 lost information: Louis (1982), JRSS B 44.
@@ -33,7 +34,9 @@ from imucal.recording import AxisSeries
 
 #: Rounds at most; none follows one that moved no part of the spectrum by more than this over the share of the
 #: information there that the gaps took: by that share each round moves less than the one before.
-_ROUNDS, _MOVED = 3, 3e-4
+_ROUNDS, _MOVED = 8, 3e-4
+#: The variance that missing samples add is averaged over frequencies up to this factor apart.
+_NEAR = 1.5
 _STEPS = 40
 _CLOSE = 1e-3
 #: More missing samples, or so many more sines than samples, take longer than transforms do.
@@ -59,14 +62,12 @@ def complete(
     groups = _groups(bins)
     pairs = _Pairs.of(gaps, n, groups)
     # Ordinates 0 … n-1; long arrays are written over, or let go as soon as they are not needed.
-    mean_of, error_of = dct2(samples), np.broadcast_to(0.0, n)
-    count, spectrum = np.diff(groups, append=n - 1), np.zeros(groups.size)
+    mean_of, count = dct2(samples), np.diff(groups, append=n - 1)
+    variance, spectrum = np.zeros(groups.size), np.zeros(groups.size)
     for number in range(_ROUNDS):
-        previous, spectrum = spectrum, _means(mean_of[1:], error_of[1:], groups)
-        share = np.add.reduceat(error_of[1:], groups) / (spectrum * count)
-        if number and np.all(np.abs(spectrum - previous) * share < _MOVED * previous):
+        previous, spectrum = spectrum, _means(mean_of[1:], groups) + variance
+        if number and np.all(np.abs(spectrum - previous) * variance < _MOVED * previous * spectrum):
             break
-        del error_of
         # The transform of the samples is there already, and that of the draw is the draw.
         right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
         del mean_of
@@ -80,13 +81,26 @@ def complete(
         unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
         samples[gaps] -= _conjugate(apply, right, unit)
         error = _conjugate(apply, drawn, unit)
-        error_of = dct2(_padded(error, gaps, n))
-        np.square(error_of, out=error_of)
+        variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
-    ordinates, variance = mean_of[1:], error_of[1:]
-    share = np.add.reduceat(variance, groups) / (_means(ordinates, variance, groups) * count)
+    share = variance / (_means(mean_of[1:], groups) + variance)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
-    return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
+    return mean_of[1:], np.repeat(variance, count), np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
+
+
+def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
+    """Return the means of a variance over neighbouring groups, shape of `groups`.
+
+    It is that of one random draw, whose scatter would add to that of the ordinates.
+    """
+    middle = groups + 0.5 * count
+    first, stop = (
+        np.searchsorted(middle, middle / _NEAR),
+        np.searchsorted(middle, middle * _NEAR, side="right"),
+    )
+    total = np.concatenate([np.zeros((2, 1)), np.cumsum([variance * count, count], axis=1)], axis=1)
+    weighted, number = total[:, stop] - total[:, first]
+    return np.asarray(weighted / number)
 
 
 def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
@@ -183,11 +197,10 @@ def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> Flo
     return ordinates
 
 
-def _means(ordinates: FloatArray, variance: FloatArray, groups: IntArray) -> FloatArray:
-    """Return the mean of square and variance in each group, more than 0, shape of `groups`."""
+def _means(ordinates: FloatArray, groups: IntArray) -> FloatArray:
+    """Return the mean square in each group, more than 0, shape of `groups`."""
     means = [
-        float(np.mean(np.square(ordinates[start:stop]) + variance[start:stop]))
-        for start, stop in _spans(ordinates.size, groups)
+        float(np.mean(np.square(ordinates[start:stop]))) for start, stop in _spans(ordinates.size, groups)
     ]
     return np.maximum(means, 1e-300)
 

@@ -18,8 +18,8 @@ import scipy
 from imucal.arrays import FloatArray
 from imucal.findings import Finding, Level
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
-from imucal.fitting.spectral.ordinates import Ordinates, cycle_ordinates
+from imucal.fitting.spectral.likelihood import COLUMN, Evaluation, Structure, candidates_of, evaluate
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, cycle_ordinates
 from imucal.fitting.spectral.starts import fit_blindly
 from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
@@ -27,8 +27,10 @@ from imucal.units import pretty
 
 #: Places in a block at which a step is looked for.
 _PLACES = 8192
-#: Ordinates, of all blocks, that hold nearly all of a cycle of 24 periods a record.
-_OF_CYCLES = 512
+#: Ordinates, of all blocks, that hold nearly all of a cycle of 24 periods a record, or of a warm-up.
+_OF_SMOOTH = 512
+#: The same for a slow cycle.
+_OF_SLOW = 128
 #: Nearer to the ends of a block than this share of it, a step is not told from the block's mean.
 _CLEAR = 0.005
 #: What is left of a shape beside the regressors of the fit, below which it is one of them.
@@ -77,22 +79,34 @@ class Whitened:
         solution = np.linalg.lstsq(columns, self.rest, rcond=_ALIKE)[0]
         return float(self.rest @ (columns @ solution))
 
-    def cycles(self, omega: FloatArray) -> FloatArray:
-        """Return the gain of a cycle of each angular frequency, rad/sample, shape of `omega`."""
-        blocks = tuple(block.lowest(_OF_CYCLES // len(self.blocks)) for block in self.blocks)
+    def lowest(self, count: int = _OF_SMOOTH) -> "Whitened":
+        """Return the lowest ordinates, which hold nearly all of a smooth shape; the basis is cut off too."""
+        blocks = tuple(block.lowest(max(count // len(self.blocks), 1)) for block in self.blocks)
         sizes = [block.ordinates.size for block in self.blocks]
         starts = np.cumsum([0, *sizes[:-1]])
         rows = np.concatenate([s + np.arange(b.ordinates.size) for s, b in zip(starts, blocks, strict=True)])
-        weight = [w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True)]
+        weight = tuple(w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True))
+        return Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
+
+    def gains_alone(self, names: Sequence[str]) -> FloatArray:
+        """Return the gain of each of some regressors alone, shape (r,)."""
+        columns = self.columns(names)
+        whole = np.sum(columns**2, axis=0)
+        columns -= self.base @ (self.base.T @ columns)
+        size = np.sum(columns**2, axis=0)
+        return np.where(size > _ALIKE**2 * whole, (self.rest @ columns) ** 2 / np.maximum(size, 1e-300), 0.0)
+
+    def cycles(self, omega: FloatArray) -> FloatArray:
+        """Return the gain of a cycle of each angular frequency, rad/sample, shape of `omega`."""
         # Cosine and sine of each frequency, shapes (2, w, k).
         shapes, quarter = [], np.array([0.0, -np.pi / 2])[:, np.newaxis, np.newaxis]
-        for block, own in zip(blocks, weight, strict=True):
+        for block, own in zip(self.blocks, self.weight, strict=True):
             theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
             shift = omega[:, np.newaxis] * block.offset + quarter
             shapes.append(cycle_ordinates(block.bins.n, theta, omega[:, np.newaxis], shift) * own)
-        pairs, rest, base = np.concatenate(shapes, axis=-1), self.rest[rows], self.base[rows]
-        pairs -= (pairs @ base) @ base.T
-        products = np.moveaxis(pairs @ rest, 0, -1)
+        pairs = np.concatenate(shapes, axis=-1)
+        pairs -= (pairs @ self.base) @ self.base.T
+        products = np.moveaxis(pairs @ self.rest, 0, -1)
         size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
         # Along the axes of each pair; one along which there is next to nothing is no regressor of its own.
         along = np.einsum("wij,wi->wj", vectors, products)
@@ -169,12 +183,17 @@ def _best_step(
 #: A rich model, and the ordinates that slow shapes live in.
 _STRUCTURE = ("N", "B", "GM", "K", "R")
 _LOWEST = 4000
-#: Time constants of a warm-up, and lags of a temperature, as parts of the record.
-_WARM_UPS = np.geomspace(0.01, 0.3, 8)
+#: Time constants of a warm-up, and lags of a temperature, as parts of the record. A slower warm-up than the
+#: slowest is a ramp and a parabola, as the slowest is.
+_WARM_UPS = np.geomspace(0.01, 2.0, 12)
+#: Time constants around the best one, relative to it.
+_NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 _LAGS = np.geomspace(3e-4, 0.1, 16)
 #: Periods a record of the cycles that are looked for: fewer are drifts, more are lines. And their
 #: spacing, at first and where a peak was found.
 _FEWEST_PERIODS, _MOST_PERIODS = 2.0, 24.0
+#: Fewest periods a record of a slow cycle, one that looks like a random walk; fewer are a drift.
+_FEWEST_SLOW = 0.7
 _SPACING, _FINE = 0.25, 1 / 64
 #: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
 _MARGIN = 7.0
@@ -184,15 +203,25 @@ _CHANCE_STEP = 0.002
 #: whatever the rate: were the spectrum known, chance would gain 21 in one of 500 records by Baluev (2008),
 #: MNRAS 385, 1279; beside one that is fitted, 23.
 _PRICE_CYCLE = 16.0
-#: A cycle that gains more than 95 of 100 clean records give, and is not named, may be there or not.
-_DOUBT = 15.5
+#: A cycle that gains this much beyond its price, more than in 95 of 100 clean records, and is not named, may
+#: be there or not.
+_DOUBT = -0.5
+#: The same for a slow cycle, which a random walk looks like more often, and for a warm-up.
+_PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
+#: A warm-up or a slow cycle explains a record as well as a random walk does if N and B beside it gain this
+#: much on the rich model. Of 60 simulated records with a weak walk 8 gain either, with flicker alone 5.
+_RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
+#: Without this factor between the spectra with and without the walk no walk is shown.
+_NO_WALK = 2.0
+#: Logarithm of a variance that is zero.
+_NOTHING = -300.0
 #: A shape that has a cause goes before a cycle, the cheapest shape, where it gains this part as much.
 _CAUSED = 0.9
 #: Nearer than the record's length over this, two steps are too alike in the lowest ordinates to be fitted.
 _TELLABLE = 65536
 #: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much. That
-#: spectrum has a slow cycle's power in it: the fit with the cycle gains far more than it says.
-_WORTH_A_FIT, _CYCLE_WORTH_A_FIT = 15.0, 9.0
+#: spectrum has the power of a slow cycle or warm-up in it: the fit with that gains far more than it says.
+_WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
 #: Most shapes that are taken out.
 _MOST = 8
 
@@ -230,7 +259,7 @@ class Disturbance:
 def find_disturbances(
     blocks: Sequence[Block], *, steps: bool = True, exact: ExactPlace | None = None
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
-    """Return what the data ask to be taken out beside the ramp, the strongest first; and a doubtful cycle.
+    """Return what the data ask to be taken out beside the ramp, the strongest first; and what is doubtful.
 
     Without `steps` none are looked for: a level that jumps to and fro is not a few of them. `exact` puts
     each step where it lies exactly before it is fitted: beside a step that is fitted a little off its
@@ -257,12 +286,29 @@ def find_disturbances(
         caused = ~cycle & (net > _MARGIN) & (gains > _CAUSED * gains.max())
         best = int(np.argmax(np.where(caused, net, -np.inf) if caused.any() else net))
         if net[best] <= _MARGIN:
-            may_be = [candidates[i] for i in np.flatnonzero(cycle & (gains > _DOUBT)).tolist()]
-            doubtful = _sized(may_be, fits, int(np.argmax(cycle)))
+            likely = np.where(cycle, net, -np.inf)
+            row = int(np.argmax(likely))
+            if likely[row] > _DOUBT:
+                doubtful = _sized([candidates[row]], fits, row)
             break
-        found.append(candidates[best])
-        base = _fits(low, [(*names, *candidates[best].names)])
-    return _sized(found, base), doubtful
+        taken, base = _taken_out(candidates[best], low, names, length)
+        found.append(taken)
+    return _sized(found, base), (*doubtful, *_rival(low, base, found))
+
+
+def _taken_out(
+    one: Disturbance, low: Sequence[Block], names: tuple[str, ...], length: int
+) -> tuple[Disturbance, "_Fits"]:
+    """Return a shape and the fit with it, beside the regressors `names`.
+
+    The spectrum without a warm-up contains the warm-up's power. With the right spectrum its time constant is
+    found again.
+    """
+    base = _fits(low, [(*names, *one.names)])
+    if one.kind != "warm-up":
+        return one, base
+    one = _warm_up(Whitened.by(low, base.spectrum, ("R", *names)), length)[1]
+    return one, _fits(low, [(*names, *one.names)])
 
 
 def _sized(found: Sequence[Disturbance], fits: "_Fits", row: int = 0) -> tuple[Disturbance, ...]:
@@ -285,17 +331,26 @@ class _Fits:
     @property
     def spectrum(self) -> FloatArray:
         """Of the first set, at the bins, shape (b,); 1 in bins without ordinates."""
-        first = self.maximum[[0]]
-        return np.asarray(evaluate(self.ordinates, first.candidates, first.theta).spectrum[0])
+        return self._spectrum_at(self.maximum.theta[[0]])
+
+    @property
+    def without_walk(self) -> FloatArray:
+        """Of the first set, without K and the Gauss-Markov term; shape (b,)."""
+        theta = self.maximum.theta[[0]]
+        theta[:, [COLUMN["K"], SHAPED]] = _NOTHING
+        return self._spectrum_at(theta)
+
+    def _spectrum_at(self, theta: FloatArray) -> FloatArray:
+        return np.asarray(evaluate(self.ordinates, self.maximum.candidates[[0]], theta).spectrum[0])
 
 
-def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]]) -> _Fits:
-    """Return the best fit of a rich structure with each set of regressors beside the ramp."""
+def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> _Fits:
+    """Return the best fit of a structure with each set of regressors beside the ramp."""
     names = ("R", *dict.fromkeys(name for names in sets for name in names))
     ordinates = bin_blocks(low, 1.0, names)
     seen = ordinates[ordinates.size > 0]
     has = np.array([[name in {"R", *own} for name in names] for own in sets])
-    candidates = replace(candidates_of([_STRUCTURE] * len(sets), names), regressors=has)
+    candidates = replace(candidates_of([structure] * len(sets), names), regressors=has)
     return _Fits(ordinates=ordinates, maximum=fit_blindly(seen, candidates, keep=(1, 2, 2), tolerance=1e-2))
 
 
@@ -304,22 +359,55 @@ def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -
     price = np.log(length)
     families: list[list[Disturbance]] = []
     once = {one.kind for one in found}
-    if "warm-up" not in once:
-        names = [f"exp:{time!r}" for time in (_WARM_UPS * length).tolist()]
-        families.append([Disturbance(kind="warm-up", names=(name,), price=2 * price) for name in names])
     measured = all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks)
     if measured and "temperature" not in once:
         families.append([Disturbance(kind="temperature", names=("temperature",), price=price)])
         names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
         families.append([Disturbance(kind="temperature", names=(name,), price=2 * price) for name in names])
-    gain, cycle = best_cycle(whitened, length)
-    if gain > _CYCLE_WORTH_A_FIT:
-        yield cycle
+    for slow in (False, True):
+        gain, cycle = best_cycle(whitened, length, slow=slow)
+        if gain > _SMOOTH_WORTH_A_FIT:
+            yield cycle
+    if "warm-up" not in once:
+        gain, warm_up = _warm_up(whitened, length)
+        if gain > _SMOOTH_WORTH_A_FIT:
+            yield warm_up
     for shapes in families:
         gains = [whitened.gain(shape.names) for shape in shapes]
         best = int(np.argmax(gains))
         if gains[best] > _WORTH_A_FIT:
             yield shapes[best]
+
+
+def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
+    """Return the gain and shape of the best warm-up on a grid, its time constant refined."""
+    lowest, best, gain = whitened.lowest(), 1.0, 0.0
+    for factors in (_WARM_UPS * length, _NEAR_WARM_UPS):
+        times = best * factors
+        gains = lowest.gains_alone([f"exp:{time!r}" for time in times.tolist()])
+        row = int(np.argmax(gains))
+        best, gain = float(times[row]), float(gains[row])
+    return gain, Disturbance(kind="warm-up", names=(f"exp:{best!r}",), price=_PRICE_WARM_UP)
+
+
+def _rival(low: Sequence[Block], base: "_Fits", found: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
+    """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ().
+
+    A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little beside it.
+    The shape with N and B alone is compared with the rich model instead.
+    """
+    still, length = base.without_walk, low[-1].offset + low[-1].bins.n
+    if np.max(base.spectrum / still) < _NO_WALK:
+        return ()
+    names = tuple(name for one in found for name in one.names)
+    whitened = Whitened.by(low, still, ("R", *names))
+    rivals = {best_cycle(whitened, length, slow=True)[1]: _RIVAL_CYCLE}
+    if all(one.kind != "warm-up" for one in found):
+        rivals[_warm_up(whitened, length)[1]] = _RIVAL_WARM_UP
+    fits = _fits(low, [(*names, *one.names) for one in rivals], ("N", "B", "R"))
+    excess = 2 * (base.objective - fits.maximum.objective) - np.array([*rivals.values()])
+    row = int(np.argmax(excess))
+    return _sized([[*rivals][row]], fits, row) if excess[row] > 0 else ()
 
 
 def _step(
@@ -335,18 +423,21 @@ def _step(
     yield Disturbance(kind="step", names=(f"step:{place}",), price=price)
 
 
-def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
-    """Return the best cycle on a grid, its frequency refined."""
+def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance]:
+    """Return the gain and shape of the best cycle, or slow cycle, on a grid, its frequency refined."""
     unit = 2 * np.pi / length
-    coarse = np.arange(_FEWEST_PERIODS, _MOST_PERIODS + _SPACING / 2, _SPACING)
-    near = coarse[int(np.argmax(whitened.cycles(unit * coarse)))]
+    fewest, most = (_FEWEST_SLOW, _FEWEST_PERIODS) if slow else (_FEWEST_PERIODS, _MOST_PERIODS)
+    coarse = np.arange(fewest, most + _SPACING / 2, _SPACING)
+    lowest = whitened.lowest(_OF_SLOW if slow else _OF_SMOOTH)
+    near = coarse[int(np.argmax(lowest.cycles(unit * coarse)))]
     fine = near + _FINE * np.arange(-round(_SPACING / _FINE), round(_SPACING / _FINE) + 1)
-    fine = fine[fine >= _FEWEST_PERIODS]
-    gains = whitened.cycles(unit * fine)
+    fine = fine[fine >= fewest]
+    gains = lowest.cycles(unit * fine)
     best = int(np.argmax(gains))
     omega = float(unit * fine[best])
+    price = _PRICE_SLOW_CYCLE if slow else _PRICE_CYCLE
     return float(gains[best]), Disturbance(
-        kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), price=_PRICE_CYCLE
+        kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), price=price
     )
 
 
@@ -473,15 +564,28 @@ _WORDS = {
 def doubtful_finding(
     doubtful: Sequence[Disturbance], series: AxisSeries, scale: float
 ) -> tuple[Finding, ...]:
-    """Say which cycle may be there; `scale` is U per scaled unit."""
+    """Return a finding for the warm-up or cycles that may be there; `scale` is U per scaled unit."""
     if not doubtful:
         return ()
-    text = (
-        f"A cycle with a period of {_periods(doubtful, series, scale)} may be there: noise alone looks as "
-        "much like one in up to 5 of 100 records. The limits of N, B and K hold with and without it."
+    cycles = [one for one in doubtful if one.kind == "cycle"]
+    shapes = [
+        f"a warm-up with a time constant of about {one.value * series.tau0:.2g} s"
+        for one in doubtful
+        if one.kind == "warm-up"
+    ]
+    code = "warm-up-doubtful" if shapes else "cycle-doubtful"
+    advice = (
+        "Let the sensor warm up, leave out the first part (--skip), or record for longer."
+        if shapes
+        else "Record for longer to see whether it goes on."
     )
-    advice = "Record for longer to see whether it goes on."
-    return (Finding("info", "cycle-doubtful", text, advice, axis=series.name),)
+    if cycles:
+        shapes.append(f"a cycle with a period of {_periods(cycles, series, scale)}")
+    text = (
+        f"There may be {' and '.join(shapes)}, or a random walk that looks like it: the record does not tell "
+        "them apart. The limits of N, B and K allow for both."
+    )
+    return (Finding("info", code, text, advice, axis=series.name),)
 
 
 def _periods(found: Sequence[Disturbance], series: AxisSeries, scale: float) -> str:

@@ -69,7 +69,7 @@ def fit_bins(
     parts = [ordinates_of(one) for one in bins]
     every = joined(parts) if len(parts) > 1 else parts[0]
     band = _band(every, parts, structure, near)
-    seen = every.below(band.fraction)
+    seen = band.select(every)
     # Of all records half the excess kurtosis plus one, weighted by their ordinates.
     surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
     problem = Problem(
@@ -84,7 +84,7 @@ def fit_bins(
     found = misfit(seen, fitted.maximum)
     estimates, _ = numbered(with_absent(problem, fitted, own), ())
     owner = np.repeat(np.arange(len(parts)), [one.size.size for one in parts])
-    edges = [every[owner == i].below(band.fraction) for i in range(len(parts))]
+    edges = [band.select(every[owner == i]) for i in range(len(parts))]
     misfits = misfits_of(problem, fitted, found)
     return BinFit(
         records=tuple(edges),

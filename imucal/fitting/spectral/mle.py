@@ -88,9 +88,9 @@ def fit_mle(
     if structure is None:
         fitted, own, estimates = hull_estimates(problem, choice)
         if view.doubtful:
-            # With the doubtful cycle taken out too.
+            # With the doubtful warm-up or cycle taken out too.
             names = (*view.whole.names, *view.doubtful)
-            other = bin_blocks(view.blocks.blocks, view.blocks.scale, names).below(band.fraction)
+            other = band.select(bin_blocks(view.blocks.blocks, view.blocks.scale, names))
             beside = replace(problem, ordinates=other)
             estimates = either(estimates, hull_estimates(beside, _choice(beside, band, settings))[2])
     else:
@@ -112,7 +112,7 @@ def fit_mle(
             model=model,
             curve=curve,
             wanted=settings.segments,
-            fraction=band.fraction,
+            band=band,
         )
         return segments, find_variance_change(series)
 
@@ -188,7 +188,7 @@ def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels
     """Return the given structure, or those to choose from by their criterion, fitted."""
     return choose(
         problem.ordinates,
-        _structures(settings.structure, settings.max_gm, filtered=band.poles > 0),
+        _structures(settings.structure, settings.max_gm, white=band.poles > 0 or band.hump is not None),
         criterion=settings.criterion,
         band=band,
         shortest=band.shortest if settings.structure is None else SHORTEST_GIVEN,
@@ -222,7 +222,7 @@ def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) 
 def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray]:
     """Return the model's spectrum in every bin, and that which the curve holds; shape (b,) each."""
     model = fitted.unfiltered(whole)
-    inside = whole.fraction <= band.fraction * (1 + 1e-9)
+    inside = band.holds(whole)
     part = replace(whole[inside], top=band_top(band.fraction))
     measured = np.where(whole.size > 0, whole.power / np.maximum(whole.size, 1e-12), model)
     seen = np.where(inside, model, measured)
@@ -246,19 +246,19 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
     return View(
         blocks=blocks,
         band=band,
-        ordinates=whole.below(band.fraction),
+        ordinates=band.select(whole),
         whole=whole,
         doubtful=may_be,
         findings=blocks.findings + findings,
     )
 
 
-def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> list[Structure]:
-    """Return the candidates; behind a filter they have N, which the response refers to, and no Q."""
+def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> list[Structure]:
+    """Return the candidates. With `white` they have N and no Q: behind a filter and around a hump."""
     if structure is not None:
         return [structure]
-    every = all_structures(max_gm, quantization=not filtered)
-    return [s for s in every if "N" in s] if filtered else every
+    every = all_structures(max_gm, quantization=not white)
+    return [s for s in every if "N" in s] if white else every
 
 
 def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:

@@ -20,6 +20,7 @@ from imucal.fitting.spectral.disturbances import (
     exact_places,
     find_disturbances,
 )
+from imucal.fitting.spectral.hump import hump_finding
 from imucal.fitting.spectral.likelihood import richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
@@ -143,8 +144,10 @@ def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], f
 
 
 def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
-    """Return a note on the output filter that shapes the spectrum."""
+    """Return a note on the output filter or the vibration that shapes the spectrum."""
     nyquist, corner = series.rate_hz / 2, corner_of(band)
+    if band.hump:
+        return (hump_finding(band.hump, rate_hz=series.rate_hz, axis=series.name, fitted=False),)
     if corner is not None:
         text = (
             f"The density of {series.name} falls to half near {corner * nyquist:.3g} Hz: a low-pass filter "

@@ -17,6 +17,7 @@ from imucal.allan.dct import dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.homogeneity import SURE, bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
+from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import behind_filter
 from imucal.fitting.spectral.common_terms import Parts, visible
@@ -61,13 +62,13 @@ def number_of_segments(samples: int, wanted: int) -> int:
 
 
 def segment_ordinates(
-    series: AxisSeries, blocks: SeriesBlocks, *, drift: Mapping[str, float], wanted: int, fraction: float
+    series: AxisSeries, blocks: SeriesBlocks, *, drift: Mapping[str, float], wanted: int, band: Band
 ) -> SegmentOrdinates | None:
     """Return the ordinates of each segment of finite samples; None where they are too few for any.
 
     A segment of which the gaps leave too little is left out. `drift`, the name of a regressor -> its
-    coefficient in scaled units, is taken out; `wanted` is the most segments, `fraction` the upper end of
-    the band over Nyquist.
+    coefficient in scaled units, is taken out; `wanted` is the most segments, `band` the part of the
+    spectrum that is fitted.
     """
     count = number_of_segments(series.n, wanted)
     if not count:
@@ -83,7 +84,7 @@ def segment_ordinates(
             piece = _piece(series, block, drift=drift, scale=blocks.scale, place=low, size=high - low)
             pieces += [piece] if piece else []
         if sum(piece.bins.n for piece in pieces) >= _FEWEST // 2:
-            parts.append(bin_blocks(pieces, blocks.scale, ()).below(fraction))
+            parts.append(band.select(bin_blocks(pieces, blocks.scale, ())))
             kept.append(number)
     if len(kept) < 2:
         return None
@@ -169,16 +170,16 @@ def fit_segments(
     model: NoiseModel,
     curve: AllanCurve,
     wanted: int,
-    fraction: float,
+    band: Band,
 ) -> Segments | None:
     """Return what the segments of finite samples say of their fit; None where they are too few for any.
 
     `fitted` is the model that is shown, and `model` the same in SI; where it is lowest on the series' `curve`
-    is the averaging time of the floor. `wanted` and `fraction` as in `segment_ordinates`.
+    is the averaging time of the floor. `wanted` and `band` as in `segment_ordinates`.
     """
     names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
     drift = {name: value for name, value in zip(names, beta, strict=True) if value}
-    found = segment_ordinates(series, blocks, drift=drift, wanted=wanted, fraction=fraction)
+    found = segment_ordinates(series, blocks, drift=drift, wanted=wanted, band=band)
     if found is None:
         return None
     tests = _Tests(problem, fitted, found)

@@ -91,3 +91,21 @@ def test_given_gauss_markov_terms_may_be_short() -> None:
     assert times[1] is not None
     assert times[0].low < 5 < times[0].high
     assert times[1].low < 200 < times[1].high
+
+
+@pytest.mark.parametrize("share", [0.12, 0.05, 0.02])
+def test_smoothing_is_a_filter(share: float) -> None:
+    """Smoothing, y += a (x - y), has the spectrum of a Gauss-Markov term; N is the noise in front of it."""
+    held = {"N": 0, "B": 0}
+    for seed in range(4):
+        samples = simulated("N=1e-4 + B=3e-5", 60_000, seed, rate_hz=100.0)
+        smooth = signal.lfilter([share], [1, share - 1], samples - samples[0])[500:]
+        fit = fitted(smooth, rate_hz=100.0)
+        held["N"] += fit["N"].low <= 1e-4 <= fit["N"].high
+        held["B"] += fit["B"].low <= 3e-5 <= fit["B"].high
+        (found,) = (finding for finding in fit.findings if finding.code == "output-filter")
+        # A Gauss-Markov term of more than ten samples would explain the spectrum as well.
+        if share < 0.1:
+            assert found.level == "warning"
+    assert held["N"] >= 3
+    assert held["B"] >= 3

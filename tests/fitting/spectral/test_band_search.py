@@ -21,6 +21,7 @@ from imucal.fitting.spectral.band import (
     find_band,
     start_response,
 )
+from imucal.fitting.spectral.hump import Hump
 from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
@@ -360,3 +361,14 @@ def test_a_band_is_looked_for_near_another_first_and_in_the_whole_alone_if_so_as
     assert (near.fraction, near.order, near.poles) == (searched.fraction, searched.order, searched.poles)
     npt.assert_array_equal(near.response, searched.response)
     assert find_band(data, ("Q", "N", "GM", "K"), narrow=False).fraction == 1.0
+
+
+def test_a_band_selects_the_bins_outside_its_hump() -> None:
+    """Up to its end, without those between the edges."""
+    data = ordinates_of(simulated("N=1", 2000, 1))
+    hump = Hump(low=0.1, high=0.2, times=3.0)
+    found = replace(_band("x"), fraction=0.5, hump=hump).select(data)
+    expected = (data.fraction <= 0.5) & ~((data.fraction >= 0.1) & (data.fraction <= 0.2))
+    npt.assert_array_equal(found.lam, data.lam[expected])
+    assert found.top == pytest.approx(4 * np.sin(np.pi / 4) ** 2)
+    assert not replace(_band("x"), hump=hump).flat

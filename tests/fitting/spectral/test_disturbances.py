@@ -186,7 +186,7 @@ def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
     tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
     omega = 2 * np.pi * np.array([2.0, 7.7, 23.9]) / 4000
     every = [tool.gain((f"cos:{w!r}", f"sin:{w!r}")) for w in omega.tolist()]
-    assert tool.cycles(omega) == pytest.approx(every, rel=0.01, abs=0.02)
+    assert tool.lowest().cycles(omega) == pytest.approx(every, rel=0.01, abs=0.02)
 
 
 @pytest.mark.parametrize("shape", [0.0, 1.0, 2.0])
@@ -239,3 +239,48 @@ def test_no_step_is_taken_out_twice(height: float, before: int, seed: int) -> No
     (finding,) = [finding for finding in fit.findings if finding.code == "step"]
     assert finding.text.count(" at ") == len(places)
     assert as_without(fit, noise(seed))
+
+
+#: Shapes without a walk: warm-ups by their time constant as a part of the record, and slow cycles.
+SLOW_SHAPES = {
+    "strong warm-up of a third": 1e-3 * np.exp(-3 * T / T[-1]),
+    "weak warm-up of a half": 3e-4 * np.exp(-2 * T / T[-1]),
+    "warm-up of the whole record": 1e-3 * np.exp(-T / T[-1]),
+    "one cycle": 2e-4 * np.cos(2 * np.pi * T / T[-1] + 0.4),
+    "one and a half cycles": 2e-4 * np.cos(3 * np.pi * T / T[-1] + 1.9),
+}
+
+
+@pytest.mark.parametrize("name", SLOW_SHAPES)
+def test_a_slow_shape_is_not_shown_as_a_walk(name: str) -> None:
+    """Of 2 records without a walk none shows K, and all name the warm-up or the cycle."""
+    for seed in (50, 51):
+        fit = fitted(noise(seed, "N=1e-4") + SLOW_SHAPES[name], rate_hz=10.0)
+        assert fit["K"].value is None
+        codes = {finding.code for finding in fit.findings}
+        assert codes & {"warm-up-fitted", "warm-up-doubtful", "cycle", "cycle-doubtful"}
+
+
+def test_a_walk_is_shown_although_a_warm_up_was_looked_for() -> None:
+    """Of 4 records with a walk at least 3 show K."""
+    fits = [fitted(noise(seed, "N=1e-4 + K=4e-6"), rate_hz=10.0) for seed in range(60, 64)]
+    assert sum(fit["K"].value is not None for fit in fits) >= 3
+
+
+def test_a_doubtful_warm_up_names_both_readings() -> None:
+    """K may be zero, and the advice says what to do."""
+    fit = fitted(noise(70, "N=1e-4") + SLOW_SHAPES["weak warm-up of a half"], rate_hz=10.0)
+    (finding,) = [finding for finding in fit.findings if finding.code == "warm-up-doubtful"]
+    assert "warm-up" in finding.text
+    assert "random walk" in finding.text
+    assert "--skip" in finding.advice
+    assert fit["K"].low == 0
+
+
+def test_gains_of_single_regressors_are_those_of_each_alone() -> None:
+    """A regressor that the fit already has gains nothing."""
+    blocks = _blocks(36)
+    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
+    names = ["exp:80.0", "exp:900.0", "R"]
+    alone = [tool.gain(names[:1]), tool.gain(names[1:2]), 0.0]
+    assert tool.gains_alone(names) == pytest.approx(alone, rel=1e-8, abs=1e-8)

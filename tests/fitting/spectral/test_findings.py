@@ -101,8 +101,8 @@ def test_points_beyond_the_band_and_the_filter_are_used() -> None:
 
 def test_behind_a_filter_every_candidate_has_white_noise_and_none_quantization() -> None:
     """A given model is the only candidate, whatever the filter."""
-    assert _structures(("B",), 1, filtered=True) == [("B",)]
-    plain, filtered = (_structures(None, 1, filtered=f) for f in (False, True))
+    assert _structures(("B",), 1, white=True) == [("B",)]
+    plain, filtered = (_structures(None, 1, white=f) for f in (False, True))
     assert any("Q" in s for s in plain)
     assert any("N" not in s for s in plain)
     assert {s for s in plain if "N" in s and "Q" not in s} == set(filtered)

@@ -46,6 +46,24 @@ def test_intervals_hold_the_truth_with_samples_missing(kind: str) -> None:
     assert np.all(np.abs(np.mean(errors, axis=0)) < [0.006, 0.07])
 
 
+@pytest.mark.parametrize(("share", "burst"), [(0.2, 1), (0.3, 1), (0.3, 3)])
+def test_many_lost_samples_neither_bias_n_nor_look_like_a_filter(share: float, burst: int) -> None:
+    """Radio logs lose that many, one by one or a few at a time."""
+    n, errors, squares = 20_000, [], []
+    for seed in range(4):
+        samples = simulated("N=1 + B=0.3", n, 60 + seed)
+        lost = np.repeat(np.random.default_rng(seed).random(n // burst + 1) < share, burst)[:n]
+        samples[1:-1][lost[1:-1]] = np.nan
+        result = fitted(series_of(samples))
+        assert all(finding.code != "output-filter" for finding in result.findings)
+        assert result["N"].value is not None
+        errors.append(result["N"].value - 1)
+        squares.append(result.goodness.chi2_per_bin)
+    # The standard error of a mean of four is 0.5 %.
+    assert abs(np.mean(errors)) < 0.02
+    assert np.mean(squares) < 1.15
+
+
 def test_long_gaps_part_blocks_and_short_ones_are_completed() -> None:
     """One gap of 500 samples makes two blocks; ten single samples make none."""
     samples = simulated(TEXT, N, 1)

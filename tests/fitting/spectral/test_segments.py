@@ -9,6 +9,7 @@ import imucal
 from imucal.clock import Clock
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import mle
+from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.blocks import make_blocks
 from imucal.fitting.spectral.common_terms import Parts
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
@@ -20,6 +21,7 @@ from tests.fitting.fits import fitted, simulated
 RATE_HZ = 100.0
 #: Divides into eight segments of a length whose transform is quick, so that none is cut at its end.
 N = 8 * 4096
+FLAT = Band(fraction=1.0, order=(0, 0), poles=0, zeros=0, response=np.zeros(0))
 
 
 def axis(samples: np.ndarray, keep: np.ndarray | None = None) -> AxisSeries:
@@ -33,7 +35,7 @@ def cut(
 ) -> SegmentOrdinates | None:
     """Return the ordinates of eight segments of a series over the whole band."""
     blocks = make_blocks(series, temperature)
-    return segment_ordinates(series, blocks, drift=drift or {}, wanted=8, fraction=1.0)
+    return segment_ordinates(series, blocks, drift=drift or {}, wanted=8, band=FLAT)
 
 
 def white_levels(found: SegmentOrdinates | None, series: AxisSeries) -> np.ndarray:

@@ -1,0 +1,102 @@
+"""Vibration and sway: an interval of frequencies with more power than the white noise below and above it.
+
+A low-pass filter can imitate such a hump, and the fit then reports too much white noise. The interval is
+found by repeated fits of power laws to the bins outside it. Bins are excluded as a whole run, because a
+threshold for single bins would keep those that happen to be low.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.findings import Finding
+from imucal.fitting.spectral.likelihood import COLUMN, Structure, candidates_of, derivatives, evaluate
+from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.starts import fit_blindly
+from imucal.frozen import frozen
+
+#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum
+#: must reach `_SUM`, and the density `_TIMES` times that of the noise.
+_EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
+#: At least this many ordinates must be below the hump, and this share of all above it.
+_BELOW, _ABOVE = 16.0, 0.05
+#: White noise must be this share of the density in the bins next to the hump, else a filter is more likely.
+_WHITE, _NEXT = 0.6, 4
+#: The interval is widened by this factor: the bins next to the run are those that happened to be low.
+_GUARD = 1.2
+#: Fits, and the fewest bins of one.
+_ROUNDS, _FEWEST = 10, 24
+
+
+@frozen
+class Hump:
+    """An interval of frequencies, as fractions of Nyquist, with up to `times` the density of the noise."""
+
+    low: float
+    high: float
+    times: float
+
+    def outside(self, fraction: FloatArray) -> BoolArray:
+        """Return which frequencies, as fractions of Nyquist, are outside; shape of `fraction`."""
+        return np.asarray((fraction < self.low) | (fraction > self.high))
+
+    def wider(self) -> "Hump":
+        """Return the interval with some bins on both sides."""
+        return replace(self, low=self.low / _GUARD, high=min(self.high * _GUARD, (1 + self.high) / 2))
+
+
+def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
+    """Return the hump in the spectrum of noise with a `structure` of power laws; None if there is none.
+
+    Whether the structure describes the rest of the spectrum is for the caller to check.
+    """
+    order = np.argsort(ordinates.fraction, kind="stable")
+    fraction, size = ordinates.fraction[order], ordinates.size[order]
+    candidate = candidates_of([structure], ordinates.names)
+    hump: Hump | None = None
+    for _ in range(_ROUNDS):
+        seen = ordinates[hump.outside(ordinates.fraction)] if hump else ordinates
+        if seen.size.size < _FEWEST:
+            return None
+        found = fit_blindly(seen, candidate, keep=(1, 2, 4), tolerance=1e-3)
+        spectrum = evaluate(ordinates, candidate, found.theta).spectrum[0]
+        ratio = (ordinates.rest(found.beta[0]) / ordinates.size / spectrum)[order]
+        first, last, total = largest_run((ratio - 1) * np.sqrt(size / 2) - _EXCESS)
+        enough_around = size[:first].sum() >= _BELOW and size[last + 1 :].sum() >= _ABOVE * size.sum()
+        if total < _SUM or not enough_around:
+            return None
+        previous, hump = (
+            hump,
+            Hump(
+                low=float(fraction[first - 1] + fraction[first]) / 2,
+                high=float(fraction[last] + fraction[last + 1]) / 2,
+                times=float(ratio[first : last + 1].max()),
+            ),
+        )
+        if previous == hump:
+            break
+    white = (derivatives(ordinates, candidate, found.theta)[COLUMN["N"]] / spectrum)[order]
+    beside = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
+    return hump.wider() if hump and hump.times >= _TIMES and beside.min() >= _WHITE else None
+
+
+def largest_run(values: FloatArray) -> tuple[int, int, float]:
+    """Return the first and last index of the run with the largest sum, and the sum; values of shape (n,)."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    last = int(np.argmax(total - np.minimum.accumulate(total)))
+    first = int(np.argmin(total[: last + 1]))
+    return first, last - 1, float(total[last] - total[first])
+
+
+def hump_finding(hump: Hump, *, rate_hz: float, axis: str, fitted: bool) -> Finding:
+    """Return the warning for a hump; if it is not `fitted`, nothing was left out."""
+    low, high = hump.low * rate_hz / 2, hump.high * rate_hz / 2
+    text = (
+        f"Between {low:.3g} and {high:.3g} Hz the density is up to {hump.times:.2g} times that of the noise: "
+        "a vibration or a sway."
+    )
+    if fitted:
+        text += " The fit leaves these frequencies out; the Allan curve contains them."
+    advice = "Record on a firm surface, away from motors, fans and footsteps."
+    return Finding("warning", "hump", text, advice, axis=axis)
