@@ -318,6 +318,13 @@ stamped(
     rate_hz=100.0,
 )
 
+#: How to read the table.
+_ABOUT = """`tests/benchmarks/pathologies.py` wrote this table.
+"NB" has N and B, "white" has N only. A record is silently wrong if
+an interval of N, B or K misses the truth without a warning or an error. Plain noise misses now and then too,
+because three intervals of 95 % are looked at.
+
+"""
 #: Warnings that name no cause of wrong numbers.
 _NOT_NAMED = {"model-choice", "record-length", "gaps", "gaps-in-fit"}
 
@@ -386,7 +393,7 @@ def main() -> None:
     lines += ["", f"Silently wrong: {total.silent} of {total.records} records."]
     print("\n".join(lines[-2:]))
     if arguments.write:
-        title = "# What real sensors and loggers do\n\nWritten by `tests/benchmarks/pathologies.py`.\n\n"
+        title = "# What real sensors and loggers do\n\n" + _ABOUT
         arguments.write.write_text(title + "\n".join(lines) + "\n", encoding="utf-8")
 
 
