@@ -194,13 +194,16 @@ def _two_readings(
     if response:
         of_filter = f" ({response.kind}, -3 dB at {response.cutoff_hz:.3g} Hz)"
         time_s = 1 / (2 * np.pi * response.cutoff_hz)
-    # The density at the top of the band, compared with that of N.
-    seen = fitted.maximum.spectrum[0, -_TOP:].mean()
-    below = float(np.sqrt(seen / np.exp(fitted.maximum.theta[0, COLUMN["N"]])))
+    less = "far less than"
+    if band.fraction == 1.0:
+        # The density at the highest frequencies, compared with that of N.
+        seen = fitted.maximum.spectrum[0, -_TOP:].mean()
+        below = float(np.sqrt(seen / np.exp(fitted.maximum.theta[0, COLUMN["N"]])))
+        less = f"less than {below:.2g} times"
     text = (
         f"The spectrum has two explanations: white noise behind a low-pass filter{of_filter}, or a Gauss-"
         f"Markov term of T = {time_s:.3g} s whose white noise is too weak to see. The fit "
-        f"assumes the filter. Without one, N would be less than {below:.2g} times the reported value."
+        f"assumes the filter. Without one, N would be {less} the reported value."
     )
     advice = (
         "Look for a low-pass filter or smoothing in the sensor's settings and in the driver. Switch it off "
