@@ -1,6 +1,7 @@
 """Options and fixtures every test may use."""
 
 import os
+import signal
 import threading
 from collections.abc import Iterator
 from functools import cache
@@ -24,6 +25,9 @@ __all__ = [
 # Before NumPy is imported, here and in the workers: its matrices are small here, and threads of
 # several workers that wait for each other in a loop take twice the time of the work itself.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A job that a shell starts in the background ignores SIGINT, and so would the commands that tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # Hundreds of child processes would each compile the package again, longer than what most of them do.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
