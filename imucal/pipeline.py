@@ -78,7 +78,8 @@ def characterize(
 ) -> Report:
     """Screen a recording and fit a noise model to every axis.
 
-    An axis that can't be analysed is left out and named in a finding.
+    An axis that can't be analysed is left out and named in a finding. If the IMU was moved, no model is
+    searched for: the slopes of the curve are read.
 
     Parameters
     ----------
@@ -112,12 +113,11 @@ def characterize(
     long = max((series.n for series in recording.series), default=0) >= _LONG
     findings = recording.findings + look(recording, workers=workers if long else 1)
 
-    # Who searches what a moved IMU measured for noise, and for what is none, is long about nothing.
-    settings = replace(settings, still=not _moved(findings))
+    used = _for_motion(settings, findings)
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
-            return _characterize_axis(series, settings, recording.temperature, findings)
+            return _characterize_axis(series, used, recording.temperature, findings)
         except DataError as error:
             return _no_result(series, error, findings)
 
@@ -140,9 +140,14 @@ def characterize(
     )
 
 
+def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
+    """Return the settings for the fits: a search for the best model of motion takes long and helps nobody."""
+    return replace(settings, method="slope", model="auto") if _moved(findings) else settings
+
+
 def _moved(findings: Sequence[Finding]) -> bool:
-    """Return whether a screening says that the IMU was moved."""
-    return any(finding.code == "motion" and finding.level == "error" for finding in findings)
+    """Return whether a screening found that the IMU was not at rest."""
+    return any(finding.code in {"motion", "touch"} and finding.level == "error" for finding in findings)
 
 
 def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]) -> Finding:

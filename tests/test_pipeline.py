@@ -132,6 +132,26 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
     )
 
 
+@pytest.mark.parametrize(("seconds", "code"), [(15, "touch"), (30, "motion")])
+@pytest.mark.parametrize("settings", [Settings(), Settings(model="N + GM"), Settings(method="gmwm")])
+def test_a_moved_log_gets_a_curve_and_readings_of_slopes(seconds: int, code: str, settings: Settings) -> None:
+    """Nobody may use its numbers, and the search for a model of motion took most of the time."""
+    rng = np.random.default_rng(3_911)
+    t = np.arange(6000) / 50
+    shaken = 0.5 * np.sin(8 * t) * (t < seconds)
+    samples = rng.normal(0, 1e-3, (2, t.size)) + shaken
+    axes: tuple[Axis, ...] = ("x", "y")
+    gyro = [
+        AxisSeries.from_samples(values, rate_hz=50.0, axis=axis)
+        for axis, values in zip(axes, samples, strict=True)
+    ]
+    report = characterize(recording_of(*gyro), settings)
+    assert [finding.code for finding in report.findings] == [code]
+    assert [axis.fit.method for axis in report.axes] == ["slope", "slope"]
+    assert [axis.fit.curve.tau.size > 10 for axis in report.axes] == [True, True]
+    assert report.settings["method"] == settings.method
+
+
 def test_every_setting_is_in_the_report() -> None:
     """So that a run can be repeated; `reading` comes last. Whether it was `still` the log says itself."""
     document = Settings(level=0.9, reading={"topic": ["/imu"]}).document()

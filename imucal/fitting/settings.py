@@ -44,9 +44,8 @@ WEIGHTS = ("full", "eta3")
 class FitSettings:
     """What decides a fit; `imucal.fit` says what each setting means.
 
-    Of an IMU that was not `still` neither disturbances nor parts of the spectrum are looked for. A setting
-    that is not known, a `model` that is no sum of terms, or a `method` that can not fit one of them is a
-    ValueError.
+    A setting that is not known, a `model` that is no sum of terms, or a `method` that can not fit one of them
+    is a ValueError.
     """
 
     model: str = "auto"
@@ -58,7 +57,6 @@ class FitSettings:
     clean: bool = True
     verify: bool = False
     segments: int = 8
-    still: bool = True
 
     def __post_init__(self) -> None:
         choices = (

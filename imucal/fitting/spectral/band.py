@@ -346,7 +346,6 @@ def find_band(
     *,
     given: Structure | None = None,
     near: float | None = None,
-    narrow: bool = True,
     rounding: Rounding = _no_rounding,
 ) -> Band:
     """Return the band, and the response in it, that a rich model describes, which holds all the candidates.
@@ -355,10 +354,10 @@ def find_band(
     because both bend the top of the spectrum. Terms that the caller gave are believed where those with a
     time of any length describe the whole band beside white noise.
     Of ordinates that are known not to be flat the band up to `near`, a fraction of Nyquist, is tried first,
-    and taken if it has a sound description; without `narrow` no band but the whole one is.
+    and taken if it has a sound description.
     `rounding` returns the variance of the samples' rounding in scaled units.
     """
-    coarse, fractions = _coarse(ordinates), BANDS if narrow else BANDS[:1]
+    coarse = _coarse(ordinates)
     plain = tuple(symbol for symbol in rich if symbol != "Q")
     found = flat_band(ordinates, rich, given=given, rounding=rounding) if near is None else None
     # A Gauss-Markov term follows a weak hump, but not closely.
@@ -367,19 +366,17 @@ def find_band(
         return around
     if found is None:
         search = _BandSearch(coarse, plain, SHORTEST, rounding)
-        found = search.sound(near, fractions) or search.least_bad()
+        found = search.sound(near) or search.least_bad()
     if near is not None or shaped_symbols(given or ()):
         return found
-    return _as_a_filter(found, coarse, plain, fractions, rounding) or found
+    return _as_a_filter(found, coarse, plain, rounding) or found
 
 
-def _as_a_filter(
-    found: Band, coarse: Ordinates, plain: Structure, fractions: tuple[float, ...], rounding: Rounding
-) -> Band | None:
+def _as_a_filter(found: Band, coarse: Ordinates, plain: Structure, rounding: Rounding) -> Band | None:
     """Return the filter that explains the spectrum as well as a Gauss-Markov term that hides the noise."""
     if not found.masked:
         return None
-    behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None, fractions)
+    behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None)
     return replace(behind, masked=found.masked) if behind and not behind.masked else None
 
 
@@ -490,14 +487,14 @@ class _BandSearch:
         """Whether white noise makes most of the blind fit's power at the highest frequencies."""
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
-    def sound(self, near: float | None, fractions: tuple[float, ...]) -> Band | None:
+    def sound(self, near: float | None) -> Band | None:
         """Return a sound description `near`, the best sound one of all bands, or None."""
         narrow = self.ordinates.below(_LOW)
         low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
         if near is not None and (found := _simplest(self.responses(near, low))):
             return self.simplest(found)
         best: tuple[_Trial, _Trial] | None = None
-        for fraction in fractions:
+        for fraction in BANDS:
             seen = self.ordinates.below(fraction)
             if seen.size.size < _FEWEST:
                 break

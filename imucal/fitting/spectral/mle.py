@@ -233,14 +233,13 @@ def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, 
 def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatArray | None) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    found, doubtful, findings = find_shapes(series, blocks) if settings.still else ((), (), ())
+    found, doubtful, findings = find_shapes(series, blocks)
     common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(
         whole,
         richest(settings.structure, settings.max_gm),
         given=settings.structure,
-        narrow=settings.still,
         rounding=lambda: ((step_size(series.samples) or 0.0) / blocks.scale) ** 2 / 12,
     )
     return View(
