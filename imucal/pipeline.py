@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from imucal._version import __version__
-from imucal.allan import allan_curve, spectrum
+from imucal.allan import Spectrum, allan_curve, spectrum
 from imucal.allan.dct import shared_transform
 from imucal.arrays import FloatArray, never_changes, release
 from imucal.errors import DataError
@@ -231,19 +231,11 @@ def _characterize_axis(
         opinions: tuple[Finding, ...] = ()
         if settings.second_opinion and settings.method == "mle" and result.model.terms:
             opinions = _opinions(finite, result, at_samples)
-    found = result.findings + findings_or_why_not(
-        lambda: resolution_findings(result, finite.n * finite.tau0),
-        what="How long a record would do is not known",
-        code="record-length",
-    )
-    found += findings_or_why_not(
-        lambda: ambiguity_findings(result, density, series.name),
-        what="What the curve can't tell is not known",
-        code="spectral-ambiguity",
-    )
-    found += opinions
     findings = [f for f in screened if f.axis == series.name]
-    findings += [replace(finding, axis=series.name) for finding in found]
+    if not _moved(screened):
+        # Of motion the screening reports all that helps.
+        found = (*_of_fit(result, finite, density), *opinions)
+        findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     overview = Overview.of(finite)
     # What lies in a temporary file need not stay in memory: nobody looks at this axis any more.
@@ -261,6 +253,23 @@ def _characterize_axis(
         overview=overview,
         fit=result,
         findings=tuple(dict.fromkeys(findings)),
+    )
+
+
+def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Finding, ...]:
+    """Return the fit's findings, and what the length of the record and the curve leave open."""
+    return (
+        *result.findings,
+        *findings_or_why_not(
+            lambda: resolution_findings(result, series.n * series.tau0),
+            what="How long a record would do is not known",
+            code="record-length",
+        ),
+        *findings_or_why_not(
+            lambda: ambiguity_findings(result, density, series.name),
+            what="What the curve can't tell is not known",
+            code="spectral-ambiguity",
+        ),
     )
 
 

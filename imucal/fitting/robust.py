@@ -34,6 +34,8 @@ _BODY = 3.0
 _GAUSSIAN = 1e4
 #: Above this share of spikes the noise itself is in doubt.
 _MANY = 0.01
+#: Above this factor on N's interval, an excess kurtosis of 6, the kurtosis may not be finite.
+_UNCERTAIN = 2.0
 #: Rounding is reported where it adds more than this share to N².
 _NOTABLE = 0.02
 
@@ -55,13 +57,21 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     # Of a sensor that stands still on one value the deviation is next to nothing.
     times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
     name = "spike was" if count == 1 else "spikes were"
+    rest, louder = heavy_tails(samples), float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
     text = (
         f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
         f"{largest:.3g} {pretty(series.unit)}, {times} standard deviations."
     )
-    level: Level = "info" if share <= _MANY else "warning"
-    advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
-    advice = advice if level == "warning" else ""
+    level: Level = "info"
+    advice = ""
+    if share > _MANY or rest > 1:
+        level = "warning"
+        advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
+    if rest > 1:
+        text += (
+            " The other samples still have more outliers than normal noise, so N depends on how many are "
+            f"replaced: with `--no-clean` it is about {100 * louder:.2g} % larger."
+        )
     found = Finding(level, "spikes", text, advice, axis=series.name)
     return replace(series, samples=samples), (found,)
 
@@ -222,6 +232,18 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
         middle = parted[:, half]
         medians[first:last] = middle if block % 2 else 0.5 * (parted[:, :half].max(axis=1) + middle)
     return medians
+
+
+def tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
+    """Return a warning if outliers that are part of the noise make N uncertain; `factor` as `heavy_tails`."""
+    if factor < _UNCERTAIN:
+        return ()
+    text = (
+        "Large samples are far more frequent than in normal noise (excess kurtosis "
+        f"{2 * factor**2 - 2:.2g}). A few samples determine N, and its interval may be too narrow."
+    )
+    advice = "Plot a histogram of the samples, and look for a disturbance that comes and goes."
+    return (Finding("warning", "heavy-tails", text, advice, axis=series.name),)
 
 
 def heavy_tails(samples: FloatArray) -> float:

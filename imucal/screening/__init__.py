@@ -12,12 +12,12 @@ from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.values import (
     check_accelerometer_unit,
     check_duplicates,
+    check_filled,
     check_gyroscope_unit,
     check_lsb,
     check_no_data,
     check_not_finite,
     check_rate,
-    check_repeats,
     check_saturated,
     check_stuck,
     check_swapped,
@@ -38,7 +38,7 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
     check_swapped,
     check_duplicates,
     check_accelerometer_unit,
-    check_repeats,
+    check_filled,
 )
 #: Was the IMU at rest; the first that says no is enough.
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_turned, check_motion)

@@ -5,12 +5,13 @@ the sampling rate, a steady temperature.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor, Temperature
 from imucal.screening.windows import Profile, amount, excerpt, time
@@ -131,33 +132,58 @@ def _counts(profile: Profile, index: NDArray[np.intp], limit: float) -> tuple[in
     return at_limit, max(nearest.values(), default=0)
 
 
-def check_repeats(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return a finding for each sensor whose samples repeat on all axes at once: sample and hold."""
+def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return findings for each sensor whose samples are held or interpolated on all axes at once."""
     findings = []
     for sensor in Sensor:
         group = [p for p in profiles if p.series.sensor is sensor and not p.constant]
         if len(group) < 2 or len({p.series.n for p in group}) > 1 or group[0].series.n < _LEAST:
             continue
-        together, apart, least = _repeats(group)
-        if together > _LEAST_REPEATS and together - apart > 0.5 * (least - apart):
-            rate = group[0].series.rate_hz
+        rate, held, between = group[0].series.rate_hz, _held(group), _interpolated(group)
+        if held:
             text = (
-                f"{together:.1%} of the {sensor} samples repeat the one before on all axes: the log "
-                f"holds {rate:.4g} samples a second, about {rate * (1 - together):.3g} of them new."
+                f"{held:.1%} of the {sensor} samples repeat the one before on all axes: the log "
+                f"holds {rate:.4g} samples a second, about {rate * (1 - held):.3g} of them new."
             )
             advice = "Log at the sensor's own rate; a held sample shapes the curve at short times."
             findings.append(Finding("warning", "held-samples", text, advice, axis=sensor.short))
+        if between:
+            text = (
+                f"{between:.1%} of the {sensor} samples lie exactly midway between their neighbours on all "
+                "axes: the driver or a converter has interpolated lost samples. N is that of the log with "
+                f"these samples, about {0.75 * between:.1%} above the sensor's own."
+            )
+            advice = "Log the sensor's own samples and leave lost ones out: imucal allows for gaps."
+            findings.append(Finding("warning", "interpolated-samples", text, advice, axis=sensor.short))
     return tuple(findings)
 
 
-def _repeats(group: list[Profile]) -> tuple[float, float, float]:
-    """Return the share of repeats on all axes at once, that of independent axes, and the least axis's."""
+def _held(group: list[Profile]) -> float:
+    """Return the share of samples that repeat the one before on all axes; 0 if chance explains it."""
+    return _together(group, lambda _, samples: np.diff(samples) == 0)
+
+
+def _interpolated(group: list[Profile]) -> float:
+    """Return the share of samples midway between their neighbours on all axes; 0 if chance explains it."""
+
+    def midway(p: Profile, samples: FloatArray) -> BoolArray:
+        # A log in text rounds each of three samples by up to half a step.
+        rounding = max(2.01 * (p.lsb or 0.0), 8 * float(np.spacing(np.abs(samples).max())))
+        steps = np.diff(samples)
+        return np.asarray((np.abs(np.diff(steps)) <= rounding) & (steps[1:] != 0))
+
+    return _together(group, midway)
+
+
+def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], BoolArray]) -> float:
+    """Return the share of samples that are marked on all axes, if it is more than axes share by chance."""
     shares = []
     for part in excerpt(group[0].series.n):
-        equal = np.stack([np.diff(p.series.samples[part]) == 0 for p in group])
-        shares.append([equal.all(axis=0).mean(), *equal.mean(axis=1)])
+        marks = np.stack([marked(p, p.series.samples[part]) for p in group])
+        shares.append([marks.all(axis=0).mean(), *marks.mean(axis=1)])
     together, *each = np.mean(shares, axis=0).tolist()
-    return together, float(np.prod(each)), min(each)
+    apart, least = float(np.prod(each)), min(each)
+    return together if together > _LEAST_REPEATS and together - apart > 0.5 * (least - apart) else 0.0
 
 
 def check_lsb(profile: Profile) -> tuple[Finding, ...]:

@@ -277,3 +277,25 @@ def test_medians_of_blocks_are_those_of_numpy(block: int) -> None:
         count = samples.size // block
         expected = np.median(samples[: count * block].reshape(count, block), axis=1)
         npt.assert_array_equal(_medians(samples, block), expected)
+
+
+def test_spikes_that_go_over_into_the_noise_are_a_warning() -> None:
+    """Of outliers of 6 deviations most are too small to be replaced; the text gives the larger N."""
+    rng = np.random.default_rng(3_909)
+    samples = rng.standard_normal(50_000)
+    samples += 6 * rng.standard_normal(samples.size) * (rng.random(samples.size) < 0.005)
+    found = fit(_series(samples))
+    (finding,) = [f for f in found.findings if f.code == "spikes"]
+    assert finding.level == "warning"
+    kept = fit(_series(samples), clean=False)
+    larger = (kept["N"].value or 0) / (found["N"].value or 1) - 1
+    percent = float(finding.text.partition("is about ")[2].partition(" %")[0])
+    assert percent / 100 == pytest.approx(larger, rel=0.2)
+
+
+@pytest.mark.parametrize(("freedom", "warned"), [(3.0, True), (8.0, False)])
+def test_tails_that_few_samples_determine_are_a_warning(freedom: float, *, warned: bool) -> None:
+    """The kurtosis of Student's t with 3 degrees of freedom is infinite, with 8 it is 1.5."""
+    samples = np.random.default_rng(3_910).standard_t(freedom, 50_000)
+    codes = [f.code for f in fit(_series(samples)).findings if f.level == "warning"]
+    assert codes == (["heavy-tails"] if warned else [])

@@ -187,6 +187,11 @@ def repeated(gyro: FloatArray, accel: FloatArray) -> Tables:
     return np.repeat(gyro[:, ::2], 2, axis=1), accel
 
 
+def filled_in(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[:, 10:-1:20] = (gyro[:, 9:-2:20] + gyro[:, 11::20]) / 2
+    return gyro, accel
+
+
 def weightless(gyro: FloatArray, accel: FloatArray) -> Tables:
     accel[2] -= G0
     return gyro, accel
@@ -254,6 +259,10 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (repeated, "warning", "held-samples", "gyro",
      ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
      "about 50 of them new.")),
+    (filled_in, "warning", "interpolated-samples", "gyro",
+     ("5.0% of the gyroscope samples lie exactly midway between their neighbours on all axes: the driver or "
+     "a converter has interpolated lost samples. N is that of the log with these samples, about 3.8% above "
+     "the sensor's own.")),
     (weightless, "warning", "no-gravity", "accel",
      "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
 ]  # fmt: skip

@@ -129,6 +129,13 @@ def _findings(
         )
         advice = "Look at the curve and the spectrum before using the numbers."
         findings.append(Finding("warning", "poor-fit", said, advice, axis=axis))
+    if " + " in text:
+        said = (
+            "The intervals of this method are too narrow: in simulated records of N + B + K they contained "
+            "the true B in a third of the cases, and the true K in two thirds."
+        )
+        advice = "Use the default, `--method mle`." if series else "Fit the log itself if you have it."
+        findings.append(Finding("warning", "narrow-intervals", said, advice, axis=axis))
     if series is not None and series.clock.missing:
         said = "The intervals of a fit of the curve count missing samples, not where they are missing."
         findings.append(Finding("info", "gaps-in-curve", said, axis=axis))

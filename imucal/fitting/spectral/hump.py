@@ -21,8 +21,9 @@ from imucal.frozen import frozen
 _EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
 #: At least this many ordinates must be below the hump, and this share of all above it.
 _BELOW, _ABOVE = 16.0, 0.05
-#: White noise must be this share of the density in the bins next to the hump, else a filter is more likely.
-_WHITE, _NEXT = 0.6, 4
+#: White noise must be this share of the density in the `_NEXT` bins on both sides, else a filter is more
+#: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
+_WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
 #: The interval is widened by this factor: the bins next to the run are those that happened to be low.
 _GUARD = 1.2
 #: Fits, and the fewest bins of one.
@@ -78,7 +79,9 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
             break
     white = (derivatives(ordinates, candidate, found.theta)[COLUMN["N"]] / spectrum)[order]
     beside = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
-    return hump.wider() if hump and hump.times >= _TIMES and beside.min() >= _WHITE else None
+    if hump is None or hump.times < _TIMES:
+        return None
+    return hump.wider() if beside.min() >= (_WHITE if hump.times < _STRONG else _WHITE_IF_STRONG) else None
 
 
 def largest_run(values: FloatArray) -> tuple[int, int, float]:

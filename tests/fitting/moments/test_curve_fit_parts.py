@@ -151,7 +151,7 @@ def test_a_curve_without_degrees_of_freedom_gets_those_of_the_model() -> None:
 def _said(*, known: bool = True, dropped: int = 0, statistic: float = 0.0) -> list[str]:
     points = replace(_points(np.ones(3)), known_n=known)
     fit = Goodness(statistic=statistic, p_value=0.5, chi2_per_bin=7.25, tau_s=(2.0, 4.0))
-    return [finding.text for finding in _findings(None, points, fit, dropped, "N + K")]
+    return [f.text for f in _findings(None, points, fit, dropped, "N + K") if f.code != "narrow-intervals"]
 
 
 def test_each_finding_of_a_curve_stands_alone() -> None:

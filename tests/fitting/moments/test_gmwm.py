@@ -284,7 +284,7 @@ def test_a_curve_of_unknown_length_says_so() -> None:
         AllanCurve(tau=curve.tau, m=curve.m, avar=curve.avar, edf=curve.edf, n=0),
         FitSettings(model=WALK),
     )
-    assert [f.code for f in unknown.findings] == ["record-length-unknown"]
+    assert [f.code for f in unknown.findings] == ["record-length-unknown", "narrow-intervals"]
     assert unknown["N"].high - unknown["N"].low > known["N"].high - known["N"].low
     assert np.all(unknown.curve.edf >= 1)
     assert unknown.curve.edf_method == "model"
@@ -307,3 +307,11 @@ def test_a_term_with_a_time_is_fitted_by_its_class_alone(monkeypatch: pytest.Mon
     assert found["N"].low < 0.05 < found["N"].high
     assert found["SGM"].low < 0.5 < found["SGM"].high
     assert time.low < 2.0 < time.high
+
+
+@pytest.mark.parametrize(("model", "codes"), [("N", []), (WALK, ["narrow-intervals"])])
+def test_intervals_of_several_terms_are_not_called_good(model: str, codes: list[str]) -> None:
+    """They cover less than their level; a warning keeps the verdict from being good."""
+    series = _series("N=0.1 + K=1e-2", 20_000, 31)
+    fit = fit_gmwm(series, allan_curve(series), FitSettings(model=model))
+    assert [f.code for f in fit.findings if f.level == "warning" and f.code != "poor-fit"] == codes
