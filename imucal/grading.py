@@ -7,7 +7,7 @@ A finding decides by its level, unless `OTHERWISE` says more of its code; the gr
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TypeAlias
 
-from imucal.findings import Finding, Level, code_phrases
+from imucal.findings import Finding, Level, code_phrases, options_to_keep
 from imucal.frozen import frozen
 
 #: good: stationary noise; look: it may be, see the findings first; not-noise: the numbers are wrong.
@@ -29,6 +29,11 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
 
 #: Codes that, said of the whole log, concern the noise of every axis.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
+
+#: Codes of a disturbed rest.
+DISTURBED = frozenset({"motion", "touch"})
+#: How the advice of a log with several rests ends.
+RESTS = "Fit its rests together with --rests."
 
 #: So many reasons are named; the others are counted.
 _NAMED = 3
@@ -61,6 +66,20 @@ class NoiseVerdict:
 def grade_of(finding: Finding) -> Grade:
     """Return what one finding says of the numbers."""
     return OTHERWISE.get((finding.code, finding.level), BY_LEVEL[finding.level])
+
+
+def is_motion(finding: Finding) -> bool:
+    """Return whether a finding is that the IMU moved so much that the log is not noise."""
+    return finding.code in DISTURBED and finding.level == "error"
+
+
+def remedy(findings: Iterable[Finding]) -> str:
+    """Return what to do with a log that is not noise, in a few words for the end of a message."""
+    moved = [finding for finding in findings if is_motion(finding)]
+    if any(finding.advice.endswith(RESTS) for finding in moved):
+        return "fit what is at rest with --rests"
+    kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
+    return f"fit the rest with {options_to_keep(kept)}" if kept else "record again at rest, or --force"
 
 
 def judge_findings(

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from imucal._version import __version__
+from imucal.advice import advised_report
 from imucal.allan import allan_curve, spectrum
 from imucal.allan.dct import shared_transform
 from imucal.arrays import FloatArray, never_changes, release
@@ -131,13 +132,14 @@ def characterize(
     if not axes:
         reasons = _reasons(failures) or "the log holds no samples"
         raise DataError(f"{recording.source.path}: no axis can be analysed: {reasons}")
-    return Report(
+    report = Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
         findings=(*_of_no_result(findings, axes, failures), *failures),
     )
+    return advised_report(report, recording)
 
 
 def _moved(findings: Sequence[Finding]) -> bool:

@@ -74,7 +74,7 @@ def at_rest(recording: Recording) -> Recording:
         longest = max((one.length_s for one in stretches), default=0.0)
         msg = (
             f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in {time(duration)}, the "
-            f"longest time without motion being {time(longest)}; let the IMU stand still for longer"
+            f"longest being {time(longest)}; let the IMU stand still for longer"
         )
         raise DataError(msg)
     first = rests[0].start_s

@@ -43,7 +43,8 @@ BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BELOW["planning"]
-BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning"}
+BELOW["advice"] = BASE | {"screening", "rests", "report"}
+BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
 BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
 BELOW["fleet_run"] = (
     BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}

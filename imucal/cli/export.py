@@ -14,6 +14,7 @@ from imucal.cli._printing import echo, refuse, say
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
 from imucal.errors import WriteError
+from imucal.grading import remedy
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
@@ -140,7 +141,7 @@ def command(
     if horizon_s is not None and horizon_s <= step_s:
         misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
     report = _report(request, value, fleet_model)
-    refuse(report.verdict, request.logs[0], "nothing was exported")
+    refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
     options["topic"] = rostopic
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
     texts = [exports.render(report, name, **options) for name in names]  # so that a refusal leaves no file

@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal.cli._declared import declared, flag, is_set, misuse, option, together
-from imucal.cli._printing import as_typed, echo, kept_part, name_of_log, print_findings, refuse, say, width
+from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, refuse, say, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
+from imucal.grading import remedy
 from imucal.printable import printable_json
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.report.result import Report
-
-#: Where a rest lasts so long, in s, --rests finds it.
-_REST_S = 30.0
 
 
 @declared
@@ -129,10 +127,9 @@ def command(
             typed = as_typed(folder)
             say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)")
     written = "nothing was written" if no_report else f"{folder} says so"
-    remedy = _remedy(() if rests else report.findings, report)
     where = report.source.path
     findings = (*report.all_findings, *missing)
-    refuse(report.verdict, where, written, findings=findings, remedy=remedy, told=True)
+    refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), told=True)
 
 
 def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
@@ -152,16 +149,6 @@ def _told(report: "Report") -> Sequence["Finding"]:
     return report.findings + tuple(
         finding for finding in every[len(report.findings) :] if finding.level == "error"
     )
-
-
-def _remedy(findings: Sequence["Finding"], report: "Report") -> str:
-    """Return the one thing to do with a log that is refused: keep most, fit its rests, or record again."""
-    moved = [f for f in findings if f.code in {"motion", "touch"} and f.keep_s]
-    lengths = {f.keep_s[1] - f.keep_s[0]: f for f in moved if f.keep_s}
-    longest = max(lengths, default=0.0)
-    if longest > report.axes[0].duration_s / 2:
-        return f"fit the rest with {kept_part(lengths[longest])}"
-    return "fit what is at rest with --rests" if longest >= _REST_S else "record again at rest, or --force"
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:

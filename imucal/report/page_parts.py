@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.findings import Finding
+from imucal.findings import Finding, options_to_keep
 from imucal.fitting.noise_fit import Estimate, NoiseFit, Segments, Trace
 from imucal.noise.terms import TERMS
 from imucal.prediction import drift
@@ -76,7 +76,7 @@ def findings_section(report: Report) -> Markup:
                 "code": code,
                 "sentences": [(_names(axes, text), _sentence(text)) for text, axes in texts.items()],
                 "advice": _sentence(advice) if advice else "",
-                "keep": [numbers.seconds(end) for end in keep or ()],
+                "keep": options_to_keep(keep) if keep else "",
             }
             for (of_level, code, advice, keep), texts in grouped.items()
             if of_level == level

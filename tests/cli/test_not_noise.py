@@ -77,7 +77,7 @@ def test_fit_and_adev_end_with_code_4_and_one_line(
         done = run(*command, *unit, "-q", cwd=tmp_path)
         assert done.returncode == 4
         (line,) = done.stderr.splitlines()
-        remedy = r"(record again at rest, or --force|fit the rest with --skip \d+s --take \d+s)"
+        remedy = r"(record again at rest, or --force|fit the rest with --skip [\d.]+s --take [\d.]+s)"
         ended = f"(nothing was written|the curves were printed); {remedy}"
         assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", line)
         assert done.stdout

@@ -102,7 +102,7 @@ def test_findings_are_in_words(page: html.HtmlElement) -> None:
     text = " ".join(section.text_content().split())
     assert "Warnings (2)" in text
     assert "warm-up accel_z The mean drifts by 0.021 m/s² in the first 14 minutes." in text
-    assert "Part worth keeping: 840 s to 10800 s." in text
+    assert "Try --skip 840s --take 9960s." in text
     assert text.index("Warnings") < text.index("Notes")
 
 
