@@ -1,6 +1,6 @@
 """``imucal fit``: the main job."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, re
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
-from imucal.grading import remedy
+from imucal.grading import remedy, unit_option
 from imucal.printable import printable_json
 
 if TYPE_CHECKING:
@@ -124,12 +124,23 @@ def command(
         if opened and (page := folder / "report.html") in files:
             click.launch(str(page))
         if report.verdict.usable:
-            typed = as_typed(folder)
-            say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)")
+            say(_next_step(report, folder))
     written = "nothing was written" if no_report else f"{folder} says so"
     where = report.source.path
     findings = (*report.all_findings, *missing)
     refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), told=True)
+
+
+def _next_step(report: "Report", folder: Path) -> str:
+    """Return what to do next: name the unit, record for longer, or export."""
+    from imucal.report.exports.config_numbers import vague_axes
+
+    reading = report.settings.get("reading")
+    if option := unit_option(report.all_findings, reading if isinstance(reading, Mapping) else {}):
+        return f"Next: run again with {option}, because the unit looks wrong"
+    if axes := vague_axes(report):
+        return f"Next: record for longer; N of {', '.join(axes)} is not known to a factor of 10"
+    return f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
 
 
 def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
