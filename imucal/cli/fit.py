@@ -67,13 +67,13 @@ def command(
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
-    LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, a
-    URL of one (https://, s3://, gs://, az://), or - for text on standard input. Several LOGs are
-    read as one recording where each goes on where the one before ends (splits of a bag, rotated
-    tables), or with --join. The table on standard output holds the noise terms of each axis with
-    their intervals; the report folder holds
-    report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
-    not noise, which ends with exit code 4.
+    LOG is a CSV or other text, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, NPY,
+    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin, .tlog) file, a URL of one (https://, s3://,
+    gs://, az://), or - for text on standard input. Several LOGs are read as one recording if
+    each continues the one before (splits of a bag, rotated tables), or with --join. The table
+    on standard output holds the noise terms of each axis with their intervals; the report
+    folder holds report.json, report.html and the pictures. Both begin with a verdict: good,
+    look first, or not noise, which ends with exit code 4.
 
     Examples::
       imucal fit log.mcap
