@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.errors import DataError
@@ -54,6 +55,7 @@ class _Stretch:
         return self.end_s - self.start_s
 
 
+@takes('imucal.at_rest(imucal.read("drive.mcap"))', recording=Recording)
 def at_rest(recording: Recording) -> Recording:
     """Return the rests of a recording, with gaps where it was moved; a finding says which they are.
 

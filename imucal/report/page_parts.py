@@ -258,11 +258,12 @@ def downstream_section(report: Report) -> Markup:
         "downstream.html",
         chosen=chosen,
         pairs=[
-            (sensor, pair, itself(axes), price(pair).replace(" x ", " × "))
+            (sensor, pair, itself(axes, numbers.scientific), price(pair).replace(" x ", " × "))
             for sensor, axes in report.by_sensor.items()
             for pair in usual_pairs([axis.fit for axis in axes])
         ],
         terms=TERMS,
+        scientific=numbers.scientific,
         use=partial(_use, chosen),
         slowest=partial(_slowest, chosen),
         programs=TARGETS.values(),
@@ -284,7 +285,7 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
     value = FORMULAS[formula].of(number.value, chosen.rate_hz(sensor))
     where = " ".join(name.split("_")[1] for name in number.axes)
     shown = pretty(unit.format(u=sensor.unit)).replace("(rad/s)²", "rad²/s²").replace("(m/s²)²", "m²/s⁴")
-    return Markup("{}{:.4g} <small>{}, {}</small>").format(bound, value, shown, where)
+    return Markup("{}{} <small>{}, {}</small>").format(bound, numbers.scientific(value), shown, where)
 
 
 def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:
