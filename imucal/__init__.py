@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from imucal.clock import Clock
     from imucal.comparison import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
-    from imucal.facade import check, export, fit, info
+    from imucal.facade import check, export, fit, info, simulate
     from imucal.findings import Finding
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
@@ -60,8 +60,8 @@ __all__ = [
     "Settings", "Spectrum", "WriteError", "__version__", "allan_curve", "at_rest", "avar_from_acvf",
     "avar_from_psd", "characterize", "check", "check_fleet", "compare", "decompose", "drift", "export",
     "filter_numbers", "fit", "fleet_as_report", "info", "load_fleet", "load_report", "log_values",
-    "model_as_report", "plan", "plot", "pool", "population", "read", "run_fleet", "screen", "spectrum",
-    "write_fleet", "write_report",
+    "model_as_report", "plan", "plot", "pool", "population", "read", "run_fleet", "screen",
+    "simulate", "spectrum", "write_fleet", "write_report",
 ]  # fmt: skip
 
 #: Module -> the public names that are loaded from it (PEP 562).
@@ -71,7 +71,7 @@ _HOMES = {
     "comparison": "compare",
     "errors": "ChoiceError DataError ImucalError ReadError WriteError",
     "findings": "Finding",
-    "facade": "check export fit info",
+    "facade": "check export fit info simulate",
     "fitting": "NoiseFit",
     "fitting.decomposition": "Decomposition decompose",
     "fleet": "LogValue PooledFit Population log_values pool population",

@@ -15,7 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypeAlias
 
-from imucal.errors import DataError
+from imucal.arguments import takes
+from imucal.errors import ArgumentError, DataError
 from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate
 from imucal.frozen import frozen
@@ -89,6 +90,7 @@ class Comparison:
         return tuple(difference for difference in self.differences if difference.outcome == "differs")
 
 
+@takes("imucal.compare(report, other_report)", a=Report, b=Report)
 def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0) -> Comparison:
     """Compare two reports, axis by axis and term by term.
 
@@ -111,9 +113,9 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
         If `alpha` isn't between 0 and 1, or `tolerance` is negative.
     """
     if not 0 < alpha < 1:
-        raise ValueError(f"alpha must be between 0 and 1, got {alpha}")
+        raise ArgumentError(f"alpha must be between 0 and 1, got {alpha}")
     if not (tolerance >= 0 and math.isfinite(tolerance)):
-        raise ValueError(f"tolerance must be 0 or more, got {tolerance}")
+        raise ArgumentError(f"tolerance must be 0 or more, got {tolerance}")
     axes_a, axes_b = ({axis.name: axis for axis in report.axes} for report in (a, b))
     if not axes_a.keys() & axes_b.keys():
         msg = (

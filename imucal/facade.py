@@ -12,24 +12,32 @@ from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 import numpy as np
 
 from imucal.allan import AllanCurve
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
+from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, ImucalError
 from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
+from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, characterize
 from imucal.readers import LogContents, describe
-from imucal.recording import AxisSeries, Recording
+from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
 from imucal.report.exports.config_numbers import Options
 from imucal.report.json_file import load
 from imucal.report.result import Report
+from imucal.units import G0
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["check", "export", "fit", "info"]
+__all__ = ["check", "export", "fit", "info", "simulate"]
+
+
+#: How to fit a part of a recording.
+_ONE_AXIS = 'for one axis type imucal.fit(recording["gyro_x"])'
 
 
 class FitOptions(TypedDict, total=False):
@@ -106,6 +114,10 @@ def fit(
     DataError
         If the samples can't be analysed: too few, constant, not finite.
     """
+    if unknown := [name for name in options if name not in FitOptions.__annotations__]:
+        known = ", ".join(FitOptions.__annotations__)
+        msg = f"fit: there is no option {unknown[0]!r}, expected one of {known}; {_ONE_AXIS}"
+        raise ArgumentError(msg)
     with _refusals():
         if isinstance(source, Recording):
             if rate_hz is not None:
@@ -181,6 +193,7 @@ def export(
         return export_report(_report(report), target, Path(path), **options)
 
 
+@takes('imucal.check(report, "limits.toml")')
 def check(
     report: Report | str | Path,
     limits: Limits | str | Path | None = None,
@@ -226,6 +239,67 @@ def _limits(limits: Limits | str | Path | None) -> Limits:
     return parse_limits(text) if "\n" in text or "=" in text else read_limits(Path(text))
 
 
+@takes(
+    'imucal.simulate("N=1e-4 + B=2e-5", rate_hz=200.0)',
+    model=(str, NoiseModel),
+    accelerometer=(str, NoiseModel, type(None)),
+)
+def simulate(
+    model: NoiseModel | str,
+    accelerometer: NoiseModel | str | None = None,
+    *,
+    rate_hz: float = 200.0,
+    duration: str | float = "10min",
+    seed: int = 0,
+    path: str | Path | None = None,
+) -> Recording:
+    """Return a recording of an IMU at rest whose noise is known, such as ``simulate("N=1e-4 + B=2e-5")``.
+
+    Parameters
+    ----------
+    model, accelerometer
+        Noise of the three axes of a sensor: a model, or its text with coefficients in SI or with their unit,
+        such as ``N=0.3deg/sqrt(h)``. The accelerometer has the numbers of the gyroscope by default.
+    rate_hz
+        Sampling rate, in Hz.
+    duration
+        In s, or a text such as ``2h``.
+    seed
+        The same seed gives the same samples.
+    path
+        A log to write: .csv, .mcap, .bag, .db3, or a folder.
+
+    Raises
+    ------
+    ArgumentError
+        If a model, the rate or the duration is not understood.
+    WriteError
+        If the log exists, or can't be written.
+    """
+    from imucal.simulation import SensorTruth, simulate_recording, write_log
+
+    with _refusals():
+        length = seconds_of(duration)
+        if not (rate_hz > 0 and length * rate_hz >= 1):
+            msg = f"{length:g} s at {rate_hz:g} Hz hold no sample; type simulate(model, rate_hz=200.0)"
+            raise ArgumentError(msg)
+        gyro, accel = (
+            NoiseModel.parse(text, sensor) if isinstance(text, str) else text
+            for text, sensor in zip((model, accelerometer or model), Sensor, strict=True)
+        )
+        recording = simulate_recording(
+            gyroscope=SensorTruth(model=gyro, mean=(0.0, 0.0, 0.0)),
+            accelerometer=SensorTruth(model=accel, mean=(0.0, 0.0, G0)),
+            rate_hz=rate_hz,
+            duration_s=length,
+            seed=seed,
+        )
+    if path is not None:
+        write_log(recording, Path(path))
+    return recording
+
+
+@takes('imucal.info("log.mcap")', log=(str, Path))
 def info(log: str | Path) -> LogContents:
     """Return what is in a log: its topics with their types, counts, rates and lengths.
 

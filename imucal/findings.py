@@ -24,7 +24,8 @@ class Finding:
     axis
         The axis it is about, such as ``gyro_x``; a sensor, such as ``gyro``; or None for the log.
     keep_s
-        Start and end, in s from the start of the log, of the part worth keeping; None for all of it.
+        Start and end of the part worth keeping, in s from the start of the log; None for all of it. In what
+        `imucal.screen` returns they count from the first sample of its recording.
     """
 
     level: Level
@@ -34,6 +35,13 @@ class Finding:
     _: KW_ONLY
     axis: str | None = None
     keep_s: tuple[float, float] | None = None
+
+
+def options_to_keep(keep_s: tuple[float, float]) -> str:
+    """Return the options that keep a part of a log, such as ``--skip 145s --take 51.5s``."""
+    start, end = keep_s
+    skip = f"--skip {start:.10g}s " if start > 0 else ""
+    return f"{skip}--take {round(end - start, 1):.10g}s"
 
 
 @cache

@@ -4,10 +4,11 @@ The table, the page, report.json, the exit codes and the exports say or follow t
 A finding decides by its level, unless `OTHERWISE` says more of its code; the gravest decides.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TypeAlias
 
-from imucal.findings import Finding, Level, code_phrases
+from imucal.findings import Finding, Level, code_phrases, options_to_keep
 from imucal.frozen import frozen
 
 #: good: stationary noise; look: it may be, see the findings first; not-noise: the numbers are wrong.
@@ -29,6 +30,15 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
 
 #: Codes that, said of the whole log, concern the noise of every axis.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
+
+#: Codes of a disturbed rest.
+DISTURBED = frozenset({"motion", "touch"})
+#: How the advice of a log with several rests ends.
+RESTS = "Fit its rests together with --rests."
+
+#: Codes of doubts about a unit, which say nothing about whether the noise is stationary.
+_OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
+_UNIT_OPTION = re.compile(r"--(?P<sensor>gyro|accel)-(?P<kind>unit|scale) (?P<value>[^\s;,]+)")
 
 #: So many reasons are named; the others are counted.
 _NAMED = 3
@@ -63,6 +73,34 @@ def grade_of(finding: Finding) -> Grade:
     return OTHERWISE.get((finding.code, finding.level), BY_LEVEL[finding.level])
 
 
+def is_motion(finding: Finding) -> bool:
+    """Return whether a finding is that the IMU moved so much that the log is not noise."""
+    return finding.code in DISTURBED and finding.level == "error"
+
+
+def remedy(findings: Iterable[Finding]) -> str:
+    """Return what to do with a log that is not noise, in a few words for the end of a message."""
+    moved = [finding for finding in findings if is_motion(finding)]
+    if any(finding.advice.endswith(RESTS) for finding in moved):
+        return "fit what is at rest with --rests"
+    kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
+    return f"fit the rest with {options_to_keep(kept)}" if kept else "record again at rest, or --force"
+
+
+def unit_option(findings: Iterable[Finding], reading: Mapping[str, object]) -> str:
+    """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``; empty if there is none.
+
+    Not returned is an option that was given: `reading` has the settings of the run.
+    """
+    for finding in findings:
+        found = _UNIT_OPTION.search(finding.advice) if finding.code == "unit-suspect" else None
+        given = found and reading.get(f"{found['sensor']}_{found['kind']}")
+        # X stands for any scale.
+        if found and given != found["value"] and not (given and found["value"] == "X"):
+            return found[0]
+    return ""
+
+
 def judge_findings(
     findings: Iterable[Finding],
     axes: Sequence[str],
@@ -76,11 +114,12 @@ def judge_findings(
     half-width of the interval of N by axis, where one is known; a record that is `too_short` can't tell B
     and K.
     """
-    grave = [finding for finding in findings if grade_of(finding) != "good"]
+    grave = _grave(findings)
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
     decisive = [finding for finding in grave if grade_of(finding) == grade]
     reasons = _reasons(decisive, axes)
-    sound, left = _untouched(grave, axes), _untouched(decisive, axes)
+    sound = _untouched(_grave(grave, without=_OF_UNITS), axes)
+    left = _untouched(decisive, axes)
     noise = _noise(sound, len(axes), errors or {})
     if grade == "good":
         good = "Good for N; too short for B and K" if too_short else "Good"
@@ -92,6 +131,10 @@ def judge_findings(
         sentence = f"Not noise: {reasons}; {noise if sound else rest}"
     right = axes if grade != "not-noise" else left
     return NoiseVerdict(grade=grade, sentence=sentence, axes=tuple(right))
+
+
+def _grave(findings: Iterable[Finding], without: frozenset[str] = frozenset()) -> list[Finding]:
+    return [one for one in findings if grade_of(one) != "good" and one.code not in without]
 
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:

@@ -9,10 +9,12 @@ from typing import TypeAlias
 import numpy as np
 
 from imucal._version import __version__
+from imucal.advice import advised_report
 from imucal.allan import Spectrum, allan_curve, spectrum
 from imucal.allan.dct import shared_transform
+from imucal.arguments import takes
 from imucal.arrays import FloatArray, never_changes, release
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
 from imucal.fitting.cross_checks import ambiguity_findings, fit_of_curve, second_opinion
@@ -69,6 +71,7 @@ class Settings(FitSettings):
         return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
 
+@takes('imucal.characterize(imucal.read("log.mcap"))', recording=Recording, settings=(Settings, type(None)))
 def characterize(
     recording: Recording,
     settings: Settings | None = None,
@@ -131,13 +134,14 @@ def characterize(
     if not axes:
         reasons = _reasons(failures) or "the log holds no samples"
         raise DataError(f"{recording.source.path}: no axis can be analysed: {reasons}")
-    return Report(
+    report = Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
         findings=(*_of_no_result(findings, axes, failures), *failures),
     )
+    return advised_report(report, recording)
 
 
 def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
@@ -166,6 +170,7 @@ def _of_no_result(
             yield finding
 
 
+@takes('imucal.screen(imucal.read("log.mcap"))', recording=Recording)
 def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
@@ -198,7 +203,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 def _workers(recording: Recording, wanted: int | None) -> int:
     """Return how many axes to work on at a time: as wanted or as there are processors, and memory holds."""
     if wanted is not None and wanted < 1:
-        raise ValueError(f"workers must be at least 1, got {wanted}")
+        raise ArgumentError(f"workers must be at least 1, got {wanted}")
     largest = max((series.n for series in recording.series), default=0)
     count, room = (threads(), min(memory_limit(), _ROOM)) if wanted is None else (wanted, memory_limit())
     return max(1, min(count, room // (_BESIDES + _BYTES * largest)))

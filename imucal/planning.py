@@ -12,6 +12,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from imucal.arguments import takes
+from imucal.errors import ArgumentError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import named_terms, relative_deviations
@@ -112,6 +114,7 @@ class _Ask:
         return float(ndtri((1 + self.level) / 2))
 
 
+@takes("imucal.plan(report)", source=(NoiseModel, NoiseFit, Report))
 def plan(
     source: NoiseModel | NoiseFit | Report,
     *,
@@ -141,7 +144,9 @@ def plan(
         If an argument is out of range, or a model comes without a rate.
     """
     if not (precision > 0 and 0 < level < 1):
-        raise ValueError(f"precision must be positive and level between 0 and 1, got {precision} and {level}")
+        raise ArgumentError(
+            f"precision must be positive and level between 0 and 1, got {precision} and {level}"
+        )
 
     def ask(own_rate_hz: float, own_duration_s: float | None) -> _Ask:
         duration = own_duration_s if duration_s is None else duration_s
@@ -157,7 +162,7 @@ def plan(
     elif isinstance(source, NoiseFit):
         axes = (_fit_plan(source, ask(source.rate_hz, None)),)
     elif rate_hz is None:
-        raise ValueError("a model has no sampling rate of its own; give rate_hz")
+        raise ArgumentError("a model has no sampling rate of its own; give rate_hz")
     else:
         axes = (_axis_plan(source, [(term, False) for term in source.terms], ask(rate_hz, None)),)
     return Plan(precision=precision, level=level, axes=axes)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, ReadOnlyArrays, blocks, read_only
 from imucal.clock import Clock, seconds_of
 from imucal.display import Displayed
-from imucal.errors import DataError, MissingError
+from imucal.errors import ArgumentError, DataError, MissingError
 from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
 
@@ -67,9 +67,9 @@ class AxisSeries(Displayed):
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples, dtype=np.float64)
         if samples.ndim != 1:
-            raise ValueError(f"samples must have shape (n,), got {samples.shape}")
+            raise ArgumentError(f"samples must have shape (n,), got {samples.shape}")
         if samples.size != self.clock.n:
-            raise ValueError(f"the clock has {self.clock.n} samples, the series {samples.size}")
+            raise ArgumentError(f"the clock has {self.clock.n} samples, the series {samples.size}")
         object.__setattr__(self, "samples", read_only(samples))
 
     @classmethod
@@ -311,6 +311,21 @@ class Recording(Displayed):
             if series.name == name:
                 return series
         raise MissingError(f"{self.source.path}: no axis {name!r}; {self._names}")
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of all axes, in Hz.
+
+        Raises
+        ------
+        DataError
+            If the sensors have different rates.
+        """
+        rates = {one.rate_hz for one in self.series}
+        if len(rates) != 1:
+            found = ", ".join(f"{one.name} {one.rate_hz:.6g} Hz" for one in self.series) or "no axis"
+            raise DataError(f"{self.source.path}: no common rate: {found}; ask an axis: recording['gyro_x']")
+        return rates.pop()
 
     @property
     def _names(self) -> str:

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.errors import DataError
@@ -54,6 +55,7 @@ class _Stretch:
         return self.end_s - self.start_s
 
 
+@takes('imucal.at_rest(imucal.read("drive.mcap"))', recording=Recording)
 def at_rest(recording: Recording) -> Recording:
     """Return the rests of a recording, with gaps where it was moved; a finding says which they are.
 
@@ -74,7 +76,7 @@ def at_rest(recording: Recording) -> Recording:
         longest = max((one.length_s for one in stretches), default=0.0)
         msg = (
             f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in {time(duration)}, the "
-            f"longest time without motion being {time(longest)}; let the IMU stand still for longer"
+            f"longest being {time(longest)}; let the IMU stand still for longer"
         )
         raise DataError(msg)
     first = rests[0].start_s

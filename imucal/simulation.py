@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.atomic import replacing
 from imucal.clock import Clock
-from imucal.errors import WriteError
+from imucal.errors import ArgumentError, WriteError
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise import NoiseModel
 from imucal.readers.store import Room
@@ -71,7 +71,7 @@ def simulate_recording(
         for start, length in gaps_s:
             keep[part] &= ~((seconds >= start) & (seconds < start + length))
     if not keep.any():
-        raise ValueError("the gaps leave no samples")
+        raise ArgumentError("the gaps leave no samples")
     even = Clock.even(n, rate_hz, source="simulated")
     clock = replace(even, start_ns=START_NS, jitter_s=0.0).keeping(keep)
     room = Room()

@@ -117,9 +117,12 @@ def test_a_dead_axis_leaves_the_others() -> None:
     assert sentence(finding("no-data", "error", "accel_z"), errors=errors) == (
         "Not noise: no data on accel_z; 5 of 6 axes are stationary noise, N to ±0.2 %"
     )
-    found = [finding("no-data", "error", "accel_z"), finding("unit-suspect", axis="gyro")]
+    found = [finding("no-data", "error", "accel_z"), finding("saturated", axis="gyro")]
     found += [finding("tone", axis="accel_x"), finding("spikes", axis="accel_y")]
     assert sentence(*found) == "Not noise: no data on accel_z; look at gyro, accel_x and accel_y first"
+    assert sentence(finding("unit-suspect", axis="gyro")) == (
+        "Look first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise"
+    )
     dead = [finding("stuck", "error", axis) for axis in AXES]
     assert sentence(*dead) == "Not noise: a stuck value on gyro and accel; do not use these numbers"
 

@@ -13,6 +13,7 @@ BELOW: dict[str, set[str]] = {
     "errors": set(),
     "findings": set(),
     "frozen": set(),
+    "arguments": {"errors"},
     "grading": {"findings", "frozen"},
     "_version": set(),
     "atomic": {"errors"},
@@ -43,12 +44,13 @@ BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BELOW["planning"]
-BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning"}
+BELOW["advice"] = BASE | {"screening", "rests", "report"}
+BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
 BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
 BELOW["fleet_run"] = (
     BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}
 )
-BELOW["facade"] = BELOW["fleet_run"] | {"checking"}
+BELOW["facade"] = BELOW["fleet_run"] | {"checking", "simulation"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

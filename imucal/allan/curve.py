@@ -7,6 +7,7 @@ import scipy
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.display import Displayed
+from imucal.errors import ArgumentError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -47,9 +48,9 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         ReadOnlyArrays.__post_init__(self)
         shapes = {self.tau.shape, self.m.shape, self.avar.shape, self.edf.shape}
         if len(shapes) != 1 or self.tau.ndim != 1:
-            raise ValueError(f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}")
+            raise ArgumentError(f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}")
         if not np.all(np.diff(self.tau) > 0):
-            raise ValueError("tau must rise")
+            raise ArgumentError("tau must rise")
 
     @property
     def adev(self) -> FloatArray:
@@ -70,7 +71,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         Source: NIST SP 1065 (2008), sec. 5.3.1.
         """
         if not 0 < level < 1:
-            raise ValueError(f"level must be between 0 and 1, got {level}")
+            raise ArgumentError(f"level must be between 0 and 1, got {level}")
         tail = (1 - level) / 2
         low = self.edf * self.avar / scipy.special.chdtri(self.edf, tail)
         high = self.edf * self.avar / scipy.special.chdtri(self.edf, 1 - tail)

@@ -24,8 +24,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays, read_only
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
@@ -201,7 +202,9 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     more, cover an octave.
     """
     if n < 2 or singles < 1 or per_octave < 1:
-        raise ValueError(f"need n >= 2, singles >= 1 and per_octave >= 1, got {n}, {singles}, {per_octave}")
+        raise ArgumentError(
+            f"need n >= 2, singles >= 1 and per_octave >= 1, got {n}, {singles}, {per_octave}"
+        )
     firsts = list(range(1, min(singles, n - 1) + 1))
     edge, wanted = firsts[-1] + 1, float(firsts[-1] + 1)
     while edge < n:
@@ -307,7 +310,7 @@ def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
     Ordinates of another shape than (bins.n - 1,) are a ValueError.
     """
     if ordinates.shape != (bins.n - 1,):
-        raise ValueError(f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}")
+        raise ArgumentError(f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}")
     power = np.empty(bins.size)
     for here, seen, starts in bins.parts():
         power[here] = np.add.reduceat(np.square(ordinates[seen]), starts)
@@ -373,6 +376,7 @@ class Spectrum(ReadOnlyArrays):
     count: FloatArray
 
 
+@takes('imucal.spectrum(recording["gyro_x"])', series=AxisSeries)
 def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
     """Return the log-binned psd of an axis, without its missing samples.
 

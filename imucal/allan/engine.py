@@ -25,8 +25,9 @@ from imucal.allan.variance import (
     variances,
     window_variances,
 )
+from imucal.arguments import takes
 from imucal.arrays import FloatArray, IntArray
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.recording import AxisSeries
 from imucal.resources import memory_limit
 
@@ -56,7 +57,9 @@ class Cascade:
 
     def __init__(self, *, axes: int, per_octave: int = 1) -> None:
         if axes < 1 or not 1 <= per_octave <= _BASE:
-            raise ValueError(f"need axes >= 1 and per_octave from 1 to {_BASE}, got {axes} and {per_octave}")
+            raise ArgumentError(
+                f"need axes >= 1 and per_octave from 1 to {_BASE}, got {axes} and {per_octave}"
+            )
         steps = np.arange(per_octave * _BASE.bit_length()) / per_octave
         low = np.unique(np.round(2.0**steps).astype(np.int64))
         self._axes = axes
@@ -80,7 +83,7 @@ class Cascade:
         """
         block = np.asarray(samples)
         if block.ndim != 2 or block.shape[0] != self._axes:
-            raise ValueError(f"samples must have shape ({self._axes}, k), got {block.shape}")
+            raise ArgumentError(f"samples must have shape ({self._axes}, k), got {block.shape}")
         if self._n == 0 and block.shape[1]:
             self._reference = np.asarray(block[:, :_REFERENCE], dtype=np.float64).mean(axis=1, keepdims=True)
         for start in range(0, block.shape[1], _BLOCK):
@@ -226,6 +229,7 @@ class _Level:
         self._kept = self.waiting = self._odd = 0
 
 
+@takes('imucal.allan_curve(recording["gyro_x"])', series=AxisSeries)
 def allan_curve(
     series: AxisSeries,
     *,
@@ -380,14 +384,14 @@ def _per_decade(taus: str) -> int:
             f"averaging times {taus!r} are not understood: expected 'octave', 'decade', 'decade:20', "
             "'all' or a list of seconds"
         )
-        raise ValueError(msg)
+        raise ArgumentError(msg)
     return int(match["count"] or _PER_DECADE)
 
 
 def _from_seconds(taus: Sequence[float], *, tau0: float, largest: int, name: str) -> IntArray:
     seconds = np.asarray(taus, dtype=np.float64)
     if seconds.ndim != 1 or not seconds.size or not np.all(np.isfinite(seconds) & (seconds > 0)):
-        raise ValueError(f"averaging times must be a list of positive seconds, got {taus!r}")
+        raise ArgumentError(f"averaging times must be a list of positive seconds, got {taus!r}")
     factors = np.round(seconds / tau0)
     wrong = seconds[(factors < 1) | (factors > largest)]
     if wrong.size:

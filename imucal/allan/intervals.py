@@ -40,6 +40,7 @@ from imucal.allan.dct import (
 )
 from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.errors import ArgumentError
 from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
@@ -314,7 +315,7 @@ def _greenhall(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: E
 
 def _require_method(name: str) -> None:
     if name not in EDF_METHODS:
-        raise ValueError(f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}")
+        raise ArgumentError(f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}")
 
 
 def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:

@@ -43,6 +43,7 @@ import scipy
 
 from imucal.arrays import FloatArray, IntArray, aligned
 from imucal.clock import Clock
+from imucal.errors import ArgumentError
 from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
 
@@ -115,7 +116,7 @@ ESTIMATORS: dict[str, Estimator] = {
 def estimator_named(name: str) -> Estimator:
     """Return the estimator called `name`; a ValueError says which there are."""
     if name not in ESTIMATORS:
-        raise ValueError(f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}")
+        raise ArgumentError(f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}")
     return ESTIMATORS[name]
 
 
@@ -138,7 +139,7 @@ def square_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
         msg = (
             f"averaging factors must be in 1..{largest} for {samples.size} samples, got {m.min()}..{m.max()}"
         )
-        raise ValueError(msg)
+        raise ArgumentError(msg)
     if not estimator.overlapping:
         total = _integral(samples, 1)
         return np.array([sum_of_squares(np.diff(total[::factor], estimator.order)) for factor in m.tolist()])

@@ -7,7 +7,7 @@ JUnit XML, or as GitHub's workflow commands.
 
 import math
 from collections.abc import Iterator
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from itertools import chain
 from typing import Literal, TypeAlias
 from xml.etree import ElementTree as ET
@@ -240,7 +240,12 @@ def _same_fit(now: AxisReport, before: AxisReport) -> bool:
     """Say whether two results are one: no noise is between them, so that a ratio is 1 without an interval."""
     samples = [(axis.samples, axis.rate_hz, axis.mean, axis.std) for axis in (now, before)]
     # Text, because limits that are not known are NaN, which no NaN equals.
-    return samples[0] == samples[1] and repr(now.fit.estimates) == repr(before.fit.estimates)
+    return samples[0] == samples[1] and _digits(now) == _digits(before)
+
+
+def _digits(axis: AxisReport) -> str:
+    """Return the estimates of an axis with all their digits."""
+    return repr([asdict(estimate) for estimate in axis.fit.estimates])
 
 
 def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Quantity], ...]:

@@ -14,7 +14,7 @@ import click
 
 from imucal.cli._declared import is_set
 from imucal.errors import DataError
-from imucal.findings import Finding
+from imucal.findings import Finding, options_to_keep
 from imucal.grading import NoiseVerdict
 from imucal.printable import printable, printable_json
 
@@ -88,7 +88,7 @@ _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cy
 
 def words(finding: Finding, text: str | None = None) -> Words:
     """Return level, code and sentence of a finding, its own text or another, with what to do."""
-    option = f"Try {kept_part(finding)}." if finding.keep_s else ""
+    option = f"Try {options_to_keep(finding.keep_s)}." if finding.keep_s else ""
     option = "Say it with --columns." if "columns text" in finding.advice else option
     parts = (finding.text if text is None else text, finding.advice, option)
     return finding.level, finding.code, " ".join(filter(None, parts))
@@ -136,12 +136,6 @@ def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[Words, list[str]
         folds = first is not said and said[0] != "error" and axes and not is_set("verbose")
         others.setdefault(first if folds else said, []).extend([axes] if folds else [])
     yield from ((said, axes, others[said]) for said, axes in ordered if said in others)
-
-
-def kept_part(finding: Finding) -> str:
-    """Return the options that keep the part of a log that a finding calls worth keeping."""
-    start, end = finding.keep_s or (0.0, 0.0)
-    return f"--skip {start:.0f}s --take {end - start:.0f}s"
 
 
 def as_typed(path: Path) -> str:

@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,15 +21,18 @@ from imucal.report.result import Report
 REPORT = "report.json or its folder"
 
 
-_MODEL = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
+def _model(sensor: Sensor, option_name: str, example: str) -> Any:  # noqa: ANN401 - declares a parameter
+    """Return the option for a model of a sensor."""
+    text = f'{option_name} MODEL  A model of the {sensor} in place of a report, such as "{example}".'
+    return option(text, model_of(sensor))
 
 
 #: The options of models in place of a report, which make a model for each sensor that has one.
 MODELS = together(
     lambda **texts: {Sensor(name): text for name, text in texts.items() if text},
     {
-        Sensor.GYROSCOPE.value: option(f"--gyro MODEL  {_MODEL}", model_of(Sensor.GYROSCOPE)),
-        Sensor.ACCELEROMETER.value: option(f"--accel MODEL  {_MODEL}", model_of(Sensor.ACCELEROMETER)),
+        Sensor.GYROSCOPE.value: _model(Sensor.GYROSCOPE, "--gyro", "N=0.3deg/sqrt(h) + B=5deg/h"),
+        Sensor.ACCELEROMETER.value: _model(Sensor.ACCELEROMETER, "--accel", "N=60ug/sqrt(Hz) + B=40ug"),
     },
 )
 

@@ -12,7 +12,7 @@ from imucal.cli._printing import echo, picked, print_findings, print_json, refus
 from imucal.cli.parameters import FORCE, LEVEL, LOG, TAUS, LogRequest
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.grading import judge_findings
+from imucal.grading import judge_findings, remedy
 from imucal.recording import AxisSeries, Recording
 
 
@@ -77,14 +77,15 @@ def command(
     if verdict.usable:
         say(verdict.sentence)
     path = recording.source.path
-    refuse(verdict, path, "the curves were printed", findings=findings, told=True)
+    refuse(verdict, path, "the curves were printed", findings=findings, remedy=remedy(findings), told=True)
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:
     """Return what `imucal fit` would say too: of reading, of screening, and of axes without a curve."""
+    from imucal.advice import advised
     from imucal.pipeline import screen
 
-    found = (*recording.findings, *screen(recording))
+    found = advised(recording, (*recording.findings, *screen(recording)))
     failed = [Finding("error", "no-result", f"{error}.", axis=axis) for axis, error in failures.items()]
     return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 

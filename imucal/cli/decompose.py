@@ -12,6 +12,7 @@ from imucal.cli._printing import FITTING, echo, print_findings, print_json, prog
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, FORCE, LOG, PATH, PICTURES, STRUCTURE, LogRequest
 from imucal.errors import DataError
+from imucal.grading import remedy
 from imucal.recording import AxisSeries, Recording, Sensor
 
 if TYPE_CHECKING:
@@ -101,7 +102,8 @@ def command(
     else:
         echo(_table(described))
     say(written)
-    refuse(report.verdict, path, f"{folder} was written", findings=report.all_findings)
+    findings = report.all_findings
+    refuse(report.verdict, path, f"{folder} was written", findings=findings, remedy=remedy(findings))
     if failed:
         click.get_current_context().exit(DataError.exit_code)
 

@@ -7,6 +7,7 @@ from imucal.cli._printing import FULL, echo, picked, print_json, refuse, say, wi
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, FORMATS, PATH, LogRequest, Text
 from imucal.clock import seconds_of
+from imucal.grading import remedy
 from imucal.prediction import Drift, drift
 from imucal.prediction.drift import STRETCHES
 from imucal.report import numbers
@@ -52,7 +53,7 @@ def command(
     if form not in FORMATS:
         misuse(f"{out} is no picture's name; end it with one of .{', .'.join(FORMATS)}", "-o", "--out")
     report = load_report(request)
-    refuse(report.verdict, request.logs[0], "nothing was predicted")
+    refuse(report.verdict, request.logs[0], "nothing was predicted", remedy=remedy(report.all_findings))
     try:
         found = drift(report, times, rest_s=rest, each_axis=all_axes)
     except ValueError as error:

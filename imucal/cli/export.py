@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._declared import declared, misuse, option, together
+from imucal.cli._declared import declared, is_set, misuse, option, together
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import echo, refuse, say
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
-from imucal.errors import WriteError
+from imucal.errors import DataError, WriteError
+from imucal.grading import remedy
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
+from imucal.report.exports.config_numbers import vague_axes
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
@@ -140,7 +142,13 @@ def command(
     if horizon_s is not None and horizon_s <= step_s:
         misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
     report = _report(request, value, fleet_model)
-    refuse(report.verdict, request.logs[0], "nothing was exported")
+    refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
+    if (axes := vague_axes(report)) and not is_set("force"):
+        msg = (
+            f"{request.logs[0]}: N of {', '.join(axes)} is not known to a factor of 10; "
+            "nothing was exported; record for longer, or --force"
+        )
+        raise DataError(msg)
     options["topic"] = rostopic
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
     texts = [exports.render(report, name, **options) for name in names]  # so that a refusal leaves no file

@@ -1,24 +1,22 @@
 """``imucal fit``: the main job."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucal.cli._declared import declared, flag, is_set, misuse, option, together
-from imucal.cli._printing import as_typed, echo, kept_part, name_of_log, print_findings, refuse, say, width
+from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, refuse, say, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
+from imucal.grading import remedy, unit_option
 from imucal.printable import printable_json
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.report.result import Report
-
-#: Where a rest lasts so long, in s, --rests finds it.
-_REST_S = 30.0
 
 
 @declared
@@ -69,13 +67,13 @@ def command(
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
-    LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, a
-    URL of one (https://, s3://, gs://, az://), or - for text on standard input. Several LOGs are
-    read as one recording where each goes on where the one before ends (splits of a bag, rotated
-    tables), or with --join. The table on standard output holds the noise terms of each axis with
-    their intervals; the report folder holds
-    report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
-    not noise, which ends with exit code 4.
+    LOG is a CSV or other text, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, NPY,
+    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin, .tlog) file, a URL of one (https://, s3://,
+    gs://, az://), or - for text on standard input. Several LOGs are read as one recording if
+    each continues the one before (splits of a bag, rotated tables), or with --join. The table
+    on standard output holds the noise terms of each axis with their intervals; the report
+    folder holds report.json, report.html and the pictures. Both begin with a verdict: good,
+    look first, or not noise, which ends with exit code 4.
 
     Examples::
       imucal fit log.mcap
@@ -126,13 +124,23 @@ def command(
         if opened and (page := folder / "report.html") in files:
             click.launch(str(page))
         if report.verdict.usable:
-            typed = as_typed(folder)
-            say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)")
+            say(_next_step(report, folder))
     written = "nothing was written" if no_report else f"{folder} says so"
-    remedy = _remedy(() if rests else report.findings, report)
     where = report.source.path
     findings = (*report.all_findings, *missing)
-    refuse(report.verdict, where, written, findings=findings, remedy=remedy, told=True)
+    refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), told=True)
+
+
+def _next_step(report: "Report", folder: Path) -> str:
+    """Return what to do next: name the unit, record for longer, or export."""
+    from imucal.report.exports.config_numbers import vague_axes
+
+    reading = report.settings.get("reading")
+    if option := unit_option(report.all_findings, reading if isinstance(reading, Mapping) else {}):
+        return f"Next: run again with {option}, because the unit looks wrong"
+    if axes := vague_axes(report):
+        return f"Next: record for longer; N of {', '.join(axes)} is not known to a factor of 10"
+    return f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
 
 
 def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
@@ -152,16 +160,6 @@ def _told(report: "Report") -> Sequence["Finding"]:
     return report.findings + tuple(
         finding for finding in every[len(report.findings) :] if finding.level == "error"
     )
-
-
-def _remedy(findings: Sequence["Finding"], report: "Report") -> str:
-    """Return the one thing to do with a log that is refused: keep most, fit its rests, or record again."""
-    moved = [f for f in findings if f.code in {"motion", "touch"} and f.keep_s]
-    lengths = {f.keep_s[1] - f.keep_s[0]: f for f in moved if f.keep_s}
-    longest = max(lengths, default=0.0)
-    if longest > report.axes[0].duration_s / 2:
-        return f"fit the rest with {kept_part(lengths[longest])}"
-    return "fit what is at rest with --rests" if longest >= _REST_S else "record again at rest, or --force"
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:

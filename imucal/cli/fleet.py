@@ -86,7 +86,7 @@ def run(
             "model": option(f"--model TEXT  Terms, for every log. [default: {_MODEL}]"),
             "level": option(f"--level  Confidence level of every interval. [default: {_LEVEL}]", LEVEL),
             "jobs": option("--jobs N  Logs at a time. [default: all processors]", click.IntRange(1, 4096)),
-            "scheduler": option("--scheduler ADDRESS  Dask scheduler of a cluster, such as tcp://head:8786."),
+            "scheduler": option("--scheduler ADDRESS  Dask scheduler of a cluster, such as tls://head:8786."),
             "shard": option("--shard I/N  Do part I of N, log by log.", SHARD),
             "memory": option("--memory SIZE  Memory of each log, such as 2GB."),
             "timeout_s": option("--timeout TIME=auto  Time of each log, such as 10min.", PATIENCE),
@@ -122,7 +122,7 @@ def run(
       imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
       imucal fleet run --manifest units.csv --jobs 8 --memory 2GB
       imucal fleet run 'logs/**/*.bag' --dry-run
-      imucal fleet run logs --scheduler tcp://head:8786
+      imucal fleet run logs --scheduler tls://head:8786
       imucal fleet run logs --shard 3/8        (the third of eight such runs)
       imucal fleet run -o fleet                (go on with what is left)
 

@@ -319,6 +319,8 @@ def _say_what_was_read(recording: Recording) -> None:
         names = ", ".join(f"{sensor} {axes}" for sensor, axes in sensors.items())
         samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {duration(clock.duration_s)}"
         say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}")
+    if source.read is not None and source.read.from_s > 0:
+        say(f"Times below count from {source.read.from_s:.10g} s of the log, except those after --skip")
     if is_set("verbose"):
         for topic, kind in zip(source.topics, source.message_types, strict=False):
             say(f"  topic {topic} ({kind})")

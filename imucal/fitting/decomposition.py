@@ -16,6 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from imucal.arguments import takes
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit, keyed
@@ -106,6 +107,11 @@ class Decomposition(ReadOnlyArrays):
         return np.asarray(self.samples - self.bias.value)
 
 
+@takes(
+    'imucal.decompose(recording["gyro_x"], report["gyro_x"].fit)',
+    series=AxisSeries,
+    fit=(NoiseFit, NoiseModel),
+)
 def decompose(
     series: AxisSeries, fit: NoiseFit | NoiseModel, *, clean: bool = True, progress: Progress | None = None
 ) -> Decomposition:

@@ -9,7 +9,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.display import Displayed
-from imucal.errors import MissingError
+from imucal.errors import ArgumentError, MissingError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.frozen import frozen, frozen_alone
@@ -17,6 +17,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
+from imucal.units import find_unit
 
 #: Chance that a term of a stationary record is found to change.
 CHANCE = 0.01
@@ -124,6 +125,16 @@ class Interval:
 
 
 @frozen
+class InUnits:
+    """A coefficient in a unit; `value` is None if only the upper bound `high` is known."""
+
+    value: float | None
+    low: float
+    high: float
+    unit: str
+
+
+@frozen
 class Estimate:
     """One term's coefficient.
 
@@ -143,7 +154,7 @@ class Estimate:
     a Gauss-Markov term holds up to the least T that such a term may have; infinite where nothing limits it.
     `widening` is by what factor the interval is wider than the likelihood says, because the record's segments
     differ or the model does not describe it. `origin` says what the number is, where it is no estimate of one
-    record: a bound over many units.
+    record: a bound over many units. `sensor` is that of the `NoiseFit`, which sets it.
     """
 
     key: str
@@ -158,11 +169,36 @@ class Estimate:
     horizon_s: float = np.inf
     widening: float = 1.0
     origin: str = ""
+    sensor: Sensor | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
         """Return the estimate of a term that the data do not show: below `high`."""
         return cls(key=key, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
+
+    def in_units(self, unit: str | None = None) -> "InUnits":
+        """Return the coefficient and its limits in another unit, by default in that of data sheets.
+
+        Parameters
+        ----------
+        unit
+            Any unit of this term, such as ``deg/sqrt(h)``, ``mdps/rtHz`` or ``ug/sqrt(Hz)``.
+
+        Raises
+        ------
+        ArgumentError
+            If the sensor is not known, or `unit` does not measure this term.
+        """
+        if self.sensor is None:
+            raise ArgumentError(f"{self.key}: the sensor is not known; take the estimate of a log's fit")
+        kind = TERMS[self.symbol]
+        units = kind.coefficient_units(self.sensor)
+        found = find_unit(unit or kind.datasheet_unit(self.sensor).name, units)
+        if found is None:
+            raise ArgumentError(f"{unit!r} is no unit of {self.key}; expected one of {', '.join(units)}")
+        name, factor = found
+        value = None if self.value is None else self.value / factor
+        return InUnits(value=value, low=self.low / factor, high=self.high / factor, unit=name)
 
     def term(self, coefficient: float) -> NoiseTerm:
         """Return the term with this coefficient, in SI, and the estimate's correlation time."""
@@ -297,7 +333,9 @@ class NoiseFit(Displayed):
 
     def __post_init__(self) -> None:
         coefficients = {key: abs(term.coefficient) for key, term in self.drawn.items()}
-        estimates = tuple(replace(e, drawn=coefficients.get(e.key)) for e in self.estimates)
+        estimates = tuple(
+            replace(e, drawn=coefficients.get(e.key), sensor=self.sensor) for e in self.estimates
+        )
         object.__setattr__(self, "estimates", estimates)
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
+from imucal.errors import ArgumentError
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.frozen import frozen
 from imucal.noise.model import parse_structure
@@ -66,14 +67,14 @@ class FitSettings:
         )
         for name, value, known in choices:
             if value not in known:
-                raise ValueError(f"{name} {value!r} is not one of {', '.join(known)}")
+                raise ArgumentError(f"{name} {value!r} is not one of {', '.join(known)}")
         if not 0 < self.level < 1:
-            raise ValueError(f"level must be between 0 and 1, got {self.level}")
+            raise ArgumentError(f"level must be between 0 and 1, got {self.level}")
         if not 0 <= self.max_gm <= 2:
-            raise ValueError(f"max_gm must be 0, 1 or 2, got {self.max_gm}")
+            raise ArgumentError(f"max_gm must be 0, 1 or 2, got {self.max_gm}")
         if not 1 <= self.segments <= MOST_SEGMENTS:
             msg = f"segments must be from 1 (not looked at) to {MOST_SEGMENTS}, got {self.segments}"
-            raise ValueError(msg)
+            raise ArgumentError(msg)
         require_fittable(self.structure or (), self.method)
 
     @property

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import scipy
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, keyed
@@ -93,6 +94,7 @@ class PooledFit:
         return keyed(self.estimates, key, "the fit has")
 
 
+@takes('imucal.pool([report["gyro_x"].fit, other["gyro_x"].fit])', fits=[NoiseFit])
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
     """Fit several records of one axis of one unit together, from the bins of their fits.
 
@@ -238,6 +240,7 @@ def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: s
         )
 
 
+@takes('imucal.log_values("unit-1", report["gyro_x"].fit)', unit=str, fit=NoiseFit)
 def log_values(
     unit: str,
     fit: NoiseFit,
@@ -283,14 +286,16 @@ def _structure_of(model: str, level: float) -> tuple[str, ...]:
     """Return the symbols of a sum of terms, the same for every record."""
     structure = FitSettings(model=model, level=level).structure
     if structure is None:
-        raise ValueError("pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'")
+        raise ArgumentError(
+            "pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'"
+        )
     return structure
 
 
 def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
     """Return the bins that fits carry."""
     if not fits:
-        raise ValueError("pool: found no fits, expected at least one")
+        raise ArgumentError("pool: found no fits, expected at least one")
     for number, fit in enumerate(fits, 1):
         if fit.bins is None:
             which = f"fit {number} of {len(fits)} ({fit.method})"

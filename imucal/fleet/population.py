@@ -19,7 +19,9 @@ from functools import partial
 import numpy as np
 import scipy
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
+from imucal.errors import ArgumentError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLikelihoods, interval_of
@@ -105,6 +107,7 @@ class Population:
         return None if self.bounded else self.median.value
 
 
+@takes("imucal.population(values)", logs=[LogValue])
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
     """Return what the units of a fleet are like, by what each log says, any number of `logs` a unit.
 
@@ -112,9 +115,9 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     if there is no log, or a probability is not between 0 and 1.
     """
     if not logs:
-        raise ValueError("a population needs at least one log")
+        raise ArgumentError("a population needs at least one log")
     if not (0 < content < 1 and 0 < confidence < 1):
-        raise ValueError(f"content and confidence must be between 0 and 1, got {content} and {confidence}")
+        raise ArgumentError(f"content and confidence must be between 0 and 1, got {content} and {confidence}")
     values = LogValues.of(logs)
     answer = partial(Population, logs=len(logs), content=content, confidence=confidence)
     if len(values.names) < FEWEST:
@@ -156,7 +159,7 @@ def membership(found: Population, new: LogValue) -> float:
     and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
     """
     if found.next_log is None:
-        raise ValueError(f"a spread between units needs {FEWEST} units at least, got {len(found.units)}")
+        raise ArgumentError(f"a spread between units needs {FEWEST} units at least, got {len(found.units)}")
     return found.next_log.p_value(LogValues.of([new]))
 
 

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
+from imucal.arguments import takes
 from imucal.checking.verdict import Row, Verdict
 from imucal.errors import DataError
 from imucal.fitting.homogeneity import holm
@@ -33,6 +34,7 @@ _SAID: dict[Verdict, str] = {
 }
 
 
+@takes('imucal.fleet_as_report(imucal.load_fleet("fleet"))', fleet=Fleet)
 def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue = "tolerance") -> Report:
     """Return what a fleet says of a sensor model, in the form of the report of one log.
 
@@ -119,6 +121,7 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
     )
 
 
+@takes('imucal.check_fleet(report, imucal.load_fleet("fleet"))', report=Report, fleet=Fleet)
 def check_fleet(
     report: Report, fleet: Fleet, model: str | None = None, *, alpha: float = 0.05
 ) -> tuple[Row, ...]:

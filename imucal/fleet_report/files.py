@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from imucal.arguments import takes
 from imucal.atomic import alone, replacing
 from imucal.findings import Finding
 from imucal.fleet.store import translated
@@ -141,6 +142,7 @@ def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> JsonObject:
     }
 
 
+@takes('imucal.write_fleet(imucal.load_fleet("fleet"))', fleet=Fleet, out=(str, Path, type(None)))
 def write_fleet(
     fleet: Fleet,
     out: str | Path | None = None,

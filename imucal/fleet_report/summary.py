@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from imucal._version import __version__
+from imucal.arguments import takes
 from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
@@ -177,6 +178,7 @@ class Fleet(Displayed):
         return next(model for model in self.models if model.name == chosen)
 
 
+@takes('imucal.load_fleet("fleet")', folder=(str, Path))
 def load_fleet(
     folder: str | Path,
     *,

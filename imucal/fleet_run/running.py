@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from imucal._version import __version__
+from imucal.arguments import takes
 from imucal.errors import ArgumentError, DataError, ImucalError, WriteError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
 from imucal.fleet_report import Fleet, load_fleet
@@ -81,6 +82,7 @@ class RunCount:
     done_size: int = 0
 
 
+@takes('imucal.run_fleet("logs", "fleet")', logs=(str, Path, Iterable, type(None)), folder=(str, Path))
 def run_fleet(
     logs: str | Path | Iterable[str | Path] | None = None,
     folder: str | Path = "fleet",

@@ -28,7 +28,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
+from imucal.errors import ArgumentError
 from imucal.frozen import frozen_alone
 
 #: A psd of frequencies in Hz, shape (k,); or frequencies that rise, and the psd there.
@@ -41,12 +43,14 @@ def _function_of_points(
     """Return the function that runs straight on logarithmic axes between points, and the points."""
     f, s = np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)
     if f.ndim != 1 or f.shape != s.shape or not f.size:
-        raise ValueError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
+        raise ArgumentError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
     if not (f[0] > 0 and np.all(np.diff(f) > 0) and np.all(np.isfinite(f))):
-        raise ValueError("frequencies of a psd must rise, and be positive and finite")
+        raise ArgumentError("frequencies of a psd must rise, and be positive and finite")
     if not (np.all(s > 0) and np.all(np.isfinite(s))):
         at = int(np.argmin((s > 0) & np.isfinite(s)))
-        raise ValueError(f"psd given by points must be positive and finite, got {s[at]:g} at {f[at]:.6g} Hz")
+        raise ArgumentError(
+            f"psd given by points must be positive and finite, got {s[at]:g} at {f[at]:.6g} Hz"
+        )
     x, y = np.log(f), np.log(s)
     return (lambda at: np.exp(np.interp(np.log(at), x, y))), f
 
@@ -97,7 +101,7 @@ class _PsdIntegral:
         error, place = max(self.errors)
         if error > _WORST * total:
             msg = f"psd is too rough near {place / self.tau0:.6g} Hz to be integrated; smooth it first"
-            raise ValueError(msg)
+            raise ArgumentError(msg)
         return total
 
     def _tail(self, edge: float, ratio: float, total: float) -> float:
@@ -116,7 +120,7 @@ class _PsdIntegral:
                 f"the Allan variance is infinite: towards a frequency of {where} the psd grows like {steep}"
                 " or more steeply"
             )
-            raise ValueError(msg)
+            raise ArgumentError(msg)
         return sum(parts) + parts[-1] * fall / (1 - fall)
 
     def _octave(self, low: float) -> float:
@@ -169,6 +173,7 @@ Acvf: TypeAlias = Callable[[FloatArray], ArrayLike] | ArrayLike
 _ROUNDING = 1e-9
 
 
+@takes("imucal.avar_from_psd(psd, m, tau0)")
 def avar_from_psd(
     psd: Psd, m: ArrayLike, tau0: float, *, sampled: bool = True, breaks: Sequence[float] = ()
 ) -> FloatArray:
@@ -211,7 +216,7 @@ def avar_from_psd(
     """
     factors = _factors(m)
     if not (math.isfinite(tau0) and tau0 > 0):
-        raise ValueError(f"tau0 must be positive and finite, got {tau0}")
+        raise ArgumentError(f"tau0 must be positive and finite, got {tau0}")
     function, kinks = (psd, np.zeros(0)) if callable(psd) else _function_of_points(*psd)
     # What peaks at a break is looked at ever more closely towards it.
     near = np.outer(np.asarray(breaks, dtype=np.float64), 1 + np.outer([-1.0, 0.0, 1.0], _CLOSER))
@@ -224,9 +229,11 @@ def avar_from_psd(
         with np.errstate(over="ignore", divide="ignore"):
             values = np.asarray(function(np.array([f / tau0])), dtype=np.float64)
         if values.shape != (1,):
-            raise ValueError(f"psd must return shape (1,) for frequencies of that shape, got {values.shape}")
+            raise ArgumentError(
+                f"psd must return shape (1,) for frequencies of that shape, got {values.shape}"
+            )
         if not values[0] >= 0:
-            raise ValueError(f"psd must be 0 or more everywhere, got {values[0]:g} at {f / tau0:.6g} Hz")
+            raise ArgumentError(f"psd must be 0 or more everywhere, got {values[0]:g} at {f / tau0:.6g} Hz")
         if math.isinf(values[0]):
             raise _InfiniteError(f"psd must be finite, got inf at {f / tau0:.6g} Hz")
         return float(values[0]) / tau0
@@ -238,6 +245,7 @@ def avar_from_psd(
     return np.array(total)[place].reshape(np.shape(m))
 
 
+@takes("imucal.avar_from_acvf(acvf, m)")
 def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
     """Return the Allan variance of stationary samples of any autocovariance.
 
@@ -275,7 +283,7 @@ def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
         total[i] = float(weight @ fall[1 : 2 * factor]) / factor**2
         if total[i] < -_ROUNDING * variance:
             msg = f"acvf is no autocovariance: the Allan variance at m = {factor} would be {total[i]:.3g}"
-            raise ValueError(msg)
+            raise ArgumentError(msg)
     return np.maximum(total, 0.0).reshape(np.shape(m))
 
 
@@ -284,7 +292,7 @@ def _factors(m: ArrayLike) -> FloatArray:
     factors = np.asarray(m, dtype=np.float64).ravel()
     wrong = factors[~(np.isfinite(factors) & (factors >= 1) & (factors == np.round(factors)))]
     if wrong.size:
-        raise ValueError(f"averaging factors must be whole numbers from 1, got {wrong[0]:g}")
+        raise ArgumentError(f"averaging factors must be whole numbers from 1, got {wrong[0]:g}")
     return factors
 
 
@@ -295,21 +303,21 @@ def _falls(acvf: Acvf, greatest: int) -> tuple[float, FloatArray]:
         values = np.asarray(acvf(lags), dtype=np.float64)
         if values.shape != lags.shape:
             msg = f"acvf must return shape {lags.shape} for lags of that shape, got {values.shape}"
-            raise ValueError(msg)
+            raise ArgumentError(msg)
     else:
         given = np.asarray(acvf, dtype=np.float64)
         if given.ndim != 1 or not given.size:
-            raise ValueError(f"acvf must have shape (k,) with at least lag 0, got {given.shape}")
+            raise ArgumentError(f"acvf must have shape (k,) with at least lag 0, got {given.shape}")
         values = np.zeros(max(lags.size, given.size))
         values[: given.size] = given
     finite = np.isfinite(values)
     if not finite.all():
         at = int(np.argmin(finite))
         msg = f"acvf must be finite, got {values[at]:g} at lag {at}; a random walk has none: use its psd"
-        raise ValueError(msg)
+        raise ArgumentError(msg)
     beyond = np.abs(values) > values[0] * (1 + _ROUNDING)
     if values[0] < 0 or beyond.any():
         at = 0 if values[0] < 0 else int(np.argmax(beyond))
         msg = f"acvf is no autocovariance: {values[at]:g} at lag {at} beside a variance of {values[0]:g}"
-        raise ValueError(msg)
+        raise ArgumentError(msg)
     return float(values[0]), values[0] - values[: lags.size]

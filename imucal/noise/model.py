@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.errors import ArgumentError
 from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, in_order, symbol_of
@@ -104,7 +105,7 @@ def parse_structure(text: str) -> tuple[str, ...]:
         if match is None or symbol is None:
             known = ", ".join(TERMS)
             msg = f"model {text!r}: {part.strip()!r} is not one of {known}; write 'N + B + K' or 'N + 2*GM'"
-            raise ValueError(msg)
+            raise ArgumentError(msg)
         symbols += [symbol] * int(match["count"] or 1)
     _refuse_repeats(tuple(symbols))
     return in_order(symbols)
@@ -124,20 +125,20 @@ def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
             what = f"{term.symbol}, the {term.name(sensor)} of the {sensor}"
             coefficient = _number(found[0], what, term.coefficient_units(sensor))
             return term.of(coefficient, *(_number(text, f"a time of {what}", _TIMES) for text in found[1:]))
-    raise ValueError(f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}")
+    raise ArgumentError(f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}")
 
 
 def _number(text: str, what: str, units: Mapping[str, float]) -> float:
     """Return a number in SI, of a number alone or with a unit."""
     match = _VALUE.fullmatch(text)
     if match is None:
-        raise ValueError(f"{text!r} is not a number; write a sum {_EXAMPLE}")
+        raise ArgumentError(f"{text!r} is not a number; write a sum {_EXAMPLE}")
     if not match["unit"]:
         return float(match["number"])
     unit = find_unit(match["unit"], units)
     if unit is None:
         msg = f"{text!r}: {match['unit']!r} is no unit of {what}; expected one of {', '.join(units)}"
-        raise ValueError(msg)
+        raise ArgumentError(msg)
     return float(match["number"]) * unit[1]
 
 
@@ -145,4 +146,4 @@ def _refuse_repeats(symbols: tuple[str, ...]) -> None:
     for symbol in set(symbols):
         if symbols.count(symbol) > 1 and not TERMS[symbol].repeatable:
             only = " and ".join(name for name, term in TERMS.items() if term.repeatable)
-            raise ValueError(f"{symbol} stands more than once; only {only} may")
+            raise ArgumentError(f"{symbol} stands more than once; only {only} may")

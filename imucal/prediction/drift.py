@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
@@ -102,6 +103,7 @@ class _Axis(NamedTuple):
     fit: NoiseFit
 
 
+@takes("imucal.drift(report)")
 def drift(
     source: Characterised | NoiseFit,
     times_s: Sequence[float] = TIMES_S,
@@ -129,6 +131,8 @@ def drift(
     DataError
         If there is no axis whose sensor is known.
     """
+    if not isinstance(source, NoiseFit) and not hasattr(source, "axes"):
+        raise ArgumentError("drift: expected a report or a fit; type imucal.drift(imucal.fit(recording))")
     given = [_Axis("", 0.0, source)] if isinstance(source, NoiseFit) else source.axes
     axes = [_Axis(axis.axis, axis.mean, axis.fit) for axis in given if axis.fit.sensor is not None]
     if not axes:
@@ -139,7 +143,7 @@ def drift(
         if not (sample_s < short * (1 + 1e-9) and long <= _MOST_UNLIKE * short < math.inf):
             found = f"rest {rest_s:g} s and time {time:g} s"
             ratio = f"at most {_MOST_UNLIKE:.0f} times the other"
-            raise ValueError(f"{found}, expected each a sample ({sample_s:.3g} s) at least and {ratio}")
+            raise ArgumentError(f"{found}, expected each a sample ({sample_s:.3g} s) at least and {ratio}")
     vertical, whole = _vertical(axes), _Coasts(times_s=tuple(times_s), rest_s=rest_s)
     groups = [[axis] for axis in axes] if each_axis else [axes]
     quantities = tuple(found for group in groups for found in _quantities(group, vertical, whole))

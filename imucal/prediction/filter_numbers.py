@@ -18,8 +18,9 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
@@ -95,6 +96,7 @@ class FilterNumbers:
         return math.inf if time is None else self.walk * math.sqrt(time / 2)
 
 
+@takes('imucal.filter_numbers([report["gyro_x"].fit])', fits=[NoiseFit])
 def filter_numbers(
     fits: Sequence[NoiseFit],
     *,
@@ -134,7 +136,7 @@ def filter_numbers(
             f"expected fits and 0 < step < horizon, got {len(fits)} fits, step {step_s:g} s, horizon "
             f"{horizon_s:g} s, time {time_s}; give a horizon longer than the step"
         )
-        raise ValueError(msg)
+        raise ArgumentError(msg)
     caution = Caution.at(LEVEL, fits[0].level) if len(fits) == 1 else MEAN
     join: Join = np.max if joined == "worst" else np.mean
     bias = TERMS["K"].of(1.0) if time_s is None else GaussMarkov(sigma=math.sqrt(time_s / 2), T=time_s)

@@ -18,6 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.errors import ArgumentError
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov
@@ -105,7 +106,7 @@ def coasting_variance(
     """
     times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
     if not (np.all(times > 0) and rest_s > 0):
-        raise ValueError(f"times of coasting and resting must be positive, got {times_s} and {rest_s}")
+        raise ArgumentError(f"times of coasting and resting must be positive, got {times_s} and {rest_s}")
     return np.array([_coasting(term, float(t), rest_s, rate_hz, integrals) for t in times])
 
 

@@ -109,7 +109,7 @@ def describe_logs(
 
 def _with_proposal(entry: TopicContents, topic: Topic) -> TopicContents:
     """Return an entry with the fields text that might read it, where nothing else is said of it."""
-    text = topic.leaves.proposal() if topic.count and not entry.note else None
+    text = topic.proposal if topic.count and not entry.note else None
     return replace(entry, note=f"may be read by a fields text such as {text!r}") if text else entry
 
 

@@ -286,15 +286,16 @@ def name_axes(axes: "Axes", reports: list[AxisReport], **style: object) -> None:
     axes.legend(loc="upper right", **LEGEND_STYLE)
 
 
-def term_entries(fit: NoiseFit, terms: list[Drawn]) -> list[Any]:
-    """Return the legend's entries of the terms' lines, one for each symbol."""
+def term_entries(fit: NoiseFit, terms: list[Drawn], marked_symbols: set[str]) -> list[Any]:
+    """Return the legend's entries of the terms' lines, one a symbol; a mark only if the plot has it."""
     from matplotlib.lines import Line2D
 
     entries: Style = {}
     for drawn in terms:
         symbol = drawn.term.symbol
         name = f"{symbol}{' bound:' if drawn.bounded else ''} {numbers.term_name(symbol, fit.sensor)}"
-        line = stroked(drawn.term.stroke, linewidth=1.3, label=name, **_read_off_mark(drawn))
+        mark = _read_off_mark(drawn) if symbol in marked_symbols else {}
+        line = stroked(drawn.term.stroke, linewidth=1.3, label=name, **mark)
         entries[symbol] = Line2D([], [], **line)
     return list(entries.values())
 
@@ -318,12 +319,14 @@ def drawn_terms(fit: NoiseFit) -> list[Drawn]:
 
 
 def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) -> str:
-    """Return ``N 0.4125 ± 0.0016 deg/√h``; a Gauss-Markov term has its T on a second line."""
-    text = f"{estimate.key} {numbers.with_uncertainty(units.estimate(estimate, sensor))}"
-    if estimate.correlation_time is None:
-        return text
-    time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
-    return f"{text}\nT {time}"
+    """Return ``N 0.4125 ± 0.0016 deg/√h``; T of a Gauss-Markov term and other explanations follow."""
+    lines = [f"{estimate.key} {numbers.with_uncertainty(units.estimate(estimate, sensor))}"]
+    if estimate.correlation_time is not None:
+        time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
+        lines.append(f"T {time}")
+    if note := numbers.alternatives(estimate):
+        lines.append(note)
+    return "\n".join(lines)
 
 
 #: The vertical axis reaches this far below the curve to show a read-off, never further.
@@ -350,12 +353,14 @@ def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
         obstacles.append((tau, line, 0.7))
         labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
+    # A label at one point belongs to a mark.
+    marked_symbols = {d.term.symbol for d, label in zip(terms, labels, strict=True) if not np.ndim(label.x)}
     # The lowest point of the curve has a ring.
     (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
     axes.plot([at], [lowest * factor], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
     labels.append(Label(text, at, lowest * factor, INK))
     place_labels(axes, labels, obstacles=obstacles, fontsize=LEGEND_SIZE)
-    return entries + term_entries(fit, terms)
+    return entries + term_entries(fit, terms, marked_symbols)
 
 
 def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits) -> None:
@@ -733,7 +738,10 @@ def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
             rows[key] = [text + more for text, more in zip(rows[key], also, strict=True)]
         else:
             rows[key] = _told(row)
-    return list(rows.items())
+            notes = [cell.note if cell and row.symbol else "" for cell in row.cells]
+            if any(notes):
+                rows[f"{key} note"] = notes
+    return [("" if key.endswith(" note") else key, texts) for key, texts in rows.items()]
 
 
 def _told(row: Row) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from imucal._version import __version__
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
+from imucal.arguments import takes
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
 from imucal.noise.model import NoiseModel
@@ -25,6 +26,7 @@ GIVEN = "given"
 _RECORD_S = 3 * 3600.0
 
 
+@takes('imucal.model_as_report({"gyroscope": "N=0.3deg/sqrt(h)"}, rate_hz=200.0)', models=Mapping)
 def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
     """Return models, such as those of a data sheet, in the form of the report of one log.
 

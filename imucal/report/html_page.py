@@ -8,7 +8,7 @@ digits, no repetition.
 import base64
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.resources import files
 
@@ -212,7 +212,6 @@ def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> s
         ("method", "How the numbers were made", lambda: page_parts.method_section(report)),
     ]
     made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
-    recorded = (f"{a.sensor}: {duration(a.duration_s)} at {a.rate_hz:.6g} Hz" for a in report.axes)
     packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib")
     return render(
         "report.html",
@@ -220,7 +219,7 @@ def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> s
         heading=report.source.name,
         grade=report.verdict.grade,
         sentence=report.verdict.sentence,
-        lead=" · ".join(dict.fromkeys(recorded)) or "No axis could be analysed.",
+        lead=" · ".join(dict.fromkeys(_recorded(report))) or "No axis could be analysed.",
         sections=[section for section in made if section[2]],
         folded=(*(axis.name for axis in report.axes), "terms", "method"),
         version=report.version,
@@ -228,6 +227,14 @@ def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> s
         # Deflated, as the package has it.
         plotly=Markup(base64.b64encode(packed.read_bytes()).decode("ascii")),
     )
+
+
+def _recorded(report: Report) -> Iterator[str]:
+    """Yield how long each axis was recorded, and where times begin if the start was skipped."""
+    for axis in report.axes:
+        yield f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
+    if (read := report.source.read) is not None and read.from_s > 0:
+        yield f"times count from {read.from_s:.10g} s of the log"
 
 
 def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
+from imucal.arguments import takes
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Gap
 from imucal.errors import ReadError
@@ -581,7 +582,8 @@ def schema() -> JsonObject:
     return document
 
 
-def load(path: Path) -> Report:
+@takes('imucal.load_report("folder")', path=(str, Path))
+def load(path: str | Path) -> Report:
     """Read a report back; `path` is a ``report.json`` or the report's folder.
 
     Raises
@@ -589,6 +591,7 @@ def load(path: Path) -> Report:
     ReadError
         If the file is missing, is not JSON, or is not a report of the schema this version knows.
     """
+    path = Path(path)
     file = path / "report.json" if path.is_dir() else path
     try:
         document = json.loads(file.read_bytes(), parse_constant=_refuse_constant)

@@ -9,7 +9,7 @@ from imucal.fitting.noise_fit import NoiseFit
 from imucal.recording import AxisSeries, Recording
 from imucal.report import numbers
 from imucal.report.markup import Markup, render
-from imucal.report.result import Report
+from imucal.report.result import AxisReport, Report
 from imucal.report.view import Row, View, view, views
 from imucal.units import duration
 
@@ -20,6 +20,8 @@ __all__ = ["frame_of", "html_of", "text_of"]
 
 #: Sensor, axes, length, samples and gaps of a clock.
 _Clock: TypeAlias = tuple[str, str, str, str, str]
+#: Most lines of a text.
+_LINES = 12
 #: Most rows of a curve's table: more are left out in the middle.
 _MOST = 12
 
@@ -32,11 +34,7 @@ def text_of(value: Displayed) -> str:
 def _lines(value: Displayed) -> Iterator[str]:
     match value:
         case Recording():
-            yield f"Recording of {value.source.name} ({value.source.format})"
-            for _, name, *cells in _axes_of(value):
-                yield f"{name}: {', '.join(cells)}"
-            codes = ", ".join(dict.fromkeys(f"{found.level} {found.code}" for found in value.findings))
-            yield f"findings: {codes or 'none'}"
+            yield from _recording_lines(value)
         case AxisSeries():
             yield f"{value.name} in {value.unit}: {', '.join(_axis_row(value)[2:])}"
         case AllanCurve():
@@ -48,11 +46,27 @@ def _lines(value: Displayed) -> Iterator[str]:
             name, model = str(seen.sensor or "curve").capitalize(), str(value.model) or "no term shown"
             yield f"{name}: {model} ({value.method}, {100 * value.level:.4g} % intervals)"
             yield from (f"{key:7} {text}" for key, text in _cells(seen.rows[:11], 0))
+        case AxisReport():
+            yield from _axis_report_lines(value)
         case Report():
             yield f"Report of {value.source.name}: {value.verdict.sentence}"
             yield from (line for seen in views(value) for line in _axis_lines(seen))
         case _:
             raise TypeError(type(value).__name__)
+
+
+def _recording_lines(recording: Recording) -> Iterator[str]:
+    yield f"Recording of {recording.source.name} ({recording.source.format})"
+    for _, name, *cells in _axes_of(recording):
+        yield f"{name}: {', '.join(cells)}"
+    codes = ", ".join(dict.fromkeys(f"{found.level} {found.code}" for found in recording.findings))
+    yield f"findings: {codes or 'none'}"
+
+
+def _axis_report_lines(axis: AxisReport) -> Iterator[str]:
+    length = f"{duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
+    yield f"{axis.name} in {axis.unit}: {length}, {axis.samples} samples"
+    yield from list(_lines(axis.fit))[: _LINES - 1]
 
 
 def _axis_lines(seen: View) -> Iterator[str]:
@@ -109,6 +123,8 @@ def _tables(value: Displayed) -> dict[str, Any]:
             return {"caption": "; ".join([caption, *more]), "titles": titles, "rows": rows}
         case NoiseFit():
             return {"caption": caption, "views": [view({"": value})]}
+        case AxisReport():
+            return {"caption": caption, "views": [view({value.axis: value.fit})]}
         case Report():
             return {"caption": value.verdict.sentence, "views": views(value)}
     raise TypeError(type(value).__name__)
@@ -135,6 +151,8 @@ def frame_of(value: Displayed) -> "pl.DataFrame":
             return pl.DataFrame({**columns, "edf": value.edf})
         case NoiseFit():
             return _frame([view({"": value})]).drop("axis")
+        case AxisReport():
+            return _frame([view({value.axis: value.fit})])
         case Report():
             return _frame(views(value))
     raise TypeError(type(value).__name__)

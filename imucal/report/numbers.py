@@ -275,6 +275,17 @@ def ten_to(exponent: int) -> str:
     return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
+def scientific(value: float) -> str:
+    """Return a number with three digits, such as ``0.0332`` or ``1.49 ×10⁻⁵``."""
+    if not (math.isfinite(value) and value):
+        return f"{value:g}"
+    # In the mantissa rounding may carry into the next decade.
+    mantissa, exponent = f"{value:.2e}".split("e")
+    if -3 <= int(exponent) <= 3:
+        return f"{float(f'{value:.3g}'):g}"
+    return f"{mantissa} ×{ten_to(int(exponent))}"
+
+
 def _symmetric(quantity: Quantity) -> bool:
     if quantity.value is None or not math.isfinite(quantity.high):
         return False

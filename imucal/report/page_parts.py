@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.findings import Finding
+from imucal.findings import Finding, options_to_keep
 from imucal.fitting.noise_fit import Estimate, NoiseFit, Segments, Trace
 from imucal.noise.terms import TERMS
 from imucal.prediction import drift
@@ -76,7 +76,7 @@ def findings_section(report: Report) -> Markup:
                 "code": code,
                 "sentences": [(_names(axes, text), _sentence(text)) for text, axes in texts.items()],
                 "advice": _sentence(advice) if advice else "",
-                "keep": [numbers.seconds(end) for end in keep or ()],
+                "keep": options_to_keep(keep) if keep else "",
             }
             for (of_level, code, advice, keep), texts in grouped.items()
             if of_level == level
@@ -258,11 +258,12 @@ def downstream_section(report: Report) -> Markup:
         "downstream.html",
         chosen=chosen,
         pairs=[
-            (sensor, pair, itself(axes), price(pair).replace(" x ", " × "))
+            (sensor, pair, itself(axes, numbers.scientific), price(pair).replace(" x ", " × "))
             for sensor, axes in report.by_sensor.items()
             for pair in usual_pairs([axis.fit for axis in axes])
         ],
         terms=TERMS,
+        scientific=numbers.scientific,
         use=partial(_use, chosen),
         slowest=partial(_slowest, chosen),
         programs=TARGETS.values(),
@@ -284,7 +285,7 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
     value = FORMULAS[formula].of(number.value, chosen.rate_hz(sensor))
     where = " ".join(name.split("_")[1] for name in number.axes)
     shown = pretty(unit.format(u=sensor.unit)).replace("(rad/s)²", "rad²/s²").replace("(m/s²)²", "m²/s⁴")
-    return Markup("{}{:.4g} <small>{}, {}</small>").format(bound, value, shown, where)
+    return Markup("{}{} <small>{}, {}</small>").format(bound, numbers.scientific(value), shown, where)
 
 
 def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:

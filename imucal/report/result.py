@@ -63,7 +63,7 @@ class Overview(ReadOnlyArrays):
 
 
 @frozen_alone
-class AxisReport:
+class AxisReport(Displayed):
     """What was found about one axis; units as in `Sensor.unit`.
 
     `fit.curve` is its Allan curve; `spectrum` its psd. `mean` and `std` are of the finite samples.

@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from imucal.arguments import takes
 from imucal.atomic import alone, sweep, sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
@@ -39,9 +40,10 @@ _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
 _NAMED = 3
 
 
+@takes('imucal.write_report(report, "folder")', report=Report, out=(str, Path))
 def write_report(
     report: Report,
-    out: Path,
+    out: str | Path,
     *,
     formats: Sequence[str] = ("png",),
     html: bool = True,

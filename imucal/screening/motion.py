@@ -145,13 +145,13 @@ def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[f
     """Return the finding of what happened near the start and the end."""
     sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
-    return Finding(level, "motion", text, f"Leave that out: keep {span(*keep)}.", keep_s=keep)
+    return Finding(level, "motion", text, "Leave that out.", keep_s=keep)
 
 
 def _touched(middle: list[Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
     """Return the finding of what happened in between."""
     text = f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}."
-    advice = f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}."
+    advice = "Record again undisturbed, or keep an undisturbed part."
     return Finding(level, "touch", text, advice, keep_s=keep)
 
 
@@ -182,7 +182,7 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
         f"{seconds[turn]:.1f} s: gravity points elsewhere then."
     )
-    advice = f"Record again in one pose{f', or keep the longest rest, {span(*keep)}' if keep else ''}."
+    advice = "Record again in one pose."
     return (Finding("error", "motion", text, advice, keep_s=keep),)
 
 
@@ -278,8 +278,7 @@ def _not_at_rest(
     if keep is None:
         text += f"it never rested for {_WORTH_S:g} s."
     else:
-        text += f"the longest rest, {span(*keep)}, lasts {time(keep[1] - keep[0])}."
-        advice += ", or keep the longest rest"
+        text += f"the longest time without one is {time(keep[1] - keep[0])}."
     return Finding(level, "motion", text, f"{advice}.", keep_s=keep)
 
 

@@ -289,20 +289,32 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
         return (Finding("warning", "no-gravity", text, advice, axis="accel"),)
-    guess = _accelerometer_guess(accel, length)
+    guess, unit = _accelerometer_guess(accel, length)
     text = f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}."
-    advice = "Name the accelerometer's unit when reading; every figure of it scales with the unit."
+    advice = _unit_advice(Sensor.ACCELEROMETER, unit)
     return (Finding("warning", "unit-suspect", text, advice, axis="accel"),)
 
 
-def _accelerometer_guess(accel: Sequence[Profile], length: float) -> str:
+def _unit_advice(sensor: Sensor, unit: str) -> str:
+    """Return what to do about a unit that looks like `unit`, ``count``, or like no unit that is known."""
+    scales = "every figure of it scales with the unit."
+    if not unit:
+        return f"Name the {sensor}'s unit when reading; {scales}"
+    option = f"scale X, in {sensor.unit} per count" if unit == "count" else f"unit {unit}"
+    return f"Run again with --{sensor.short}-{option}; {scales}"
+
+
+def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, str]:
+    """Return what the length of gravity looks like, and the unit to read the log with, if there is one."""
     for unit, expected in (("g", 1.0), ("mg", 1e3), ("ug", 1e6)):
         if abs(length / expected - 1) < 0.15 and not (unit == "mg" and _are_counts(accel)):
-            return f"the unit looks like {unit}"
+            return f"the unit looks like {unit}", unit
     # g taken for m/s² twice, or m/s² taken for g
     if abs(length / G0**2 - 1) < 0.15:
-        return "m/s^2 seem to have been taken for g"
-    return "these look like raw counts" if _are_counts(accel) or length > 1e3 else "no known unit fits"
+        return "m/s^2 seem to have been taken for g", "m/s^2"
+    if _are_counts(accel) or length > 1e3:
+        return "these look like raw counts", "count"
+    return "no known unit fits", ""
 
 
 def _are_counts(profiles: Sequence[Profile]) -> bool:
@@ -317,7 +329,7 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     if reason is None:
         return ()
     text = f"The gyroscope may not be in rad/s: {reason}."
-    advice = "Name the gyroscope's unit when reading; every figure of it scales with the unit."
+    advice = _unit_advice(Sensor.GYROSCOPE, "count" if _are_counts(gyro) else "deg/s")
     return (Finding("warning", "unit-suspect", text, advice, axis="gyro"),)
 
 

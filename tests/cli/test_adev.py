@@ -118,7 +118,7 @@ def test_one_bad_axis_does_not_hide_the_others(tmp_path: Path) -> None:
     assert done.returncode == 4
     assert {row["axis"] for row in _table(done.stdout)} == {"gyro_x", "gyro_y"}
     assert done.stderr == (
-        "Error: log.csv: not noise: no result on gyro_z; look at gyro_x and gyro_y first; "
+        "Error: log.csv: not noise: no result on gyro_z; 2 of 3 axes are stationary noise; "
         "the curves were printed; record again at rest, or --force\n"
     )
     said = run("adev", "log.csv", "--gyro-unit", "rad/s", "--force", cwd=tmp_path)

@@ -124,7 +124,7 @@ def test_what_is_not_noise_ends_with_code_4_unless_forced(tmp_path: Path) -> Non
     assert done.returncode == 4
     assert done.stderr == (
         "Error: log.csv: not noise: the IMU was moved; do not use these numbers; log-decomposed was written; "
-        "record again at rest, or --force\n"
+        "fit the rest with --skip 2.3s --take 17.7s\n"
     )
     assert (tmp_path / "log-decomposed" / "gyro_x.png").exists()
     done = run("decompose", "log.csv", "--model", "N", "--axis", "gyro_x", "-q", "--force", cwd=tmp_path)

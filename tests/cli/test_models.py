@@ -1,6 +1,7 @@
 """A model in place of a report: the text of a data sheet wherever a report is taken."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -99,3 +100,14 @@ def test_a_file_whose_name_looks_like_a_model_is_a_file(tmp_path: Path) -> None:
     done = run("export", "N=1e-3", "--to", "px4", "-o", "-", "-q", cwd=tmp_path)
     assert done.returncode == 0
     assert "still_night.mcap" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["plan", "drift", "compare", "check", "export"])
+def test_the_models_that_help_shows_are_understood(command: str, tmp_path: Path) -> None:
+    """Each option's own example, typed with it."""
+    text = " ".join(run(command, "--help", cwd=tmp_path).stdout.split())
+    shown = dict(re.findall(r'--(gyro|accel) MODEL .*?such as "([^"]*)"', text))
+    assert set(shown) == {"gyro", "accel"}
+    for sensor, model in shown.items():
+        done = run("plan", f"--{sensor}", model, "--rate", "200", "-q", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr

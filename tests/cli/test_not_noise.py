@@ -77,7 +77,7 @@ def test_fit_and_adev_end_with_code_4_and_one_line(
         done = run(*command, *unit, "-q", cwd=tmp_path)
         assert done.returncode == 4
         (line,) = done.stderr.splitlines()
-        remedy = r"(record again at rest, or --force|fit the rest with --skip \d+s --take \d+s)"
+        remedy = r"(record again at rest, or --force|fit the rest with --skip [\d.]+s --take [\d.]+s)"
         ended = f"(nothing was written|the curves were printed); {remedy}"
         assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", line)
         assert done.stdout
@@ -157,3 +157,39 @@ def test_a_strict_run_says_what_it_found(tmp_path: Path) -> None:
     assert done.returncode == 4
     (line,) = done.stderr.splitlines()
     assert line == "Error: log.csv: touch, spikes found, and --strict allows no warning"
+
+
+def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:
+    """All axes count as stationary; the unit's option is suggested in place of an export, once."""
+
+    def in_degrees(rows: FloatArray) -> None:
+        """Write deg/s under a heading of rad/s, far from zero."""
+        rows[:, 1:4] = np.degrees(rows[:, 1:4]) + np.array([40, 0, 0])
+
+    write(tmp_path / "log.csv", in_degrees)
+    command = ("fit", "log.csv", "--model", "N", "--segments", "1", "--format", "svg", "--no-html")
+    done = run(*command, cwd=tmp_path)
+    assert done.returncode == 0
+    first = " ".join(done.stdout.splitlines()[:2])
+    assert first.startswith("Look first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise")
+    assert "Next: run again with --gyro-unit deg/s, because the unit looks wrong" in done.stderr
+    assert "imucal export" not in done.stderr
+    again = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
+    assert again.returncode == 0
+    assert "Next: run again" not in again.stderr
+
+
+def test_white_noise_that_is_hardly_known_is_not_exported(tmp_path: Path) -> None:
+    """A random walk hides it: neither fit nor export offers its N."""
+    rng = np.random.default_rng(5)
+    rows = np.column_stack([np.arange(N) / RATE, np.cumsum(rng.standard_normal((N, 6)), axis=0) * 1e-3])
+    rows[:, 6] += 9.81
+    head = ",".join(["t [s]", *(f"{axis} [{'rad/s' if axis[0] == 'g' else 'm/s^2'}]" for axis in AXES)])
+    np.savetxt(tmp_path / "walk.csv", rows, delimiter=",", fmt="%.9g", header=head, comments="")
+    command = ("fit", "walk.csv", "--model", "N + K", "--force", "--format", "svg", "--no-html", "-o", "walk")
+    done = run(*command, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "is not known to a factor of 10" in done.stderr
+    assert "imucal export" not in done.stderr
+    done = run("export", "walk", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)
+    assert done.returncode == 4

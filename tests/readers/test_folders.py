@@ -111,7 +111,10 @@ def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "said"),
     [
-        ("report.json", "is a report of imucal's; give the log; what takes a report is imucal export,"),
+        (
+            "report.json",
+            "is a report of imucal's; fit takes a log; to use the report run 'imucal export REPORT",
+        ),
         ("manifest.parquet", "is a fleet of imucal's; give a log; what takes a fleet is imucal fleet report"),
     ],
 )

@@ -67,7 +67,7 @@ def _agree(report: Report, recovered: Recovered) -> None:
     """Hold what was read to the report: to rounding, and three digits where a comment says it."""
     for (key, symbol), value in recovered.items():
         if symbol != "T":
-            rel = 1e-12 if symbol.isalpha() else 6e-3
+            rel = 1e-7 if symbol.isalpha() else 6e-3
             assert value == pytest.approx(_expected(report, key, symbol[0]), rel=rel), (key, symbol)
 
 
@@ -114,7 +114,7 @@ def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
     for (key, symbol), value in READERS[target](path).items():
         factor = {"N": 2.0, "K": 10.0}.get(symbol)
         if factor:
-            assert value == pytest.approx(factor * _expected(report, key, symbol), rel=1e-12)
+            assert value == pytest.approx(factor * _expected(report, key, symbol), rel=1e-7)
 
 
 @pytest.mark.parametrize(("policy", "scale"), [("worst", 3.0), ("rms", math.sqrt(14 / 3)), ("y", 2.0)])
@@ -550,8 +550,8 @@ def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) 
     fits = [axis.fit for axis in report.axes[:3]] if count == 3 else [report.axes[1].fit]
     pair = filter_numbers(fits, horizon_s=600.0, step_s=0.2, joined="rms" if policy == "rms" else "worst")
     data = yaml.safe_load(text)
-    assert data["gyroscope_noise_density"] == pair.white
-    assert data["gyroscope_random_walk"] == pair.walk
+    assert data["gyroscope_noise_density"] == pytest.approx(pair.white, rel=1e-7)
+    assert data["gyroscope_random_walk"] == pytest.approx(pair.walk, rel=1e-7)
     assert "every 0.2 s or slower, horizon 600 s" in text
     assert ("fitted spectrum (80%)" in text) == (count == 1)
 
@@ -644,9 +644,11 @@ def test_a_report_read_from_its_file_gives_the_same_text(target: str) -> None:
 
 
 @given(value=st.floats(1e-300, 1e300))
-def test_every_number_reads_back_exactly(value: float) -> None:
+def test_every_number_reads_back_to_eight_digits(value: float) -> None:
     """By Python, by YAML 1.1, and without an exponent."""
-    assert float(real(value)) == yaml.safe_load(real(value)) == float(decimal(value)) == value
+    read = float(real(value))
+    assert read == yaml.safe_load(real(value)) == float(decimal(value)) == pytest.approx(value, rel=6e-8)
+    assert len(real(value).partition("e")[0].replace(".", "").strip("0")) <= 8 or 0.9 < value < 1
 
 
 def test_a_bank_of_states_is_flicker() -> None:
@@ -674,6 +676,6 @@ def test_the_state_space_has_the_fits_allan_curve() -> None:
         else:
             term = flicker_bank(1.0, state["T"], 2 * state["T"])[0]
             avar += (state["sigma"] / term.sigma) ** 2 * term.avar(m, 1 / 200)
-            assert state["phi"] == pytest.approx(math.exp(-1 / (200 * state["T"])), rel=1e-12)
+            assert state["phi"] == pytest.approx(math.exp(-1 / (200 * state["T"])), rel=1e-8)
     expected = axis.fit.model.avar(m, rate_hz=200.0)
     np.testing.assert_allclose(np.sqrt(avar / expected), 1, atol=0.08)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -14,13 +15,14 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from imucal.allan.dct import Spectrum
-from imucal.fitting.noise_fit import Line, Response
+from imucal.fitting.noise_fit import Estimate, Line, Response
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
 from imucal.report import figure as palette
-from imucal.report.figure import axis_figure, drawn_terms, render, sensor_figure, shown_points
+from imucal.report.figure import axis_figure, draw_allan, drawn_terms, render, sensor_figure, shown_points
+from imucal.report.numbers import sheet_units
 from imucal.report.result import AxisReport
 from tests.report.synthetic import axis_report, consumer_report, shortest_report, small_report
 
@@ -287,3 +289,30 @@ def test_the_shortest_recordings_can_be_drawn(n: int) -> None:
     report = shortest_report(n)
     _check_texts(axis_figure(report, report.axes[0]))
     _check_texts(sensor_figure(report, Sensor.ACCELEROMETER))
+
+
+def test_the_legend_shows_a_mark_only_if_the_plot_has_it() -> None:
+    """The line of a bounded B has none, that of N has a diamond."""
+    report = small_report()
+    fit = replace(report.axes[0].fit, estimates=(report.axes[0].fit["N"], Estimate.bounded("B", "B", 1e-4)))
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    entries = draw_allan(figure.add_subplot(), fit, sheet_units([fit]))
+    marks = {
+        entry.get_label().split()[0]: entry.get_marker() for entry in entries if hasattr(entry, "get_marker")
+    }
+    assert marks["N"] == "D"
+    assert marks["B"] in {"None", "", None}
+
+
+def test_a_picture_shows_what_may_stand_in_a_terms_place() -> None:
+    """In the table of a sensor and at the line of an axis."""
+    report = consumer_report()
+    axis = report.axes[0]
+    told = replace(axis.fit["K"], alternatives=("GM",), horizon_s=564.0)
+    fit = replace(axis.fit, estimates=tuple(told if e.key == "K" else e for e in axis.fit.estimates))
+    changed = replace(report, axes=(replace(axis, fit=fit), *report.axes[1:]))
+    note = "or GM, T > 564 s"
+    assert note in {text.get_text() for text in sensor_figure(changed, axis.sensor).texts}
+    (left, *_) = axis_figure(changed, changed.axes[0]).axes
+    assert any(text.get_text().endswith(note) for text in left.texts)

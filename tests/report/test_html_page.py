@@ -23,7 +23,7 @@ from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
 from imucal.report.figure import estimate_text
 from imucal.report.html_page import page_data, render_page, standing_out
-from imucal.report.numbers import sheet_units, with_interval
+from imucal.report.numbers import scientific, sheet_units, with_interval
 from imucal.report.page_parts import axis_section, findings_section, method_section, summary_section
 from imucal.report.result import AxisReport, Overview, Report
 from tests.report.browser import Browser
@@ -102,7 +102,7 @@ def test_findings_are_in_words(page: html.HtmlElement) -> None:
     text = " ".join(section.text_content().split())
     assert "Warnings (2)" in text
     assert "warm-up accel_z The mean drifts by 0.021 m/s² in the first 14 minutes." in text
-    assert "Part worth keeping: 840 s to 10800 s." in text
+    assert "Try --skip 840s --take 9960s." in text
     assert text.index("Warnings") < text.index("Notes")
 
 
@@ -132,16 +132,16 @@ def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
     # What covers all axes, the same that the JSON and a file for PX4 have.
     pair = filter_numbers([axis.fit for axis in consumer_report().axes[:3]])
     white, walk = pair.white, pair.walk
-    assert rows["N"][1].startswith(f"{white:.4g} rad/s/√Hz, x y z")
-    assert rows["K"][1].startswith(f"{walk:.4g} rad/s/√s, x y z")
-    assert float(rows["N √f"][1].split()[0]) == pytest.approx(white * 200**0.5, rel=1e-3)
-    assert float(rows["N √(2f)"][1].split()[0]) == pytest.approx(white * 400**0.5, rel=1e-3)
-    assert float(rows["N² f"][1].split()[0]) == pytest.approx(white**2 * 200, rel=1e-3)
-    assert float(rows["K √f"][1].split()[0]) == pytest.approx(walk * 200**0.5, rel=1e-3)
-    assert float(rows["N / √0.01 s"][1].split()[0]) == pytest.approx(white / 0.1, rel=1e-3)
+    assert rows["N"][1] == f"{scientific(white)} rad/s/√Hz, x y z"
+    assert rows["K"][1] == f"{scientific(walk)} rad/s/√s, x y z"
+    assert rows["N √f"][1].startswith(f"{scientific(white * 200**0.5)} rad/s,")
+    assert rows["N √(2f)"][1].startswith(f"{scientific(white * 400**0.5)} rad/s,")
+    assert rows["N² f"][1].startswith(f"{scientific(white**2 * 200)} rad²/s²,")
+    assert rows["K √f"][1].startswith(f"{scientific(walk * 200**0.5)} rad/s,")
+    assert rows["N / √0.01 s"][1].startswith(f"{scientific(white / 0.1)} rad/s,")
     assert rows["N"][0].startswith("continuous")
     # The slowest term of gyro z; no accelerometer axis has one.
-    assert rows["σ, T"][1:3] == ["6e-05 rad/s, 1500 s, z", "–"]
+    assert rows["σ, T"][1:3] == ["6.00 ×10⁻⁵ rad/s, 1500 s, z", "–"]
     assert rows["N² f"][0].startswith("discrete")
 
 
@@ -153,6 +153,21 @@ def test_page_says_it_for_every_program(page: html.HtmlElement) -> None:
     for name, target in TARGETS.items():
         assert target.title in said[name]
         assert "; ".join(target.formulas) in said[name]
+
+
+def test_the_tables_come_before_the_pictures(page: html.HtmlElement) -> None:
+    """Numbers are what a reader looks for first."""
+    parts = page.get_element_by_id("summary").xpath(".//table | .//img")
+    assert [part.tag for part in parts] == ["table", "table", "img", "img"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0332, "0.0332"), (1.4878e-5, "1.49 ×10⁻⁵"), (9.999e-4, "0.001"), (0.0, "0"), (12345.0, "1.23 ×10⁴")],
+)
+def test_numbers_of_the_page_have_three_digits(value: float, text: str) -> None:
+    """Never an exponent with an e."""
+    assert scientific(value) == text
 
 
 def test_worst_of_bounds_is_marked() -> None:
@@ -579,15 +594,15 @@ def test_paper_has_every_picture_on_eight_sheets(browser: Browser, address: str)
 
 
 @pytest.mark.parametrize(("width", "first", "height"), [(1400, 900, 6000), (390, 900, 9000)])
-def test_the_first_picture_is_in_sight_and_the_page_is_short(
+def test_the_table_is_in_sight_and_the_page_is_short(
     browser: Browser, address: str, width: int, first: int, height: int
 ) -> None:
-    """Verdict, pictures, table; axes are folded. On a desk and on a telephone."""
+    """Verdict, tables, pictures; axes are folded. On a desk and on a telephone."""
     browser.devtools(
         "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
     )
     _load(browser, address)
-    assert browser.run("return document.querySelector('main img').getBoundingClientRect().top") < first
+    assert browser.run("return document.querySelector('main table').getBoundingClientRect().top") < first
     assert browser.run("return document.documentElement.scrollHeight") < height
     browser.devtools("Emulation.clearDeviceMetricsOverride")
 

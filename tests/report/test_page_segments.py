@@ -135,3 +135,14 @@ def test_compare_and_check_read_the_wider_interval() -> None:
     assert (before["N"], after["N"]) == ("differs", "same")
     ((_, judged),) = measure(changing(report).axes[0], "N")
     assert judged.high / judged.low == pytest.approx((n.high / n.low) ** np.sqrt(30))
+
+
+def test_the_last_time_is_not_cut_off() -> None:
+    """Text that ends beyond the picture would be: only that at the right side ends where it stands."""
+    svg = re.search(r'viewBox="0 0 (\d+) .*?</svg>', figure(changing(small_report()).axes[0]), re.DOTALL)
+    assert svg is not None
+    times = re.findall(r'<text x="([\d.]+)" y="[\d.]+" text-anchor="(middle|end)">(\d[^<]* h)</text>', svg[0])
+    assert times[-1][2] == "4 h"
+    assert [anchor for _, anchor, _ in times] == ["middle"] * (len(times) - 1) + ["end"]
+    # A character takes 7 units at most.
+    assert all(float(x) + 3.5 * len(text) <= float(svg[1]) for x, anchor, text in times if anchor == "middle")

@@ -208,8 +208,9 @@ class Leaves:
                 continue
             for match in re.finditer("[xX]", leaf.path):
                 before, letter, after = leaf.path[: match.start()], match[0], leaf.path[match.end() :]
-                axes = [before + axis + after for axis in ("xyz" if letter == "x" else "XYZ")]
-                if all(map(self.is_number, axes)):
+                *axes, w = (before + axis + after for axis in ("xyzw" if letter == "x" else "XYZW"))
+                # With a w it is a quaternion.
+                if all(map(self.is_number, axes)) and not self.is_number(w):
                     stem = before.rstrip(".")
                     whole = letter == "x" and not after and before.endswith(".")
                     yield stem.lower(), stem if whole else ",".join(axes)

@@ -244,6 +244,11 @@ def sensor_of_topic(topic: str) -> Sensor | None:
     return _GYRO if gyro else _ACCEL
 
 
+def is_command(topic: str) -> bool:
+    """Return whether the name of a topic says that it carries commands and no measurements."""
+    return re.search(r"(^|[/_])(cmd|command|setpoint|desired|target)s?([/_]|$)", topic.lower()) is not None
+
+
 def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> ImuFields | None:
     path, fixed = _PLAIN.get(name, ("", None))
     kind = fixed or sensor or sensor_of_topic(topic)

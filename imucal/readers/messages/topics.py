@@ -19,7 +19,13 @@ from imucal.readers.messages.definitions import (
 )
 from imucal.readers.messages.leaves import Leaves, leaves_of_tree
 from imucal.readers.messages.loader import first_message
-from imucal.readers.messages.message_types import FieldsText, ImuFields, find_imus, parse_fields_text
+from imucal.readers.messages.message_types import (
+    FieldsText,
+    ImuFields,
+    find_imus,
+    is_command,
+    parse_fields_text,
+)
 from imucal.readers.messages.trees import JSON_FIELDS
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
@@ -49,6 +55,11 @@ class Topic:
     leaves: Leaves = field(default_factory=lambda: Leaves(()))
     #: The definitions of types that the user gives.
     given: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def proposal(self) -> str:
+        """A fields text that might read its messages; empty if there is none."""
+        return self.leaves.proposal() if self.count != 0 and not is_command(self.name) else ""
 
     @property
     def count(self) -> int | None:
@@ -169,7 +180,9 @@ def _known(channel: Channel, topic: Topic, options: ReadOptions) -> dict[str, Im
         fields = tuple(schemas.protobuf_fields(channel))
     else:
         fields = definition_of_channel(channel, topic.given).fields()
-    return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
+    found = find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
+    command = is_command(channel.topic) and channel.topic not in options.topics
+    return {} if command and all(imu.plain for imu in found.values()) else found
 
 
 def _said(name: str, options: ReadOptions) -> Sensor | None:
@@ -232,7 +245,7 @@ def _nothing(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
     if unreadable:
         return _unreadable(path, unreadable[0], unreadable[0].reason)
     listed = table(topics) or "  no topics"
-    able = [(topic.name, text) for topic in topics if topic.count != 0 and (text := topic.leaves.proposal())]
+    able = [(topic.name, text) for topic in topics if (text := topic.proposal)]
     how = "".join(f"\n{name} may be read by a fields text such as {text!r}" for name, text in able[:3])
     why = "no topic carries a gyroscope or an accelerometer; found"
     return refused(path, f"{why}\n{listed}{how}", ChoiceError)

@@ -37,6 +37,8 @@ COVERING = ("N", "K")
 #: Of a bank of Gauss-Markov processes that stands for flicker: states a decade of correlation time, and how
 #: far it reaches below the time at which flicker and white noise are equal.
 _PER_DECADE, _MARGIN = 1.5, 10.0
+#: Ratio of the limits of N above which it is no number for a filter.
+_VAGUE = 10.0
 #: Correlation time where none was measured, in s: long against the record, so that a walk stays one.
 NOMINAL_TIME_S = 3600.0
 
@@ -458,6 +460,20 @@ def _joined(numbers: Sequence[Number], value: float) -> Number:
         alternatives=tuple(dict.fromkeys(each for number in numbers for each in number.alternatives)),
         origin=numbers[0].origin,
     )
+
+
+def vague_axes(report: Report) -> tuple[str, ...]:
+    """Return the names of the axes whose N is known to no better than a factor of 10.
+
+    The interval of N is that wide, or its upper bound is that far above the measured Allan curve.
+    """
+    found = []
+    for axis in report.axes:
+        white = axis.fit["N"]
+        ratio = white.high / white.low if white.low > 0 else _excess(axis, white)
+        if axis.samples and ratio is not None and ratio > _VAGUE:
+            found.append(axis.name)
+    return tuple(found)
 
 
 def _excess(axis: AxisReport, estimate: Estimate) -> float | None:

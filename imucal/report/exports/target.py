@@ -36,14 +36,17 @@ def name_key(name: str) -> str:
 
 
 def real(value: float) -> str:
-    """Return a number with a decimal point that reads back exactly: ``200.0``, ``1.0e-05``.
+    """Return a number of eight digits with a decimal point: ``200.0``, ``1.0e-05``.
+
+    A factor just below 1, such as phi of a Gauss-Markov process, keeps all: its distance from 1 counts.
 
     OpenCV's FileStorage takes ``200`` for an integer, and YAML 1.1 takes ``1e-05`` for a string;
     with the point both read a real number.
     """
     if not math.isfinite(value):
         raise ValueError(f"only finite numbers can be written, got {value}")
-    mantissa, sign, exponent = repr(float(value)).partition("e")
+    rounded = float(value) if 0.9 < value < 1 else float(f"{value:.8g}")
+    mantissa, sign, exponent = repr(rounded).partition("e")
     if "." not in mantissa:
         mantissa += ".0"
     return f"{mantissa}e{int(exponent):+03d}" if sign else mantissa
@@ -363,15 +366,15 @@ def price(pair: FilterNumbers) -> str:
     return f"{ratios} x the model's error at {', '.join(f'{t:g}' for t, _ in within)} s"
 
 
-def itself(axes: Sequence[AxisReport]) -> str:
-    """Return the fit's own numbers, each of the axis where it is largest."""
+def itself(axes: Sequence[AxisReport], number: Callable[[float], str] = "{:.3g}".format) -> str:
+    """Return the fit's own numbers, each of the axis where it is largest, written by `number`."""
     said = []
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
         worst = max(found, key=lambda e: (e.value is not None, e.value or e.high))
         if worst.value is None:
-            said += [f"{key} < {worst.high:.3g}"] if worst.high else []
+            said += [f"{key} < {number(worst.high)}"] if worst.high else []
         else:
-            limits = f" ({worst.low:.3g} to {worst.high:.3g})" if worst.low < worst.high else ""
-            said.append(f"{key} {worst.value:.3g}{limits}")
+            limits = f" ({number(worst.low)} to {number(worst.high)})" if worst.low < worst.high else ""
+            said.append(f"{key} {number(worst.value)}{limits}")
     return ", ".join(said)

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from imucal.readers.messages.definitions import Definition, DefinitionError
-from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, sensor_of_topic
+from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, is_command, sensor_of_topic
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
@@ -233,3 +233,13 @@ def test_a_definition_that_holds_itself_is_refused() -> None:
 @pytest.mark.parametrize(("ros1", "code"), [(True, "i1"), (False, "u1")])
 def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa: FBT001
     assert [field.code for field in Definition("pkg/M", "byte b", ros1=ros1).fields()] == [code]
+
+
+@pytest.mark.parametrize(
+    ("topic", "command"),
+    [("/turtle1/cmd_vel", True), ("/arm/command", True), ("/setpoint", True), ("/commander/imu", False),
+     ("/twist", False), ("/targets/rate", True), ("/retarget", False)],
+)  # fmt: skip
+def test_a_command_is_known_by_the_name_of_its_topic(topic: str, *, command: bool) -> None:
+    """Only whole words of the name count."""
+    assert is_command(topic) is command

@@ -1,0 +1,129 @@
+"""Advice for a log that was disturbed: the part to keep, its rests, or another recording.
+
+Each check looks at one kind of disturbance and proposes the part without it. Here the proposals become one
+for the whole log, and it is checked before anyone is asked to type it.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.grading import DISTURBED, RESTS, is_motion
+from imucal.recording import Recording
+from imucal.report.result import Report
+from imucal.rests import at_rest
+from imucal.screening import screen_values
+
+__all__ = ["advised", "advised_report"]
+
+#: A part is offered if it is longer than this, in s, or than half of the log.
+_LONG_S = 30.0
+#: Distance from a jump, in s: its time is an estimate.
+_CLEAR_S = {"step": 1.0}
+#: Codes of a drift that dies away.
+_WARM_UPS = frozenset({"warm-up", "warm-up-fitted"})
+#: The proposed part is screened this often at most, each time without what was found in it.
+_TRIES = 4
+#: Start and end, in s.
+_Part = tuple[float, float]
+
+
+def advised_report(report: Report, recording: Recording) -> Report:
+    """Return the report of a recording with one piece of advice in all its findings."""
+    own = iter(advised(recording, report.all_findings))
+    log = tuple(next(own) for _ in report.findings)
+    axes = tuple(replace(axis, findings=tuple(next(own) for _ in axis.findings)) for axis in report.axes)
+    return replace(report, findings=log, axes=axes)
+
+
+def advised(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings whose parts worth keeping are replaced by one, which is free of all disturbances.
+
+    Parameters
+    ----------
+    recording
+        What was screened and fitted.
+    findings
+        Of the log and its axes; `keep_s` counts from the first sample of the recording.
+
+    Returns
+    -------
+    tuple of Finding
+        In the same order. `keep_s` counts from the start of the log, rounded inwards to 0.1 s; it is None if
+        no part is long enough, or the rests of a drive were fitted. If no part is left of a log that was
+        moved, but it has several rests, the advice names ``--rests``.
+    """
+    found = tuple(findings)
+    part, rests = (None, False) if any(f.code == "rests" for f in found) else _choice(recording, found)
+    start = recording.source.read.from_s if recording.source.read else 0.0
+    kept = part and _rounded(start + part[0], start + part[1])
+    return tuple(_with(finding, kept, rests=rests) for finding in found)
+
+
+def _choice(recording: Recording, findings: Sequence[Finding]) -> tuple[_Part | None, bool]:
+    """Return the part to keep, in s from the first sample, and whether to fit the rests instead of it."""
+    moved = any(is_motion(finding) for finding in findings)
+    # A motion at the start looks like a warm-up to the fit of an axis.
+    proposals = [finding for finding in findings if not (moved and finding.code in _WARM_UPS)]
+    part = _common_part(recording, proposals)
+    short = part is None or part[1] - part[0] < _duration_s(recording) / 2
+    return (None, True) if moved and short and _has_rests(recording) else (part, False)
+
+
+def _duration_s(recording: Recording) -> float:
+    return max((series.duration_s for series in recording.series), default=0.0)
+
+
+def _with(finding: Finding, kept: _Part | None, *, rests: bool) -> Finding:
+    advice = f"{finding.advice} {RESTS}".lstrip() if rests and is_motion(finding) else finding.advice
+    return replace(finding, advice=advice, keep_s=kept if finding.keep_s else None)
+
+
+def _common_part(recording: Recording, findings: Sequence[Finding]) -> _Part | None:
+    """Return what all proposals have in common, in s from the first sample, after a check; None if short."""
+    duration = _duration_s(recording)
+    part = _within((0.0, duration), findings, duration)
+    if part == (0.0, duration):
+        return None
+    for _ in range(_TRIES):
+        if part[1] - part[0] < min(_LONG_S, duration / 2):
+            return None
+        again = screen_values(recording.between(*part))
+        wrong = [finding for finding in again if finding.code in DISTURBED or finding.keep_s]
+        if not wrong:
+            return part
+        if any(finding.keep_s is None for finding in wrong):
+            return None
+        start, end = _within((0.0, part[1] - part[0]), wrong, part[1] - part[0])
+        part = part[0] + start, part[0] + end
+    return None
+
+
+def _within(part: _Part, findings: Sequence[Finding], duration: float) -> _Part:
+    """Return what is left of a part of a recording by the proposals of some findings."""
+    start, end = part
+    for finding in findings:
+        if finding.keep_s is None:
+            continue
+        clear, (first, last) = _CLEAR_S.get(finding.code, 0.0), finding.keep_s
+        # The ends of the recording are no jumps.
+        start = max(start, first + clear if first > 0 else first)
+        end = min(end, last - clear if last < duration - clear else last)
+    return start, max(start, end)
+
+
+def _has_rests(recording: Recording) -> bool:
+    """Return whether the rests of a recording can be fitted together."""
+    try:
+        rests = at_rest(recording)
+    except DataError:
+        return False
+    return not any(finding.level == "error" for finding in screen_values(rests))
+
+
+def _rounded(start: float, end: float) -> _Part:
+    """Return the part rounded inwards to 0.1 s."""
+    # A number that is one of 0.1 s already must not move by its last bits.
+    return math.ceil(start * 10 - 1e-6) / 10, math.floor(end * 10 + 1e-6) / 10

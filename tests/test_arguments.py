@@ -1,0 +1,107 @@
+"""Wrong arguments of public functions end in advice, and values show themselves in a few lines."""
+
+import inspect
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import imucal
+from imucal.errors import ArgumentError
+
+RECORDING = imucal.simulate("N=1e-4 + B=2e-5", rate_hz=20.0, duration=120.0)
+REPORT = imucal.fit(RECORDING, model="N")
+FIT = REPORT["gyro_x"].fit
+
+WRONG: list[tuple[Callable[[], object], str]] = [
+    (lambda: imucal.allan_curve(RECORDING), 'type imucal.allan_curve(recording["gyro_x"])'),  # type: ignore[arg-type]
+    (lambda: imucal.spectrum(RECORDING), 'type imucal.spectrum(recording["gyro_x"])'),  # type: ignore[arg-type]
+    (lambda: imucal.fit(RECORDING, axis="x"), 'for one axis type imucal.fit(recording["gyro_x"])'),  # type: ignore[call-overload]
+    (lambda: imucal.filter_numbers(FIT), 'type imucal.filter_numbers([report["gyro_x"].fit])'),  # type: ignore[arg-type]
+    (lambda: imucal.decompose(RECORDING), 'type imucal.decompose(recording["gyro_x"], report["gyro_x"].fit)'),  # type: ignore[call-arg,arg-type]
+    (lambda: imucal.drift(RECORDING), "type imucal.drift(imucal.fit(recording))"),  # type: ignore[arg-type]
+    (lambda: imucal.plan(RECORDING), "plan: source is a Recording"),  # type: ignore[arg-type]
+    (lambda: imucal.compare(REPORT, RECORDING), "compare: b is a Recording"),  # type: ignore[arg-type]
+    (lambda: imucal.characterize("log.mcap"), 'imucal.characterize(imucal.read("log.mcap"))'),  # type: ignore[arg-type]
+    (lambda: imucal.screen("log.mcap"), 'imucal.screen(imucal.read("log.mcap"))'),  # type: ignore[arg-type]
+    (lambda: imucal.at_rest("log.mcap"), 'imucal.at_rest(imucal.read("drive.mcap"))'),  # type: ignore[arg-type]
+    (lambda: imucal.load_report(3), "load_report: path is an int, expected a str or a Path"),  # type: ignore[arg-type]
+    (lambda: imucal.write_report(RECORDING, "out"), "write_report: report is a Recording"),  # type: ignore[arg-type]
+    (lambda: imucal.pool(RECORDING), "pool: fits is a Recording"),  # type: ignore[arg-type]
+    (lambda: imucal.read("log.mcap", tpic="/imu"), "read: got an unexpected keyword argument 'tpic'"),  # type: ignore[call-arg]
+    (imucal.read, "no log: name at least one file"),
+    (lambda: imucal.run_fleet(3), "run_fleet: logs is an int"),  # type: ignore[arg-type]
+    (lambda: imucal.simulate("N=1e-4", rate_hz=-1.0), "type simulate(model, rate_hz=200.0)"),
+    (lambda: imucal.simulate("Z=1e-4"), "is not understood; write a sum such as"),
+    (lambda: REPORT["gyro_x"]["N"].in_units("deg"), "'deg' is no unit of N; expected one of rad/s/sqrt(Hz)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "said"), WRONG, ids=[said for _, said in WRONG])
+def test_a_wrong_argument_is_answered_with_advice(call: Callable[[], object], said: str) -> None:
+    """It is an ArgumentError, which is a ValueError, too."""
+    with pytest.raises(ArgumentError) as caught:
+        call()
+    assert said in str(caught.value)
+
+
+def test_checked_functions_are_what_they_were() -> None:
+    """Name, signature and pickle; and right calls pass."""
+    assert list(inspect.signature(imucal.allan_curve).parameters) == ["series", "taus", "estimator", "edf"]
+    assert pickle.loads(pickle.dumps(imucal.allan_curve)) is imucal.allan_curve  # noqa: S301 - our own
+    assert imucal.allan_curve(RECORDING["gyro_x"]).n == RECORDING["gyro_x"].n
+
+
+def test_every_value_shows_itself_in_twelve_short_lines(tmp_path: Path) -> None:
+    """Reports, axes, estimates, curves, plans, comparisons, checks, drifts, logs and their parts."""
+    path = tmp_path / "log.csv"
+    imucal.simulate("N=1e-4", rate_hz=10.0, duration="1min", path=path)
+    axis = REPORT["gyro_x"]
+    values = [
+        *(RECORDING, RECORDING["gyro_x"], RECORDING["gyro_x"].clock, RECORDING.source, imucal.Settings()),
+        *(REPORT, axis, axis["N"], axis.fit, axis.fit.curve, axis.fit.model, axis.spectrum, axis.overview),
+        *(axis.fit.goodness, REPORT.verdict, imucal.plan(REPORT), imucal.compare(REPORT, REPORT)),
+        imucal.check(REPORT, "[gyroscope]\nN = { max = 1e-4 }\n"),
+        *(imucal.drift(REPORT), imucal.filter_numbers([axis.fit]), imucal.info(path)),
+        imucal.decompose(RECORDING["gyro_x"], axis.fit),
+    ]
+    for value in values:
+        lines = repr(value).splitlines()
+        assert len(lines) <= 12, type(value)
+        assert max(map(len, lines)) <= 250, type(value)
+    assert "N  " in repr(axis)
+
+
+def test_a_report_is_written_and_loaded_by_the_name_of_its_folder(tmp_path: Path) -> None:
+    """A text will do for both."""
+    imucal.write_report(REPORT, str(tmp_path / "out"), formats=(), html=False)
+    assert imucal.load_report(str(tmp_path / "out"))["gyro_x"]["N"].value == REPORT["gyro_x"]["N"].value
+
+
+def test_an_estimate_in_other_units() -> None:
+    """Those of data sheets by default; a bound has no value; limits follow."""
+    white, flicker = REPORT["gyro_x"]["N"], FIT["B"]
+    assert white.value is not None
+    sheet = white.in_units()
+    assert sheet.unit == "deg/sqrt(h)"
+    assert sheet.value == pytest.approx(white.value * 3437.7467707849396)
+    assert sheet.high == pytest.approx(white.high * 3437.7467707849396)
+    assert white.in_units("mdps/rtHz").value == pytest.approx(white.value * 57295.779513082325)
+    assert flicker.in_units("deg/h").value == (
+        flicker.value and pytest.approx(flicker.value * 206264.80624709636)
+    )
+
+
+def test_a_recording_has_a_rate_if_its_axes_share_one(tmp_path: Path) -> None:
+    """The simulated log can be read back; different rates are named."""
+    assert RECORDING.rate_hz == 20.0
+    path = tmp_path / "log.mcap"
+    made = imucal.simulate(
+        "N=0.3deg/sqrt(h)", "N=60ug/sqrt(Hz)", rate_hz=50.0, duration="20s", seed=4, path=path
+    )
+    assert imucal.read(path)["accel_z"].samples == pytest.approx(made["accel_z"].samples)
+    other = imucal.AxisSeries.from_samples(made["gyro_x"].samples, rate_hz=10.0, sensor="accelerometer")
+    mixed = imucal.Recording(source=made.source, series=(made["gyro_x"], other))
+    with pytest.raises(imucal.DataError, match="no common rate: gyro_x 50 Hz, accel_x 10 Hz"):
+        _ = mixed.rate_hz
