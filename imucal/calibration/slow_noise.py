@@ -26,6 +26,7 @@ from imucal.frozen import frozen, frozen_alone
 from imucal.noise import TERMS, NoiseModel
 
 __all__ = [
+    "TRUSTED",
     "AccelerometerEstimate",
     "Excess",
     "Mixture",
@@ -36,7 +37,7 @@ __all__ = [
 ]
 
 #: A base with a smaller p-value of its chi² is not used alone.
-_TRUSTED = 0.2
+TRUSTED = 0.2
 #: Cells of the grid in each direction, and its ends in deviations of the base between rests.
 _CELLS, _GRID_ENDS = 10, (0.05, 60.0)
 #: Rounds of estimating the excess and fitting again at its most likely size.
@@ -248,7 +249,7 @@ def estimate_accelerometer(
     free, covariances = first.free, base
     mixture = Mixture.single(first.theta[free], first.covariance[np.ix_(free, free)])
     excess = Excess()
-    if not (checked and (math.isnan(p) or p >= _TRUSTED)):
+    if not (checked and (math.isnan(p) or p >= TRUSTED)):
         spread = Spread.of(base, walk)
         for _ in range(_ROUNDS):
             _, J, weights = derivatives(means, fit.C, fit.b)

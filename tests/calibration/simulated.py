@@ -7,7 +7,11 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.calibration.accelerometer import LOWER
+from imucal.calibration.gravity import EARTH_RATE
+from imucal.calibration.turn_data import rotations
+from imucal.clock import Clock
 from imucal.noise import NoiseModel
+from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
 GRAVITY = 9.80665
 RATE = 100.0
@@ -77,6 +81,86 @@ def accelerometer_rests(
         samples=samples,
         true=np.concatenate([np.linalg.inv(truth.M_a)[LOWER], truth.b_a + noise.mean(axis=0)]),
         deviations=np.sqrt(np.mean([part.var(axis=0, ddof=1) for part in at_rest], axis=0)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A log: raw samples (n, 3), rests in samples (m, 2), true specific force and biases."""
+
+    accelerometer: FloatArray
+    gyroscope: FloatArray
+    spans: IntArray
+    f: FloatArray
+    b_a: FloatArray
+    b_g: FloatArray
+
+    def recording(self, rate_hz: float = RATE) -> Recording:
+        """Return it as if read from a file."""
+        clock = Clock.even(len(self.f), rate_hz)
+        series = tuple(
+            AxisSeries(sensor=sensor, axis=axis, samples=samples[:, k], clock=clock)
+            for sensor, samples in (
+                (Sensor.GYROSCOPE, self.gyroscope),
+                (Sensor.ACCELEROMETER, self.accelerometer),
+            )
+            for k, axis in enumerate(AXES)
+        )
+        return Recording(source=Source(path="simulated", format="simulated"), series=series)
+
+
+def log(
+    truth: Truth,
+    noise: tuple[NoiseModel, NoiseModel],
+    up: FloatArray,
+    rng: np.random.Generator,
+    *,
+    rest_s: float = 5.0,
+    turn_s: float = 2.0,
+    latitude: float | None = None,
+) -> Log:
+    """Return a log of rests with these up directions and smooth turns between, which also yaw.
+
+    `noise` is that of an accelerometer's and a gyroscope's axes. With a latitude the earth turns.
+    """
+    rest, turn = int(rest_s * RATE), int(turn_s * RATE)
+    bell = 1 - np.cos(2 * np.pi * (np.arange(turn) + 0.5) / turn)
+    bell *= RATE / bell.sum()
+    v, rates, directions = up[0], [np.zeros((rest, 3))], [np.tile(up[0], (rest, 1))]
+    # Axes of the body in an earth-fixed frame: up, and a horizontal direction.
+    north = np.cross(v, [0.6, 0.0, 0.8])
+    north /= np.linalg.norm(north)
+    norths = [np.tile(north, (rest, 1))]
+    for target in up[1:]:
+        axis = np.cross(v, target)
+        sine = np.linalg.norm(axis)
+        axis = axis / sine if sine > 1e-6 else np.cross(v, [0.6, 0.0, 0.8])
+        axis /= np.linalg.norm(axis)
+        rate = -axis * np.arctan2(sine, v @ target) * bell[:, None]
+        yaw, path, ends = rng.normal(0, 0.6) * bell, np.empty((turn, 3)), np.empty((turn, 3))
+        for k in range(turn):
+            rate[k] += yaw[k] * v
+            step = rotations(-rate[k] / RATE)
+            v, north = step @ v, step @ north
+            path[k], ends[k] = v, north
+        rates += [rate, np.zeros((rest, 3))]
+        directions += [path, np.tile(v, (rest, 1))]
+        norths += [ends, np.tile(north, (rest, 1))]
+    w, f = np.vstack(rates), np.vstack(directions) * GRAVITY
+    if latitude is not None:
+        phi = math.radians(latitude)
+        w += EARTH_RATE * (math.sin(phi) * f / GRAVITY + math.cos(phi) * np.vstack(norths))
+    e_a, e_g = (
+        np.column_stack([model.simulate(len(f), rate_hz=RATE, rng=rng) for _ in range(3)]) for model in noise
+    )
+    first = np.arange(len(up)) * (rest + turn)
+    return Log(
+        accelerometer=f @ truth.M_a.T + truth.b_a + e_a,
+        gyroscope=w @ truth.M_g.T + truth.b_g + f @ truth.G.T + e_g,
+        spans=np.column_stack([first, first + rest]),
+        f=f,
+        b_a=truth.b_a + e_a.mean(axis=0),
+        b_g=truth.b_g + e_g.mean(axis=0),
     )
 
 
