@@ -166,9 +166,7 @@ class _Sensor:
 
 def _require_rests(spans_s: FloatArray, data: Triad) -> None:
     if len(spans_s) < _FEWEST:
-        raise DataError(
-            f"found {len(spans_s)} rests in {data.end_s:.0f} s, expected {_FEWEST} or more; {_ADVICE}"
-        )
+        raise DataError(f"found {len(spans_s)} of at least {_FEWEST} rests in {data.end_s:.0f} s; {_ADVICE}")
 
 
 def _require_attitudes(means: FloatArray) -> None:

@@ -136,11 +136,13 @@ def log(
         sine = np.linalg.norm(axis)
         axis = axis / sine if sine > 1e-6 else np.cross(v, [0.6, 0.0, 0.8])
         axis /= np.linalg.norm(axis)
-        rate = -axis * np.arctan2(sine, v @ target) * bell[:, None]
-        yaw, path, ends = rng.normal(0, 0.6) * bell, np.empty((turn, 3)), np.empty((turn, 3))
-        for k in range(turn):
-            rate[k] += yaw[k] * v
-            step = rotations(-rate[k] / RATE)
+        angle = np.arctan2(sine, v @ target)
+        done = angle * np.concatenate([[0.0], np.cumsum(bell)[:-1]]) / RATE
+        rate = -axis * angle * bell[:, None]
+        # Turning about the vertical does not change its direction.
+        rate += (rng.normal(0, 0.6) * bell)[:, None] * (rotations(axis * done[:, None]) @ v)
+        path, ends = np.empty((turn, 3)), np.empty((turn, 3))
+        for k, step in enumerate(rotations(-rate / RATE)):
             v, north = step @ v, step @ north
             path[k], ends[k] = v, north
         rates += [rate, np.zeros((rest, 3))]
