@@ -91,22 +91,13 @@ class RestMeans(ReadOnlyArrays):
 
     @classmethod
     def of(cls, data: Triad, spans_s: FloatArray) -> "RestMeans":
-        """Return the means of the rests with these times, shape (m, 2), in s.
-
-        Raises
-        ------
-        DataError
-            If an axis never changes.
-        """
+        """Return the means of the rests with these times, shape (m, 2), in s."""
         spans = data.places(spans_s)
         parts = [data.samples[first:end] for first, end in spans]
         variances = np.array([part.var(axis=0, ddof=1) for part in parts])
         lengths = np.diff(spans, axis=1)[:, 0] - 1.0
         # Rounding alone has this variance: an axis whose noise is below half a step may not change at rest.
         steps = [step_of(data.samples[:, axis]) for axis in range(3)]
-        for axis, step in zip("xyz", steps, strict=True):
-            if step == 0:
-                raise DataError(f"{data.sensor.short}_{axis} never changes; check the driver and the cable")
         pooled = np.average(variances, axis=0, weights=lengths) if parts else np.zeros(3)
         return cls(
             spans=spans,
@@ -163,8 +154,15 @@ def find_rests(
         Shortest rest, in s.
     in_hand
         Count rates below 0.03 rad/s as rest, as in a hand.
+
+    Raises
+    ------
+    DataError
+        If an axis never changes.
     """
     sensors = [accelerometer] if gyroscope is None else [accelerometer, gyroscope]
+    for data in sensors:
+        _require_alive(data)
     window_s = max(_WINDOW_S, *(_WINDOW_SAMPLES / data.rate_hz for data in sensors))
     start = max(data.offset_s for data in sensors)
     count = int((min(data.end_s for data in sensors) - start) / window_s)
@@ -190,6 +188,15 @@ def find_rests(
         spread += np.sqrt(reference / (window_s * gyroscope.rate_hz))
         quiet &= (np.abs(mean - level) < np.maximum(_OFF_LEVEL * spread, still)).all(axis=1)
     return _runs(quiet, cut, edges, at_least_s)
+
+
+def _require_alive(data: Triad) -> None:
+    known = np.isfinite(data.samples)
+    spans = np.where(known, data.samples, -np.inf).max(axis=0) > np.where(known, data.samples, np.inf).min(
+        axis=0
+    )
+    if dead := [f"{data.sensor.short}_{axis}" for axis, alive in zip("xyz", spans, strict=True) if not alive]:
+        raise DataError(f"{', '.join(dead)} never changes; check the driver and the cable")
 
 
 def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ...]) -> FloatArray:

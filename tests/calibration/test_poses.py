@@ -144,9 +144,8 @@ def test_a_dead_axis_is_an_error() -> None:
     one = simulated(6706)
     dead = one.accelerometer.copy()
     dead[:, 1] = 0.25
-    accelerometer, _ = triads(replace(one, accelerometer=dead))
     with pytest.raises(DataError, match="accel_y never changes"):
-        RestMeans.of(accelerometer, one.spans / RATE)
+        find_rests(*triads(replace(one, accelerometer=dead)))
 
 
 def test_coarse_steps_have_the_deviation_of_rounding() -> None:
