@@ -20,7 +20,7 @@ BUDGET = {
     "fleet_report": Size(1808, 13725, 7),  # values of a log made where they are looked at
     "fleet_run": Size(1340, 8844, 5),  # call and command are one flow with one set of settings
     "checking": Size(1021, 7959, 4),  # configs of filters read back
-    "calibration": Size(2776, 19046, 14),  # bias, scale and misalignment from rests, with intervals
+    "calibration": Size(2778, 19069, 14),  # bias, scale and misalignment from rests, with intervals
     "noise": Size(1171, 7660, 5),  # models with units
     "screening": Size(1118, 8219, 4),  # g only where the mean vector agrees
     "remote": Size(1095, 6443, 4),  # progress by the furthest byte, redirects said in words
@@ -29,7 +29,7 @@ BUDGET = {
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
 # What real sensors and loggers do has taken 840 lines: clocks, smoothing, humps, warm-ups, lost samples.
 # Calibration from rests is a new feature: bias, scale, misalignment and g-sensitivity with intervals.
-IN_ALL = Size(50_944, 367_864, 212)
+IN_ALL = Size(50_946, 367_887, 212)
 #: Modules of the package that one fit with its report may load.
 LOADED = 130
 

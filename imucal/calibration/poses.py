@@ -6,7 +6,7 @@ A rest here lasts a second or more. `imucal.rests` serves noise fits and require
 import math
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import chdtri
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.mean_covariance import mean_covariance
@@ -218,12 +218,14 @@ def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ..
 
 
 def moved_rests(z: FloatArray) -> BoolArray:
-    """Return which rests moved, shape (m,), for `half_differences` of all axes, shape (m, a).
+    """Return which rests moved, shape (m,), for `half_differences` of all axes, shape (m, 3) or (m, 6).
 
-    One axis suffices. The limit is 4 deviations, or the one with a false alarm in 1 of 1 000 logs if higher.
+    A tilt moves two axes, so the squares of a sensor's axes are added: chi² with 3 degrees of freedom. The
+    limit is 4 deviations, or the one with a false alarm in 1 of 1 000 logs if that is higher.
     """
-    limit = max(_MOVED, -float(ndtri(_FALSE_ALARMS / 2 / max(z.size, 1))))
-    return np.asarray((np.abs(z) > limit).any(axis=1))
+    squares = (z.reshape(len(z), -1, 3) ** 2).sum(axis=2)
+    limit = max(_MOVED**2, float(chdtri(3, _FALSE_ALARMS / max(squares.size, 1))))
+    return np.asarray((squares > limit).any(axis=1))
 
 
 def attitudes(up: FloatArray) -> int:
