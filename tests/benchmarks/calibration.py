@@ -343,8 +343,9 @@ def real() -> None:
         held = arrays.keeping(out)
         carried = _carry(held, part.C)
         S = _covariance(held, carried, noise, directions, part.C)
-        S = S + carried.J @ part.covariance @ carried.J.T
-        inside.append(np.abs(carried.residual.ravel()) < 1.96 * np.sqrt(np.diag(S)))
+        # A misfit widens the noise of a turn as it widens the parameters.
+        S = S * part.widening**2 + carried.J @ part.covariance @ carried.J.T
+        inside.append(np.abs(carried.residual.ravel()) < part.quantile * np.sqrt(np.diag(S)))
     print(
         f"Xsens held-out turns inside 95 %: {np.sum(np.concatenate(inside))} of {np.concatenate(inside).size}"
     )
