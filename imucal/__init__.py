@@ -22,6 +22,7 @@ from imucal.resources import limit_pools
 
 if TYPE_CHECKING:
     from imucal.allan import AllanCurve, Spectrum, allan_curve, spectrum
+    from imucal.calibration import Calibration, calibrate
     from imucal.clock import Clock
     from imucal.comparison import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
@@ -54,19 +55,21 @@ if TYPE_CHECKING:
     from imucal.rests import at_rest
 
 __all__ = [
-    "AllanCurve", "AxisReport", "AxisSeries", "ChoiceError", "Clock", "DataError", "Decomposition", "Drift",
-    "FilterNumbers", "Finding", "Fleet", "FleetTerm", "ImucalError", "LogValue", "NoiseFit", "NoiseModel",
-    "NoiseVerdict", "PooledFit", "Population", "ReadError", "Recording", "Report", "Sensor", "SensorModel",
-    "Settings", "Spectrum", "WriteError", "__version__", "allan_curve", "at_rest", "avar_from_acvf",
-    "avar_from_psd", "characterize", "check", "check_fleet", "compare", "decompose", "drift", "export",
-    "filter_numbers", "fit", "fleet_as_report", "info", "load_fleet", "load_report", "log_values",
-    "model_as_report", "plan", "plot", "pool", "population", "read", "run_fleet", "screen",
-    "simulate", "spectrum", "write_fleet", "write_report",
+    "AllanCurve", "AxisReport", "AxisSeries", "Calibration", "ChoiceError", "Clock", "DataError",
+    "Decomposition", "Drift", "FilterNumbers", "Finding", "Fleet", "FleetTerm", "ImucalError",
+    "LogValue", "NoiseFit", "NoiseModel", "NoiseVerdict", "PooledFit", "Population", "ReadError",
+    "Recording", "Report", "Sensor", "SensorModel", "Settings", "Spectrum", "WriteError", "__version__",
+    "allan_curve", "at_rest", "avar_from_acvf", "avar_from_psd", "calibrate", "characterize", "check",
+    "check_fleet", "compare", "decompose", "drift", "export", "filter_numbers", "fit",
+    "fleet_as_report", "info", "load_fleet", "load_report", "log_values", "model_as_report", "plan",
+    "plot", "pool", "population", "read", "run_fleet", "screen", "simulate", "spectrum", "write_fleet",
+    "write_report",
 ]  # fmt: skip
 
 #: Module -> the public names that are loaded from it (PEP 562).
 _HOMES = {
     "allan": "AllanCurve Spectrum allan_curve spectrum",
+    "calibration": "Calibration calibrate",
     "clock": "Clock",
     "comparison": "compare",
     "errors": "ChoiceError DataError ImucalError ReadError WriteError",

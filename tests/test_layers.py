@@ -42,6 +42,7 @@ BELOW |= {
 BELOW["rests"] = BASE | {"screening"}
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
+BELOW["calibration"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BELOW["planning"]
 BELOW["advice"] = BASE | {"screening", "rests", "report"}

@@ -1,0 +1,360 @@
+"""Accelerometer bias, scale and misalignment from the length of gravity at rest.
+
+The model is f = C (raw - b) with lower triangular C: x of the frame is the sensor's x axis, and y lies in its
+x-y plane. The residual of a rest is |f| - g. Generalised least squares with the covariance of the rests'
+means gives C, b and their covariance.
+"""
+
+import math
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from imucal.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from imucal.errors import DataError
+from imucal.frozen import frozen, frozen_alone
+
+__all__ = [
+    "LOWER", "PARAMETERS", "AccelerometerFit", "Observability", "Status", "Suggestion", "derivatives",
+    "fit_accelerometer", "observability", "relative_size", "residual_covariance", "suggest_rest",
+]  # fmt: skip
+
+#: The parameters in the order of every covariance: the lower triangle of C by rows, then b.
+PARAMETERS = (
+    *("scale_x", "misalignment_yx", "scale_y", "misalignment_zx", "misalignment_zy", "scale_z"),
+    *("bias_x", "bias_y", "bias_z"),
+)
+#: Rows and columns of the lower triangle.
+LOWER = np.tril_indices(3)
+_DIAGONAL = np.array([True, False, True, False, False, True, True, True, True])
+
+#: Singular values below these shares of the largest: nothing is known; the interval is wide.
+_NOTHING, _WEAK = 1e-5, 1e-2
+#: A parameter is part of a direction if its component exceeds this.
+_PART = 1e-3
+#: Most Gauss-Newton steps, the step in standard deviations that ends them, and most halvings of a step.
+_STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
+#: Standard deviation of the misalignments that a diagonal model ignores, in rad: 2 % is a usual upper limit.
+_IGNORED_MISALIGNMENT = 0.01
+#: Relative deviation of a parameter before any rest; it only ranks attitudes to add.
+_PRIOR_DEVIATION = 0.1
+#: A direction's axes are listed if their components exceed this.
+_COMPONENT = 0.3
+
+Model: TypeAlias = Literal["full", "diagonal"]
+Status: TypeAlias = Literal["estimated", "weak", "not-observable"]
+
+
+@frozen_alone
+class Observability(ReadOnlyArrays):
+    """Singular values of the whitened Jacobian, shape (p,), and the status of each parameter."""
+
+    singular_values: FloatArray
+    statuses: tuple[Status, ...]
+
+
+@frozen_alone
+class AccelerometerFit(ReadOnlyArrays):
+    """A calibrated accelerometer: f = C (raw - b).
+
+    Attributes
+    ----------
+    C, b
+        Lower triangular matrix, shape (3, 3), in m/s² per raw unit; bias, shape (3,), in raw units.
+    covariance
+        Of `PARAMETERS`: the lower triangle of C by rows, then b, shape (9, 9); zero for fixed parameters.
+    free
+        Which parameters were fitted, shape (9,).
+    f, residual
+        Specific force of each rest, shape (m, 3), and |f| - g, shape (m,), in m/s².
+    jacobian, residual_covariance
+        Derivatives of the residuals, shape (m, 9), and their covariance, shape (m, m).
+    chi2, dof
+        Weighted sum of squares and its degrees of freedom.
+    """
+
+    C: FloatArray
+    b: FloatArray
+    covariance: FloatArray
+    free: BoolArray
+    f: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    residual_covariance: FloatArray
+    chi2: float
+    dof: int
+    observability: Observability
+
+    @property
+    def model(self) -> Model:
+        """`full` with nine parameters, `diagonal` without misalignment."""
+        return "full" if self.free.all() else "diagonal"
+
+    @property
+    def theta(self) -> FloatArray:
+        """The values of `PARAMETERS`, shape (9,)."""
+        return np.concatenate([self.C[LOWER], self.b])
+
+    @property
+    def up(self) -> FloatArray:
+        """Unit vectors of the specific force, shape (m, 3)."""
+        return np.asarray(self.f / np.linalg.norm(self.f, axis=1)[:, None])
+
+
+def derivatives(means: FloatArray, C: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return |f| of each rest, shape (m,), its derivatives in `PARAMETERS`, (m, 9), and in raw, (m, 3)."""
+    moved = means - b
+    f = moved @ C.T
+    norm = np.linalg.norm(f, axis=1)
+    up = f / norm[:, None]
+    weights = up @ C
+    return norm, np.column_stack([up[:, LOWER[0]] * moved[:, LOWER[1]], -weights]), weights
+
+
+def residual_covariance(weights: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return the covariance of residuals whose derivatives in the raw means are `weights`, shape (m, m)."""
+    return np.asarray(np.einsum("ia,aij,ja->ij", weights, covariances, weights))
+
+
+def fit_accelerometer(
+    means: FloatArray,
+    covariances: FloatArray,
+    *,
+    gravity: float,
+    gravity_sigma: float = 0.0,
+    model: Model | None = None,
+    start: tuple[FloatArray, FloatArray] | None = None,
+) -> AccelerometerFit:
+    """Fit C and b so that |C (mean - b)| is gravity at every rest.
+
+    Parameters
+    ----------
+    means
+        Mean raw accelerometer reading of each rest, shape (m, 3), in m/s² or any other unit.
+    covariances
+        Of the means of each axis, shape (3, m, m), in the square of their unit.
+    gravity, gravity_sigma
+        Length of gravity and its standard deviation, in m/s².
+    model
+        ``full`` (9 parameters) or ``diagonal`` (6, no misalignment). By default ``full`` if the rests
+        determine all nine, otherwise ``diagonal``. The covariance of a diagonal fit includes ignored
+        misalignments of 0.01 rad.
+    start
+        C and b to start from; by default an ellipsoid through the means, or each axis's extremes.
+
+    Raises
+    ------
+    DataError
+        If the rests do not determine bias and scale of each axis.
+    ValueError
+        If a full model is requested that the rests do not determine.
+    """
+    means = np.asarray(means, dtype=np.float64).reshape(-1, 3)
+    noise = np.asarray(covariances, dtype=np.float64)
+    extremes = _extremes(means, gravity)
+    if model != "diagonal" and len(means) >= len(PARAMETERS):
+        begin = start or _ellipsoid(means, gravity) or extremes
+        fit = _gauss_newton(means, noise, (gravity, gravity_sigma), begin, np.ones(9, dtype=np.bool_))
+        if "not-observable" not in fit.observability.statuses:
+            return fit
+    if model == "full":
+        raise ValueError("these rests do not determine all nine parameters")
+    fit = _gauss_newton(means, noise, (gravity, gravity_sigma), extremes, _DIAGONAL)
+    statuses = np.array(fit.observability.statuses)[_DIAGONAL]
+    if unknown := np.array(PARAMETERS)[_DIAGONAL][statuses == "not-observable"].tolist():
+        raise _undetermined(means, ", ".join(unknown).replace("_", " "))
+    return fit
+
+
+def _undetermined(means: FloatArray, what: str) -> DataError:
+    msg = (
+        f"{len(means)} rests do not determine {what} of the accelerometer; put the IMU down on each of its "
+        "six faces and on six edges, 5 s each"
+    )
+    return DataError(msg)
+
+
+def _ellipsoid(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return C and b of the algebraic ellipsoid through the means; None if the quadric is no ellipsoid."""
+    centre = means.mean(axis=0)
+    size = np.abs(means - centre).max()
+    if not size > 0:
+        return None
+    x, y, z = ((means - centre) / size).T
+    design = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z])
+    p = np.linalg.lstsq(design, np.ones(len(means)))[0]
+    A = np.array([[p[0], p[3], p[4]], [p[3], p[1], p[5]], [p[4], p[5], p[2]]])
+    if np.linalg.matrix_rank(A) < 3:
+        return None
+    offset = -np.linalg.solve(A, p[6:])
+    A = A / (1 + offset @ A @ offset)
+    if np.linalg.eigvalsh(A).min() <= 0:
+        return None
+    # Cholesky of the matrix with reversed axes gives A = C'C with C lower triangular.
+    C = np.linalg.cholesky(A[::-1, ::-1])[::-1, ::-1].T * (gravity / size)
+    return C, centre + size * offset
+
+
+def _extremes(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
+    """Return diagonal C and b from the least and largest mean of each axis."""
+    low, high = (means.min(axis=0), means.max(axis=0)) if len(means) else (np.zeros(3), np.zeros(3))
+    if constant := [axis for axis, same in zip("xyz", high <= low, strict=True) if same]:
+        raise _undetermined(means, f"bias and scale of {', '.join(constant)}")
+    return np.diag(2 * gravity / (high - low)), (high + low) / 2
+
+
+def _gauss_newton(
+    means: FloatArray,
+    noise: FloatArray,
+    gravity: tuple[float, float],
+    start: tuple[FloatArray, FloatArray],
+    free: BoolArray,
+) -> AccelerometerFit:
+    """Return the generalised least squares fit of the free parameters."""
+    C, b = (np.array(value, dtype=np.float64) for value in start)
+    fixed = ~free
+    for step_number in range(_STEPS + 1):
+        norm, J, weights = derivatives(means, C, b)
+        S0 = residual_covariance(weights, noise)
+        S = S0 + gravity[1] ** 2
+        if fixed.any():
+            # An ignored misalignment of one radian changes C_kl by about C_ll.
+            ignored = J[:, fixed] * (np.diag(C)[LOWER[1]][fixed[:6]] * _IGNORED_MISALIGNMENT)
+            S = S + ignored @ ignored.T
+        residual = norm - gravity[0]
+        L = np.linalg.cholesky(S)
+        Jw = solve_triangular(L, J[:, free], lower=True)
+        rw = solve_triangular(L, residual, lower=True)
+        size = np.linalg.norm(Jw, axis=0)
+        size[size == 0] = 1.0
+        step = np.linalg.lstsq(Jw / size, -rw, rcond=_NOTHING / 10)[0]
+        if np.all(np.abs(step) < _SMALL_STEP * max(1.0, math.sqrt(float(rw @ rw)))) or step_number == _STEPS:
+            break
+        change = np.zeros(9)
+        change[free] = step / size
+        # A full step can leave the region where the residuals are linear: halve it until they decrease.
+        for _ in range(_HALVINGS):
+            following = C.copy()
+            following[LOWER] += change[:6]
+            moved = (means - b - change[6:]) @ following.T
+            after = solve_triangular(L, np.linalg.norm(moved, axis=1) - gravity[0], lower=True)
+            if np.all(np.diag(following) > 0) and after @ after <= rw @ rw:
+                break
+            change /= 2
+        else:
+            break
+        C, b = following, b + change[6:]
+    covariance = np.zeros((9, 9))
+    covariance[np.ix_(free, free)] = np.linalg.pinv((Jw / size).T @ (Jw / size), rcond=1e-13) / np.outer(
+        size, size
+    )
+    return AccelerometerFit(
+        C=C,
+        b=b,
+        covariance=covariance,
+        free=free,
+        f=(means - b) @ C.T,
+        residual=residual,
+        jacobian=J,
+        residual_covariance=S,
+        chi2=float(rw @ rw),
+        dof=len(means) - int(free.sum()),
+        # An unknown gravity must not make the scales look weak: it is reported by itself.
+        observability=observability(J * relative_size(C, gravity[0]), S0, free),
+    )
+
+
+def relative_size(C: FloatArray, gravity: float) -> FloatArray:
+    """Return the sizes of `PARAMETERS` that change f by about gravity, shape (9,)."""
+    return np.concatenate([np.diag(C)[LOWER[1]], gravity / np.diag(C)])
+
+
+def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> Observability:
+    """Return which parameters the residuals determine.
+
+    A parameter is ``not-observable`` if it is not free or has a part in a direction whose singular value is
+    below 1e-5 of the largest, and ``weak`` if directions below 1e-2 cause most of its variance.
+
+    Parameters
+    ----------
+    J, S
+        Derivatives of the residuals in parameters of comparable size, shape (m, p), and the covariance of the
+        residuals, shape (m, m).
+    free
+        Which parameters are fitted, shape (p,).
+    """
+    Jw = solve_triangular(np.linalg.cholesky(S), J[:, free], lower=True)
+    _, values, V = np.linalg.svd(Jw, full_matrices=True)
+    values = np.concatenate([values, np.zeros(V.shape[0] - values.size)])
+    nothing, weak = (values <= share * values[0] for share in (_NOTHING, _WEAK))
+    unseen = (np.abs(V[nothing]) > _PART).any(axis=0)
+    variances = V[~nothing] ** 2 / values[~nothing, None] ** 2
+    mostly_weak = variances[weak[~nothing]].sum(axis=0) > 0.5 * variances.sum(axis=0)
+    statuses: list[Status] = ["not-observable"] * free.size
+    for at, is_unseen, is_weak in zip(np.flatnonzero(free), unseen, mostly_weak, strict=True):
+        statuses[at] = "not-observable" if is_unseen else "weak" if is_weak else "estimated"
+    return Observability(singular_values=values, statuses=tuple(statuses))
+
+
+@frozen
+class Suggestion:
+    """An attitude that would help most.
+
+    `down` is the unit vector of gravity in the frame of the accelerometer, `text` its description.
+    `parameter` is the least certain parameter now; `ratio` is the worst relative deviation after one more
+    rest there, divided by the one now.
+    """
+
+    down: tuple[float, float, float]
+    text: str
+    parameter: str
+    ratio: float
+
+
+def suggest_rest(fit: AccelerometerFit, *, gravity: float) -> Suggestion:
+    """Return the attitude whose rest reduces the worst relative deviation most.
+
+    Deviations are relative: of C to the scale of its axis, of b to gravity. The added rest has the median
+    variance of the existing ones.
+    """
+    up = _candidates()
+    size = relative_size(fit.C, gravity)
+    J = (
+        np.column_stack(
+            [up[:, LOWER[0]] * (gravity * up @ np.linalg.inv(fit.C).T)[:, LOWER[1]], -(up @ fit.C)]
+        )
+        * size
+    )
+    Jw = solve_triangular(np.linalg.cholesky(fit.residual_covariance), fit.jacobian * size, lower=True)
+    covariance = np.linalg.inv(Jw.T @ Jw + np.eye(9) / _PRIOR_DEVIATION**2)
+    variance = float(np.median(np.diag(fit.residual_covariance)))
+    gain = J @ covariance
+    after = np.diag(covariance) - gain**2 / (variance + np.einsum("ij,ij->i", gain, J))[:, None]
+    best = int(np.argmin(after.max(axis=1)))
+    worst = int(np.argmax(np.diag(covariance)))
+    down = -up[best]
+    ratio = math.sqrt(after[best].max() / covariance[worst, worst])
+    x, y, z = (float(value) for value in down)
+    return Suggestion(down=(x, y, z), text=describe_direction(down), parameter=PARAMETERS[worst], ratio=ratio)
+
+
+def describe_direction(down: FloatArray) -> str:
+    """Return words for a direction, such as ``down between -x and +z, 40° from -x``."""
+    order = [int(i) for i in np.argsort(-np.abs(down)) if abs(down[i]) > _COMPONENT]
+    names = [f"{'-' if down[i] < 0 else '+'}{'xyz'[i]}" for i in order]
+    if len(names) == 1:
+        return f"down along {names[0]}"
+    angle = math.degrees(math.acos(min(1.0, float(np.abs(down).max()))))
+    return f"down between {', '.join(names[:-1])} and {names[-1]}, {angle:.0f}° from {names[0]}"
+
+
+def _candidates() -> FloatArray:
+    """Return 300 even directions (Fibonacci lattice), then 26 faces, edges and corners, shape (326, 3)."""
+    k = np.arange(300) + 0.5
+    z, angle = 1 - 2 * k / 300, math.pi * (1 + math.sqrt(5)) * k
+    ring = np.sqrt(1 - z * z)
+    even = np.column_stack([np.cos(angle) * ring, np.sin(angle) * ring, z])
+    grid = np.stack(np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1], [-1.0, 0, 1]), axis=-1).reshape(-1, 3)
+    grid = grid[np.abs(grid).sum(axis=1) > 0]
+    return np.vstack([even, grid / np.linalg.norm(grid, axis=1)[:, None]])

@@ -1,0 +1,211 @@
+"""Findings of a calibration: what limits it, and what to do next."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.calibration.accelerometer import Suggestion
+from imucal.calibration.gravity import Gravity
+from imucal.calibration.noise_source import NoiseBase
+from imucal.calibration.parameters import Parameter
+from imucal.calibration.slow_noise import AccelerometerEstimate
+from imucal.calibration.turn_data import Turn
+from imucal.findings import Finding
+from imucal.frozen import frozen_alone
+
+__all__ = ["Facts", "findings_of"]
+
+#: The base does not explain the residuals below this p-value of chi².
+_UNEXPLAINED = 0.01
+#: Rests shorter than this are short, in s.
+_SHORT_S = 2.0
+#: Temperatures that differ by more are a warm-up, in K; share of a random walk that suggests one.
+_WARMING_K, _WALK_SHARE = 2.0, 0.5
+#: An unknown earth rate is reported above this share of the deviation of G.
+_EARTH_SHARE = 1 / 3
+#: The noise report belongs to another sensor or unit if its samples vary by this factor more or less.
+_OTHER_NOISE = 3.0
+#: Most times listed.
+_LISTED = 4
+
+
+@frozen_alone
+class Facts:
+    """What the findings follow from; see `Calibration` and `AccelerometerEstimate`."""
+
+    gravity: Gravity
+    in_hand: bool
+    z: FloatArray
+    spans_s: FloatArray
+    used: BoolArray
+    accelerometer: AccelerometerEstimate
+    parameters: Mapping[str, Parameter]
+    gyro_parameters: Mapping[str, Parameter]
+    suggestion: Suggestion
+    turns: tuple[Turn, ...]
+    trouble: str
+    earth_share: float
+    temperature: tuple[float, float, float] | None
+    bases: Mapping[str, NoiseBase]
+
+
+def findings_of(facts: Facts) -> tuple[Finding, ...]:
+    """Return the findings, errors first."""
+    every = (_rests, _noise, _warming, _place, _observability, _turns)
+    found = [finding for check in every for finding in check(facts)]
+    order = ("error", "warning", "info")
+    return tuple(sorted(found, key=lambda finding: order.index(finding.level)))
+
+
+def _rests(facts: Facts) -> Iterator[Finding]:
+    moved = np.flatnonzero(~facts.used)
+    if moved.size:
+        size = np.abs(facts.z[moved]).max()
+        text = (
+            f"{_count(moved.size, 'rest')} moved and {'is' if moved.size == 1 else 'are'} not used, at "
+            f"{_times(facts.spans_s[moved, 0])}: the halves differ by up to {size:.1f} deviations."
+        )
+        yield Finding("warning", "rest-moved", text, "Put the IMU on a firm surface and let go of it.")
+    if facts.in_hand:
+        text = "Rates up to 0.03 rad/s counted as rest; a hand's tremor is part of the intervals."
+        yield Finding("info", "in-hand", text, "Put the IMU down for shorter intervals.")
+    lengths = np.diff(facts.spans_s, axis=1)[:, 0]
+    short = lengths < _SHORT_S
+    if short.any():
+        cost = 100 * (math.sqrt(5.0 / float(np.median(lengths[short]))) - 1)
+        text = (
+            f"{_count(int(short.sum()), 'rest')} of {len(lengths)} last less than {_SHORT_S:g} s; the white "
+            f"noise of their means is {cost:.0f} % larger than that of 5 s."
+        )
+        yield Finding("info", "short", text, "Leave the IMU alone for 5 s in each attitude.")
+
+
+def _noise(facts: Facts) -> Iterator[Finding]:
+    for sensor, base in facts.bases.items():
+        if not 1 / _OTHER_NOISE < base.ratio < _OTHER_NOISE:
+            text = f"The noise models of {sensor} have {base.ratio:.3g} times the noise within the rests."
+            advice = "Check that the noise report is of the same sensor, range and unit."
+            yield Finding("warning", "noise-differs", text, advice, axis=sensor)
+    found = facts.accelerometer
+    if math.isnan(found.p):
+        m, p = found.fit.jacobian.shape[0], int(found.fit.free.sum())
+        text = f"{m} rests determine {p} parameters and leave nothing to check."
+        yield Finding("info", "unchecked", text, "Add three rests or more.", axis="accel")
+    elif found.p < _UNEXPLAINED:
+        residual = found.fit.residual
+        rms, times = 1e3 * math.sqrt(float(np.mean(residual**2))), math.sqrt(found.chi2 / found.dof)
+        worst = facts.spans_s[facts.used][np.argsort(-np.abs(residual))[:3], 0]
+        text = (
+            f"The rests differ from gravity by {rms:.2g} mm/s² rms, {times:.2g} times the noise: "
+            f"nonlinearity, stress, tremor or temperature. The worst begin at {_times(worst)}."
+        )
+        # Without a noise report this is expected, and the intervals include it.
+        checked = any(base.checked for base in facts.bases.values())
+        advice = "Repeat the rests that differ most."
+        yield Finding("warning" if checked else "info", "beyond-noise", text, advice, axis="accel")
+
+
+def _warming(facts: Facts) -> Iterator[Finding]:
+    advice = "Calibrate 15 min after switching on, or repeat the first attitude at the end."
+    low, high = facts.temperature[1:] if facts.temperature else (0.0, 0.0)
+    if high - low > _WARMING_K:
+        text = f"The temperature went from {low:.1f} to {high:.1f} °C; bias and scale follow it."
+        yield Finding("warning", "warming", text, advice)
+    elif facts.accelerometer.p < _UNEXPLAINED and facts.accelerometer.excess.walk_share > _WALK_SHARE:
+        text = "The residuals of the rests follow time, as during a warm-up."
+        yield Finding("warning", "warming", text, advice, axis="accel")
+
+
+def _place(facts: Facts) -> Iterator[Finding]:
+    place = facts.gravity
+    if place.origin == "unknown":
+        text = (
+            f"Gravity is taken as {place.value} m/s²; all scales of the accelerometer share an error "
+            f"of up to ±{196 * place.sigma / place.value:.1f} %."
+        )
+        advice = "Give the latitude, which reduces it to ±0.01 %."
+        yield Finding("warning", "gravity-unknown", text, advice, axis="accel")
+    if facts.earth_share > _EARTH_SHARE:
+        share = f"{100 * facts.earth_share:.0f} %"
+        text = f"The unknown earth rate is {share} of the deviation of the g-sensitivity."
+        yield Finding("info", "earth-rate", text, "Give the latitude.", axis="gyro")
+
+
+#: Status of a parameter -> the finding about it.
+_STATUSES = {
+    "not-observable": Finding("warning", "not-observable", "not observable"),
+    "weak": Finding("warning", "weak", "weakly determined"),
+}
+
+
+def _observability(facts: Facts) -> Iterator[Finding]:
+    for status, finding in _STATUSES.items():
+        names = [name for name, parameter in facts.parameters.items() if parameter.status == status]
+        if names:
+            share = f"{100 * (1 - facts.suggestion.ratio):.0f} %"
+            text = f"Of the accelerometer, {_names(names)} {_are(names)} {finding.text}."
+            advice = (
+                f"Add a rest with {facts.suggestion.text}: it reduces the largest uncertainty by {share}."
+            )
+            yield replace(finding, text=text, advice=advice, axis="accel")
+        own = [name for name, parameter in facts.gyro_parameters.items() if parameter.status == status]
+        turned = [name for name in own if name.startswith(("scale", "misalignment"))]
+        if turned:
+            turns = [
+                f"about {axis} (start with {_others(axis)} down)" for axis in sorted({n[-1] for n in turned})
+            ]
+            text = f"Of the gyroscope, {_names(turned)} {_are(turned)} {finding.text}."
+            yield replace(finding, text=text, advice=f"Add turns {', '.join(turns)}.", axis="gyro")
+        if len(own) > len(turned):
+            text = f"The g-sensitivity of the gyroscope is {finding.text}."
+            yield replace(finding, text=text, advice="Add rests in six attitudes or more.", axis="gyro")
+
+
+def _others(axis: str) -> str:
+    return " or ".join(other for other in "xyz" if other != axis)
+
+
+def _are(names: list[str]) -> str:
+    return "is" if len(names) == 1 else "are"
+
+
+#: Why a turn is not used -> the finding about such turns.
+_TURNS = {
+    "wrong": Finding(
+        "warning", "turn-wrong", "differ from the others", "Turn more slowly; look for lost samples."
+    ),
+    "gap": Finding("warning", "turn-gap", "have missing samples", "Record without losses."),
+    "clipped": Finding("warning", "clipped", "exceed the range of the gyroscope", "Turn more slowly."),
+    "long": Finding("info", "turn-long", "last more than 60 s", "Turn within some seconds."),
+}
+
+
+def _turns(facts: Facts) -> Iterator[Finding]:
+    if facts.trouble:
+        text = f"{facts.trouble[0].upper()}{facts.trouble[1:]}."
+        yield Finding("error", "turns-unexplained", text, axis="gyro")
+    for why, finding in _TURNS.items():
+        own = [turn for turn in facts.turns if turn.why == why]
+        if own:
+            sizes = [math.hypot(*turn.residual_deg) for turn in own if turn.residual_deg]
+            by = f", by up to {max(sizes):.2g}°" if sizes else ""
+            starts = _times(turn.start_s for turn in own)
+            text = f"Turns that {finding.text}{by} are not used, at {starts}."
+            yield replace(finding, text=text, axis="gyro")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _times(times_s: Iterable[float]) -> str:
+    listed = [f"{time:.1f} s" for time in times_s]
+    more = len(listed) - _LISTED
+    return ", ".join(listed[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(name.replace("_", " ") for name in names)

@@ -1,0 +1,183 @@
+"""Gyroscope bias and g-sensitivity from the mean rates at rest.
+
+The mean rate of rest i is b + G f_i + M earth_i + noise. The vertical part of the earth's rotation is
+proportional to f and looks like a multiple of G; its horizontal part has an unknown heading and counts as
+noise of each rest.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import chdtrc
+
+from imucal.arrays import FloatArray, ReadOnlyArrays
+from imucal.calibration.gravity import EarthRate
+from imucal.calibration.slow_noise import TRUSTED, Excess, Mixture, Spread, mix
+from imucal.frozen import frozen_alone
+
+__all__ = ["GyroRest", "estimate_gyro_rest"]
+
+#: G is used if chi² of its nine entries has a smaller p-value.
+_SIGNIFICANT = 0.01
+#: Fewest rests beyond the parameters of one axis for G.
+_FEWEST_BEYOND = 2
+
+
+@frozen_alone
+class GyroRest(ReadOnlyArrays):
+    """Bias and g-sensitivity of a gyroscope.
+
+    Attributes
+    ----------
+    b, b_interval
+        Bias, shape (3,), in raw units, and its 95 % interval, shape (3, 2).
+    G
+        What to apply, shape (3, 3), in raw units per m/s²: zero unless `significant`.
+    G_estimate, G_interval, G_covariance
+        The estimate, its 95 % intervals, shape (3, 3, 2), and covariance by rows, shape (9, 9). NaN if the
+        rests do not determine it.
+    G_apparent
+        G with the vertical part of the earth's rotation, which a correction in the earth's frame needs.
+    significant, p_G
+        Whether chi² of the nine entries has p < 0.01, and p.
+    earth_share
+        Standard deviation of the diagonal of G from an unknown earth rate, divided by its whole deviation.
+    excess
+        Slow noise of each axis beyond the base.
+    chi2, dof, p
+        Of the base alone, all axes.
+    residual
+        Mean rate minus the model, shape (m, 3), in raw units.
+    """
+
+    b: FloatArray
+    b_interval: FloatArray
+    G: FloatArray
+    G_estimate: FloatArray
+    G_interval: FloatArray
+    G_covariance: FloatArray
+    G_apparent: FloatArray
+    significant: bool
+    p_G: float
+    earth_share: float
+    excess: tuple[Excess, ...]
+    chi2: float
+    dof: int
+    p: float
+    residual: FloatArray
+
+
+def estimate_gyro_rest(
+    means: FloatArray,
+    f: FloatArray,
+    base: FloatArray,
+    walk: FloatArray,
+    *,
+    scale: FloatArray,
+    earth: EarthRate,
+    gravity: float,
+    checked: bool,
+) -> GyroRest:
+    """Estimate bias and g-sensitivity by generalised least squares, axis by axis.
+
+    Parameters
+    ----------
+    means
+        Mean raw rate of each rest, shape (m, 3).
+    f
+        Calibrated specific force of each rest, shape (m, 3), in m/s².
+    base, walk
+        Covariance of the means by the noise model, shape (3, m, m), and `walk_covariance`, shape (m, m).
+    scale
+        M_g, shape (3, 3), in raw units per rad/s.
+    earth, gravity
+        At the place of the log; gravity in m/s².
+    checked
+        True if `base` is a model of a long static log, which is used alone if its chi² has p >= 0.2.
+    """
+    m = len(means)
+    size = np.linalg.norm(scale, axis=1)
+    base = base + (size * earth.horizontal_sigma)[:, None, None] ** 2 * np.eye(m)
+    full = np.column_stack([np.ones(m), f])
+    known = m >= full.shape[1] + _FEWEST_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
+    X = full if known else full[:, :1]
+    fits = _axes(means, X, base, walk)
+    chi2, dof = sum(chi2 for *_, chi2 in fits), 3 * (m - X.shape[1])
+    p = float(chdtrc(dof, chi2)) if dof else math.nan
+    trusted = checked and not p < TRUSTED
+    turning = scale * earth.vertical / gravity
+    unsure = (scale * earth.vertical_sigma / gravity).ravel()
+    sensitivity = _sensitivity([first if trusted else mixed for first, mixed, *_ in fits], turning, unsure)
+    significant = sensitivity.p < _SIGNIFICANT
+    applied = sensitivity.G if significant else np.zeros((3, 3))
+    if not significant:
+        fits = _axes(means - f @ turning.T, full[:, :1], base, walk)
+    chosen = [(first, Excess()) if trusted else (mixed, excess) for first, mixed, excess, _ in fits]
+    b = np.array([mixture.mean[0] for mixture, _ in chosen])
+    halves = np.array([mixture.interval(np.eye(mixture.mean.size)[:1])[0] for mixture, _ in chosen])
+    return GyroRest(
+        b=b,
+        b_interval=b[:, None] + halves,
+        G=applied,
+        G_estimate=sensitivity.G,
+        G_interval=sensitivity.interval,
+        G_covariance=sensitivity.covariance,
+        G_apparent=applied + turning,
+        significant=significant,
+        p_G=sensitivity.p,
+        earth_share=sensitivity.earth_share,
+        excess=tuple(excess for _, excess in chosen),
+        chi2=chi2,
+        dof=dof,
+        p=p,
+        residual=means - b - f @ (applied + turning).T,
+    )
+
+
+class _Sensitivity(NamedTuple):
+    """The estimate of G (3, 3), its covariance (9, 9) and intervals (3, 3, 2), p, and `earth_share`."""
+
+    G: FloatArray
+    covariance: FloatArray
+    interval: FloatArray
+    p: float
+    earth_share: float
+
+
+def _sensitivity(mixtures: list[Mixture], turning: FloatArray, unsure: FloatArray) -> _Sensitivity:
+    """Return G without the earth's rotation `turning`, whose deviation is `unsure`, shape (9,)."""
+    if mixtures[0].mean.size == 1:
+        nothing = np.full((3, 3), np.nan), np.full((9, 9), np.nan), np.full((3, 3, 2), np.nan)
+        return _Sensitivity(*nothing, p=math.nan, earth_share=0.0)
+    G = np.array([mixture.mean[1:] for mixture in mixtures]) - turning
+    covariance = np.outer(unsure, unsure)
+    interval = np.empty((3, 3, 2))
+    for axis, mixture in enumerate(mixtures):
+        rows = slice(3 * axis, 3 * axis + 3)
+        own = np.diag(mixture.covariance)[1:]
+        covariance[rows, rows] += mixture.covariance[1:, 1:]
+        wider = np.sqrt(np.diag(covariance)[rows] / own)
+        interval[axis] = G[axis, :, None] + mixture.interval(np.eye(4)[1:]) * wider[:, None]
+    share = math.sqrt(float((unsure[::4] ** 2).sum() / np.diag(covariance)[::4].sum()))
+    p = float(chdtrc(9, G.ravel() @ np.linalg.solve(covariance, G.ravel())))
+    return _Sensitivity(G, covariance, interval, p, share)
+
+
+def _axes(
+    means: FloatArray, X: FloatArray, base: FloatArray, walk: FloatArray
+) -> list[tuple[Mixture, Mixture, Excess, float]]:
+    return [_axis(y, X, K, walk) for y, K in zip(means.T, base, strict=True)]
+
+
+def _axis(
+    y: FloatArray, X: FloatArray, K: FloatArray, walk: FloatArray
+) -> tuple[Mixture, Mixture, Excess, float]:
+    """Return an axis's parameters by the base alone and with slow noise, its excess, and the base's chi²."""
+    L = np.linalg.cholesky(K)
+    Xw, yw = (solve_triangular(L, values, lower=True) for values in (X, y))
+    covariance = np.linalg.inv(Xw.T @ Xw)
+    theta = covariance @ (Xw.T @ yw)
+    mixed, excess, _ = mix(X @ theta - y, X, theta, (K, np.ones(len(y)), walk), Spread.of(K[None], walk))
+    return Mixture.single(theta, covariance), mixed, excess, float(np.sum((yw - Xw @ theta) ** 2))

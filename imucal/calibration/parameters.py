@@ -1,0 +1,128 @@
+"""Parameters as users see them: scale error, misalignment, bias and g-sensitivity, with intervals."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.calibration.accelerometer import LOWER, PARAMETERS, Status
+from imucal.calibration.gyro_rest import GyroRest
+from imucal.calibration.slow_noise import AccelerometerEstimate
+from imucal.calibration.turns import TurnsFit
+from imucal.frozen import frozen
+
+__all__ = ["Parameter", "accelerometer_parameters", "gyroscope_parameters", "is_si"]
+
+#: Scales within this factor of 1 are scale errors; others belong to raw counts or another unit.
+_SI = 1.5
+_NINE = [(i, j) for i in range(3) for j in range(3)]
+
+
+@frozen
+class Parameter:
+    """A value with its 95 % interval.
+
+    `unit` is ``%`` for a scale error, ``raw/(m/s^2)`` or ``raw/(rad/s)`` for the scale of raw counts,
+    ``deg`` for a misalignment, the sensor's unit for a bias and ``(rad/s)/(m/s^2)`` for g-sensitivity.
+    `status` is ``estimated``, ``weak``, ``not-significant`` (estimated, but 0 is applied) or
+    ``not-observable``, and then value, low and high are None.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    unit: str
+    status: str
+
+    @property
+    def half_width(self) -> float | None:
+        """Half of the interval's width."""
+        return None if self.low is None or self.high is None else (self.high - self.low) / 2
+
+
+def is_si(M: FloatArray) -> bool:
+    """Return whether a matrix is near 1, as of a sensor in SI units."""
+    scales = np.linalg.norm(M, axis=1)
+    return bool(np.all((scales < _SI) & (scales > 1 / _SI)))
+
+
+def accelerometer_parameters(found: AccelerometerEstimate) -> Mapping[str, Parameter]:
+    """Return the nine parameters of an accelerometer by the names in `PARAMETERS`."""
+    C = np.zeros((3, 3))
+    C[LOWER] = found.theta[:6]
+    values, rows, units = _seen(_inverse(C), list(zip(*LOWER, strict=True)), "m/s^2")
+    full = np.zeros((9, 9))
+    full[:6, :6] = rows
+    full[6:, 6:] = np.eye(3)
+    values = np.concatenate([values, found.theta[6:]])
+    units += ["m/s^2" if "%" in units else "raw"] * 3
+    intervals = values[:, None] + found.mixture.interval(full[:, found.fit.free])
+    return {
+        name: _parameter(value, interval, unit, status)
+        for name, value, interval, unit, status in zip(
+            PARAMETERS, values, intervals, units, found.fit.observability.statuses, strict=True
+        )
+    }
+
+
+def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str, Parameter]:
+    """Return scale_x …, misalignment_xy … (six), bias_x … and g_sensitivity_xx … (nine) of a gyroscope.
+
+    Without turns the first nine are not observable.
+    """
+    names = [f"scale_{'xyz'[i]}" if i == j else f"misalignment_{'xyz'[i]}{'xyz'[j]}" for i, j in _NINE]
+    statuses: tuple[Status, ...] = ("not-observable",) * 9
+    values, halves, units = np.zeros(9), np.zeros(9), ["%" if i == j else "deg" for i, j in _NINE]
+    if turns is not None:
+        statuses = turns.observability.statuses
+        values, rows, units = _seen(_inverse(turns.C), _NINE, "rad/s")
+        halves = turns.quantile * np.sqrt(np.einsum("ij,jk,ik->i", rows, turns.covariance, rows))
+    intervals = values[:, None] + halves[:, None] * np.array([-1.0, 1.0])
+    found = {
+        name: _parameter(value, interval, unit, status)
+        for name, value, interval, unit, status in zip(names, values, intervals, units, statuses, strict=True)
+    }
+    si = "%" in units
+    for axis, value, interval in zip("xyz", rest.b, rest.b_interval, strict=True):
+        found[f"bias_{axis}"] = _parameter(value, interval, "rad/s" if si else "raw", "estimated")
+    status = "estimated" if rest.significant else "not-significant"
+    for i, j in _NINE:
+        own = status if np.isfinite(rest.G_estimate[i, j]) else "not-observable"
+        unit = "(rad/s)/(m/s^2)" if si else "raw/(m/s^2)"
+        found[f"g_sensitivity_{'xyz'[i]}{'xyz'[j]}"] = _parameter(
+            rest.G_estimate[i, j], rest.G_interval[i, j], unit, own
+        )
+    return found
+
+
+def _seen(
+    M: FloatArray, entries: list[tuple[int, int]], unit: str
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Return scale errors in % and misalignments M_ij / M_ii in deg, their derivatives in C, and units."""
+    si = is_si(M)
+    values, rows, units = [], [], []
+    # dM = -M dC M
+    slopes = -np.einsum("ik,lj->ijkl", M, M)
+    degree = np.degrees(1.0)
+    for i, j in entries:
+        if i == j:
+            values.append(100 * (M[i, i] - 1) if si else M[i, i])
+            slope = slopes[i, i] * (100 if si else 1)
+            units.append("%" if si else f"raw/({unit})")
+        else:
+            values.append(degree * M[i, j] / M[i, i])
+            slope = degree * (slopes[i, j] - M[i, j] / M[i, i] * slopes[i, i]) / M[i, i]
+            units.append("deg")
+        rows.append([slope[entry] for entry in entries])
+    return np.array(values), np.array(rows), units
+
+
+def _inverse(C: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(C), dtype=np.float64)
+
+
+def _parameter(value: float, interval: FloatArray, unit: str, status: str) -> Parameter:
+    if status == "not-observable":
+        return Parameter(value=None, low=None, high=None, unit=unit, status=status)
+    low, high = (float(end) for end in interval)
+    return Parameter(value=float(value), low=low, high=high, unit=unit, status=status)

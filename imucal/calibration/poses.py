@@ -1,0 +1,279 @@
+"""Rests of a log in which the IMU is put down, turned and put down again.
+
+A rest here lasts a second or more. `imucal.rests` serves noise fits and requires 20 s.
+"""
+
+import math
+
+import numpy as np
+from scipy.special import chdtri
+
+from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from imucal.calibration.mean_covariance import mean_covariance
+from imucal.clock import Clock
+from imucal.errors import DataError
+from imucal.frozen import frozen_alone
+from imucal.noise import NoiseModel
+from imucal.recording import Recording, Sensor
+
+__all__ = [
+    "RestMeans",
+    "Triad",
+    "attitudes",
+    "find_rests",
+    "half_differences",
+    "moved_rests",
+    "step_of",
+    "triad",
+]
+
+#: Length of a window in s, and its fewest samples.
+_WINDOW_S, _WINDOW_SAMPLES = 0.2, 8
+#: Share of an axis's windows that gives its reference variance, and their fewest.
+_QUIETEST, _FEWEST_WINDOWS = 0.3, 10
+#: A window is quiet if its variances are below this multiple of the reference.
+_QUIET = 6.0
+#: Limits for the mean rate and for a jump of the accelerometer, in deviations.
+_OFF_LEVEL, _JUMP = 8.0, 8.0
+#: Time removed at both ends of a rest, in s.
+_CLEAR_S = 0.15
+#: In a hand: rates below this count as rest, in rad/s; so do accelerations that change it this much per s.
+_IN_HAND, _IN_HAND_JUMP = 0.03, 10.0
+#: A rest is excluded if its halves differ by this many deviations, or by more if there are many rests.
+_MOVED, _FALSE_ALARMS = 4.0, 1e-3
+#: Rests within this angle have the same attitude, in rad.
+_SAME_ATTITUDE = math.radians(10.0)
+
+
+@frozen_alone
+class Triad(ReadOnlyArrays):
+    """Three axes of one sensor on one even grid.
+
+    Attributes
+    ----------
+    sensor
+        Which one.
+    samples
+        Raw samples, shape (n, 3); NaN where samples are missing or unusable.
+    rate_hz
+        Sampling rate, in Hz.
+    offset_s
+        Time of the first sample after the first one of the accelerometer, in s.
+    """
+
+    sensor: Sensor
+    samples: FloatArray
+    rate_hz: float
+    offset_s: float = 0.0
+
+    def places(self, times_s: FloatArray) -> IntArray:
+        """Return the index of the first sample at or after each time, limited to the log."""
+        found = np.ceil((np.asarray(times_s) - self.offset_s) * self.rate_hz - 1e-6).astype(np.int64)
+        return np.clip(found, 0, len(self.samples))
+
+    @property
+    def end_s(self) -> float:
+        """Time after the last sample, in s from the first sample of the accelerometer."""
+        return self.offset_s + len(self.samples) / self.rate_hz
+
+
+@frozen_alone
+class RestMeans(ReadOnlyArrays):
+    """What one sensor measured in m rests.
+
+    `spans` are first sample and end of each, shape (m, 2); `means` shape (m, 3); `deviations` the standard
+    deviation of the samples within the rests, shape (3,).
+    """
+
+    spans: IntArray
+    means: FloatArray
+    deviations: FloatArray
+
+    @classmethod
+    def of(cls, data: Triad, spans_s: FloatArray) -> "RestMeans":
+        """Return the means of the rests with these times, shape (m, 2), in s."""
+        spans = data.places(spans_s)
+        parts = [data.samples[first:end] for first, end in spans]
+        variances = np.array([part.var(axis=0, ddof=1) for part in parts])
+        lengths = np.diff(spans, axis=1)[:, 0] - 1.0
+        # Rounding alone has this variance: an axis whose noise is below half a step may not change at rest.
+        steps = [step_of(data.samples[:, axis]) for axis in range(3)]
+        pooled = np.average(variances, axis=0, weights=lengths) if parts else np.zeros(3)
+        return cls(
+            spans=spans,
+            means=np.array([part.mean(axis=0) for part in parts]).reshape(-1, 3),
+            deviations=np.sqrt(np.maximum(pooled, np.array(steps) ** 2 / 12)),
+        )
+
+
+def triad(recording: Recording, sensor: Sensor) -> Triad | None:
+    """Return a sensor's axes on one grid; None if the recording has none of them.
+
+    Raises
+    ------
+    DataError
+        If only some of the three axes exist, or they have different clocks.
+    """
+    own = sorted((one for one in recording.series if one.sensor is sensor), key=lambda one: one.axis)
+    if not own:
+        return None
+    where = f"{recording.source.path}: the {sensor}"
+    if len(own) != 3:
+        names = ", ".join(series.axis for series in own)
+        raise DataError(f"{where} has only {names}; calibration needs x, y and z")
+    clock = own[0].clock
+    if len({(series.clock.segments, series.rate_hz) for series in own}) != 1:
+        raise DataError(f"{where} has a different clock for each axis; read it from one topic")
+    samples = np.full((clock.grid_size, 3), np.nan)
+    for column, series in zip(samples.T, own, strict=True):
+        column[clock.grid()] = np.where(series.usable, series.samples, np.nan)
+    return Triad(sensor=sensor, samples=samples, rate_hz=clock.rate_hz, offset_s=_offset_s(recording, clock))
+
+
+def _offset_s(recording: Recording, clock: Clock) -> float:
+    """Return the time of a clock's first sample after the accelerometer's; 0 without stamps."""
+    reference = next((s.clock for s in recording.series if s.sensor is Sensor.ACCELEROMETER), clock)
+    if clock.start_ns is None or reference.start_ns is None:
+        return 0.0
+    return (clock.start_ns - reference.start_ns) / 1e9
+
+
+def find_rests(
+    accelerometer: Triad, gyroscope: Triad | None, *, at_least_s: float = 1.0, in_hand: bool = False
+) -> FloatArray:
+    """Return start and end of each rest, shape (m, 2), in s from the first sample of the accelerometer.
+
+    Windows of 0.2 s are quiet if each axis varies little, no axis turns steadily and the accelerometer does
+    not jump. A rest is a run of quiet windows of at least `at_least_s`, with 0.15 s removed at each end.
+
+    Parameters
+    ----------
+    accelerometer, gyroscope
+        The sensors; without a gyroscope only the accelerometer is used.
+    at_least_s
+        Shortest rest, in s.
+    in_hand
+        Count rates below 0.03 rad/s as rest, as in a hand.
+
+    Raises
+    ------
+    DataError
+        If an axis never changes.
+    """
+    sensors = [accelerometer] if gyroscope is None else [accelerometer, gyroscope]
+    for data in sensors:
+        _require_alive(data)
+    window_s = max(_WINDOW_S, *(_WINDOW_SAMPLES / data.rate_hz for data in sensors))
+    start = max(data.offset_s for data in sensors)
+    count = int((min(data.end_s for data in sensors) - start) / window_s)
+    if count < _FEWEST_WINDOWS:
+        return np.zeros((0, 2))
+    edges = np.linspace(start, start + window_s * count, count + 1)
+    still = _IN_HAND if in_hand else 0.0
+    # A hand also changes the direction of gravity within a window.
+    tremors = {Sensor.ACCELEROMETER: still * _IN_HAND_JUMP * window_s, Sensor.GYROSCOPE: still / 2}
+    profiles = [_profile(data, edges) for data in sensors]
+    quiet = np.ones(count, dtype=np.bool_)
+    for data, (_, variance, reference) in zip(sensors, profiles, strict=True):
+        # NaN is not quiet: a gap ends a rest.
+        quiet &= (variance < np.maximum(_QUIET * reference, tremors[data.sensor] ** 2)).all(axis=1)
+    mean, _, reference = profiles[0]
+    jump = _JUMP * np.sqrt(2 * reference / (window_s * accelerometer.rate_hz))
+    cut = np.zeros(count, dtype=np.bool_)
+    cut[1:] = (np.abs(np.diff(mean, axis=0)) > jump + tremors[Sensor.ACCELEROMETER]).any(axis=1)
+    if gyroscope is not None and quiet.any():
+        mean, _, reference = profiles[1]
+        level = np.median(mean[quiet], axis=0)
+        spread = 1.4826 * np.median(np.abs(mean[quiet] - level), axis=0)
+        spread += np.sqrt(reference / (window_s * gyroscope.rate_hz))
+        quiet &= (np.abs(mean - level) < np.maximum(_OFF_LEVEL * spread, still)).all(axis=1)
+    return _runs(quiet, cut, edges, at_least_s)
+
+
+def _require_alive(data: Triad) -> None:
+    known = np.isfinite(data.samples)
+    spans = np.where(known, data.samples, -np.inf).max(axis=0) > np.where(known, data.samples, np.inf).min(
+        axis=0
+    )
+    if dead := [f"{data.sensor.short}_{axis}" for axis, alive in zip("xyz", spans, strict=True) if not alive]:
+        raise DataError(f"{', '.join(dead)} never changes; check the driver and the cable")
+
+
+def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ...]) -> FloatArray:
+    """Return the difference of the two half means of each rest and axis, in deviations, shape (m, 3).
+
+    The deviation follows from the noise models. If most differences are larger, their robust spread replaces
+    it: flicker that the models lack, or a trembling hand, does not exclude every rest.
+    """
+    first, end = rests.spans.T
+    middle = (first + end) // 2
+    halves = np.column_stack([first, middle, middle, end]).reshape(-1, 2)
+    means = np.array([data.samples[a:b].mean(axis=0) for a, b in halves]).reshape(-1, 2, 3)
+    z = np.empty((len(first), 3))
+    for axis, model in enumerate(models):
+        K = mean_covariance(model, halves, rate_hz=data.rate_hz, samples=len(data.samples))
+        variance = np.diag(K)[::2] + np.diag(K)[1::2] - 2 * np.diag(K, 1)[::2]
+        z[:, axis] = (means[:, 1, axis] - means[:, 0, axis]) / np.sqrt(variance)
+    return np.asarray(z / max(1.0, 1.4826 * float(np.median(np.abs(z)))))
+
+
+def moved_rests(z: FloatArray) -> BoolArray:
+    """Return which rests moved, shape (m,), for `half_differences` of all axes, shape (m, 3) or (m, 6).
+
+    A tilt moves two axes, so the squares of a sensor's axes are added: chi² with 3 degrees of freedom. The
+    limit is 4 deviations, or the one with a false alarm in 1 of 1 000 logs if that is higher.
+    """
+    squares = (z.reshape(len(z), -1, 3) ** 2).sum(axis=2)
+    limit = max(_MOVED**2, float(chdtri(3, _FALSE_ALARMS / max(squares.size, 1))))
+    return np.asarray((squares > limit).any(axis=1))
+
+
+def attitudes(up: FloatArray) -> int:
+    """Return how many attitudes differ by more than 10°, for unit vectors of shape (m, 3)."""
+    found: list[FloatArray] = []
+    for one in up:
+        if all(one @ other < math.cos(_SAME_ATTITUDE) for other in found):
+            found.append(one)
+    return len(found)
+
+
+def _profile(data: Triad, edges_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean and variance of each window and axis, shape (w, 3), and the reference variance, (3,)."""
+    places = data.places(edges_s)
+    count = np.diff(places)[:, None].astype(np.float64)
+    # Sums of squares lose digits unless the level is removed first.
+    level = np.nanmedian(data.samples, axis=0) if np.isfinite(data.samples).any() else np.zeros(3)
+    moved = data.samples[: places[-1]] - level
+    total = np.add.reduceat(moved, places[:-1], axis=0)
+    mean = total / count
+    variance = np.maximum((np.add.reduceat(moved**2, places[:-1], axis=0) - total * mean) / (count - 1), 0.0)
+    reference = np.empty(3)
+    for axis, own in enumerate(variance.T):
+        varying = np.sort(own[own > 0])
+        share = max(_FEWEST_WINDOWS, int(_QUIETEST * varying.size))
+        reference[axis] = np.median(varying[:share]) if varying.size else 0.0
+    return mean, variance, reference
+
+
+def _runs(quiet: BoolArray, cut: BoolArray, edges_s: FloatArray, at_least_s: float) -> FloatArray:
+    """Return the runs of quiet windows between cuts, without their ends."""
+    group = np.cumsum(cut | ~quiet | np.concatenate([[True], ~quiet[:-1]]))
+    found = []
+    for number in np.unique(group[quiet]):
+        at = np.flatnonzero((group == number) & quiet)
+        start, end = edges_s[at[0]] + _CLEAR_S, edges_s[at[-1] + 1] - _CLEAR_S
+        if end - start >= at_least_s:
+            found.append((start, end))
+    return np.array(found).reshape(-1, 2)
+
+
+def step_of(samples: FloatArray) -> float:
+    """Return the smallest difference between distinct values; 0 if there is one value only."""
+    different = np.diff(np.unique(samples[np.isfinite(samples)]))
+    # Values computed from counts differ by rounding too.
+    real = (
+        different[different > 1e-9 * np.abs(samples[np.isfinite(samples)]).max()]
+        if different.size
+        else different
+    )
+    return float(real.min()) if real.size else 0.0

@@ -1,0 +1,180 @@
+"""Results of a calibration, and how to apply them to a recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imucal.arrays import FloatArray, ReadOnlyArrays
+from imucal.calibration.accelerometer import Model, Suggestion
+from imucal.calibration.gravity import Gravity
+from imucal.calibration.gyro_rest import GyroRest
+from imucal.calibration.noise_source import NoiseBase
+from imucal.calibration.parameters import Parameter
+from imucal.calibration.poses import Triad, triad
+from imucal.calibration.slow_noise import Excess
+from imucal.calibration.turn_data import Turn
+from imucal.display import Displayed
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.frozen import frozen, frozen_alone
+from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
+
+__all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest", "at_other_times"]
+
+
+@frozen
+class Rest:
+    """One rest.
+
+    `mean_accel` and `mean_gyro` (None without a gyroscope) are raw; `residual` is |f| - g after calibration,
+    `before` that of the raw mean, and `sigma` the deviation of the residual, in m/s². `z` is the difference
+    of the halves that is furthest from 0, in deviations. `why` it is not used, or an empty text.
+    """
+
+    start_s: float
+    end_s: float
+    mean_accel: tuple[float, ...]
+    mean_gyro: tuple[float, ...] | None
+    up: tuple[float, ...]
+    residual: float
+    before: float
+    sigma: float | None
+    z: float
+    used: bool
+    why: str = ""
+
+
+@frozen_alone
+class AccelerometerResult(ReadOnlyArrays):
+    """f = C (raw - b), raw = M f + b.
+
+    `covariance` is that of the lower triangle of C by rows, then b, shape (9, 9). `diagonal_C` and
+    `diagonal_b` are the best fit without misalignment, for consumers that have no place for it. `model`,
+    `excess`, `chi2`, `dof`, `p` describe the fit; `p` is NaN if nothing could be checked. `suggestion` is the
+    rest that would help most.
+    """
+
+    C: FloatArray
+    M: FloatArray
+    b: FloatArray
+    covariance: FloatArray
+    parameters: Mapping[str, Parameter]
+    diagonal_C: FloatArray
+    diagonal_b: FloatArray
+    model: Model
+    excess: Excess
+    chi2: float
+    dof: int
+    p: float
+    suggestion: Suggestion
+
+
+@frozen_alone
+class GyroscopeResult(ReadOnlyArrays):
+    """w = C (raw - b - G f), raw = M w + b + G f.
+
+    `covariance_C` is that of C by rows, shape (9, 9). `G` is 0 unless it is significant; parameters contain
+    the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. C and M are the identity and the
+    covariance is 0 if `scaled` is false: then no turn could be used.
+    """
+
+    C: FloatArray
+    M: FloatArray
+    b: FloatArray
+    G: FloatArray
+    covariance_C: FloatArray
+    parameters: Mapping[str, Parameter]
+    chi2: float
+    dof: int
+    p: float
+    widening: float
+    scaled: bool
+    rest: GyroRest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Calibration(Displayed):
+    """A calibrated IMU; attributes are those of the JSON document.
+
+    Attributes
+    ----------
+    source, frame
+        The log, and the convention of the frame: ``kalibr``, the accelerometer's with lower triangular M.
+    gravity
+        Length, deviation and origin of gravity.
+    rests, turns
+        All that were found, with why some are not used.
+    accelerometer, gyroscope
+        The results; gyroscope is None without one.
+    temperature
+        Mean, lowest and highest in degrees Celsius, or None.
+    noise
+        The noise of each sensor, and where it comes from.
+    findings, verdict
+        What to know, and `good`, `look first` or `not usable`.
+    """
+
+    source: Source
+    gravity: Gravity
+    rests: tuple[Rest, ...]
+    turns: tuple[Turn, ...]
+    accelerometer: AccelerometerResult
+    gyroscope: GyroscopeResult | None
+    temperature: tuple[float, float, float] | None
+    noise: Mapping[str, NoiseBase]
+    findings: tuple[Finding, ...]
+    frame: str = field(default="kalibr")
+
+    @property
+    def accel(self) -> AccelerometerResult:
+        """Short for `accelerometer`."""
+        return self.accelerometer
+
+    @property
+    def gyro(self) -> GyroscopeResult | None:
+        """Short for `gyroscope`."""
+        return self.gyroscope
+
+    @property
+    def verdict(self) -> str:
+        """`good`, `look first` (a warning) or `not usable` (an error)."""
+        levels = {finding.level for finding in self.findings}
+        return "not usable" if "error" in levels else "look first" if "warning" in levels else "good"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording in m/s² and rad/s without bias, scale error, misalignment and g-sensitivity.
+
+        Raises
+        ------
+        DataError
+            If it has no accelerometer with three axes on one clock.
+        """
+        data = triad(recording, Sensor.ACCELEROMETER)
+        if data is None:
+            raise DataError(f"{recording.source.path}: no accelerometer, which the calibration needs")
+        f = (data.samples - self.accelerometer.b) @ self.accelerometer.C.T
+        corrected = {Sensor.ACCELEROMETER: f}
+        own = triad(recording, Sensor.GYROSCOPE)
+        if own is not None and self.gyroscope is not None:
+            part = at_other_times(data, f, own) @ self.gyroscope.G.T
+            corrected[Sensor.GYROSCOPE] = (own.samples - self.gyroscope.b - part) @ self.gyroscope.C.T
+
+        def corrected_series(series: AxisSeries) -> AxisSeries:
+            if series.sensor not in corrected:
+                return series
+            column = corrected[series.sensor][:, AXES.index(series.axis)]
+            return replace(series, samples=column[series.clock.grid()])
+
+        return replace(recording, series=tuple(corrected_series(series) for series in recording.series))
+
+
+def at_other_times(data: Triad, values: FloatArray, other: Triad) -> FloatArray:
+    """Return values of one sensor's samples, shape (n, 3), at the times of another's, by straight lines."""
+    same = data.rate_hz == other.rate_hz and other.offset_s == 0 and len(values) == len(other.samples)
+    if same and np.isfinite(values).all():
+        return values
+    times = np.arange(len(values)) / data.rate_hz
+    wanted = np.arange(len(other.samples)) / other.rate_hz + other.offset_s
+    known = np.isfinite(values).all(axis=1)
+    return np.column_stack([np.interp(wanted, times[known], column[known]) for column in values.T])

@@ -1,0 +1,299 @@
+"""Slow noise between rests: how much more the means differ than the noise model says, averaged over its size.
+
+The base covariance gets two terms: tau² for each rest and axis, and a random walk kappa. The likelihood of
+both is REML's, with half-Cauchy priors that scale with the base. An interval is a quantile of the mixture of
+normal distributions over a grid of (tau, kappa). Noise within short rests reveals neither flicker nor random
+walk over minutes, so these are never extrapolated from there.
+
+Source: Patterson & Thompson (1971), Biometrika 58, 545 (REML); Gelman (2006), Bayesian Analysis 1, 515
+(half-Cauchy prior).
+"""
+
+import math
+
+import numpy as np
+from scipy.special import chdtrc, ndtr
+
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
+from imucal.calibration.accelerometer import (
+    AccelerometerFit,
+    derivatives,
+    fit_accelerometer,
+    residual_covariance,
+)
+from imucal.calibration.mean_covariance import mean_covariance
+from imucal.frozen import frozen, frozen_alone
+from imucal.noise import TERMS, NoiseModel
+
+__all__ = [
+    "TRUSTED",
+    "AccelerometerEstimate",
+    "Excess",
+    "Mixture",
+    "Spread",
+    "estimate_accelerometer",
+    "mix",
+    "walk_covariance",
+]
+
+#: A base with a smaller p-value of its chi² is not used alone.
+TRUSTED = 0.2
+#: Cells of the grid in each direction, and its ends in deviations of the base between rests.
+_CELLS, _GRID_ENDS = 10, (0.05, 60.0)
+#: Rounds of estimating the excess and fitting again at its most likely size.
+_ROUNDS = 2
+_WALK = NoiseModel(terms=(TERMS["K"].of(1.0),))
+
+
+@frozen_alone
+class Mixture(ReadOnlyArrays):
+    """Parameters as a mixture of k normals: means (k, p), covariances (k, p, p), weights (k,)."""
+
+    means: FloatArray
+    covariances: FloatArray
+    weights: FloatArray
+
+    @classmethod
+    def single(cls, mean: FloatArray, covariance: FloatArray) -> "Mixture":
+        """Return one normal distribution."""
+        return cls(means=mean[None], covariances=covariance[None], weights=np.ones(1))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Shape (p,)."""
+        return np.asarray(self.weights @ self.means)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Shape (p, p)."""
+        apart = self.means - self.mean
+        within = np.einsum("k,kij->ij", self.weights, self.covariances)
+        return np.asarray(within + np.einsum("k,ki,kj->ij", self.weights, apart, apart))
+
+    def interval(self, rows: FloatArray, *, level: float = 0.95) -> FloatArray:
+        """Return the interval of each linear combination, minus its mean, shape (q, 2).
+
+        `rows`, shape (q, p), are the coefficients; the quantiles are those of the mixture.
+        """
+        centres = (self.means - self.mean) @ rows.T
+        deviations = np.sqrt(np.maximum(np.einsum("qi,kij,qj->kq", rows, self.covariances, rows), 0.0))
+        deviations = np.maximum(deviations, np.finfo(float).tiny)
+        targets = np.array([[(1 - level) / 2], [(1 + level) / 2]])
+        reach = (np.abs(centres) + 8 * deviations).max(axis=0)
+        low, high = np.tile(-reach, (2, 1)), np.tile(reach, (2, 1))
+        for _ in range(60):
+            middle = (low + high) / 2
+            share = np.einsum(
+                "k,kcq->cq", self.weights, ndtr((middle - centres[:, None]) / deviations[:, None])
+            )
+            low, high = np.where(share < targets, middle, low), np.where(share < targets, high, middle)
+        return np.asarray((low + high).T / 2)
+
+
+@frozen
+class Excess:
+    """Slow noise beyond the base.
+
+    `tau` is the deviation of each rest and axis, in raw units; `kappa` that of a random walk, in raw units
+    per √s; `walk_share` the share of the walk in the variance of both between rests.
+    """
+
+    tau: float = 0.0
+    kappa: float = 0.0
+    walk_share: float = 0.0
+
+
+@frozen
+class Spread:
+    """Sizes that scale the grid: deviation of the base between rests, and that of a walk with kappa = 1."""
+
+    base: float
+    walk: float
+
+    @classmethod
+    def of(cls, covariances: FloatArray, walk: FloatArray) -> "Spread":
+        """Return the sizes for covariances of means, shapes (a, m, m) and (m, m)."""
+        return cls(base=_between(np.mean(covariances, axis=0)), walk=_between(walk))
+
+
+def walk_covariance(spans: IntArray, *, rate_hz: float, samples: int) -> FloatArray:
+    """Return `mean_covariance` of a random walk with K = 1, shape (m, m)."""
+    return mean_covariance(_WALK, spans, rate_hz=rate_hz, samples=samples)
+
+
+def mix(
+    residual: FloatArray,
+    J: FloatArray,
+    theta: FloatArray,
+    parts: tuple[FloatArray, FloatArray, FloatArray],
+    spread: Spread,
+) -> tuple[Mixture, Excess, Excess]:
+    """Return the parameters over the grid of (tau, kappa), the mean excess and the most likely one.
+
+    Parameters
+    ----------
+    residual, J, theta
+        Residuals at `theta`, shape (m,); their derivatives, shape (m, p); the parameters, shape (p,).
+    parts
+        Covariances of the residuals, each (m, m): the base; tau = 1; kappa = 1.
+    spread
+        Sizes that scale grid and priors.
+    """
+    base, rest, walk = parts
+    shares, prior = _grid()
+    tau, kappa = (
+        side.ravel() for side in np.meshgrid(shares, shares * spread.base / spread.walk, indexing="ij")
+    )
+    tau = tau * spread.base
+    S = base + tau[:, None, None] ** 2 * spread_out(rest) + kappa[:, None, None] ** 2 * walk
+    size = np.linalg.norm(J / np.sqrt(np.diag(base))[:, None], axis=0)
+    L = np.linalg.cholesky(S)
+    both = np.column_stack([J / size, residual])
+    whitened = np.linalg.solve(L, np.broadcast_to(both, (tau.size, *both.shape)))
+    Jw, rw = whitened[:, :, :-1], whitened[:, :, -1]
+    N = np.linalg.inv(Jw.transpose(0, 2, 1) @ Jw)
+    step = -(N @ (Jw.transpose(0, 2, 1) @ rw[..., None]))[..., 0]
+    left = rw + (Jw @ step[..., None])[..., 0]
+    likelihood = (
+        -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+        + 0.5 * np.linalg.slogdet(N)[1]
+        - 0.5 * (left**2).sum(axis=1)
+        + np.log(np.outer(prior, prior).ravel())
+    )
+    weights = np.exp(likelihood - likelihood.max())
+    weights /= weights.sum()
+    mixture = Mixture(means=theta + step / size, covariances=N / np.outer(size, size), weights=weights)
+    best = int(np.argmax(likelihood))
+    mean = (math.sqrt(float(weights @ tau**2)), math.sqrt(float(weights @ kappa**2)))
+    return mixture, _excess(*mean, spread), _excess(float(tau[best]), float(kappa[best]), spread)
+
+
+def spread_out(part: FloatArray) -> FloatArray:
+    """Return a diagonal matrix for a vector of variances, shape (m,); a matrix as it is."""
+    return np.diag(part) if part.ndim == 1 else part
+
+
+@frozen_alone
+class AccelerometerEstimate(ReadOnlyArrays):
+    """An accelerometer's parameters with their distribution.
+
+    Attributes
+    ----------
+    fit
+        The fit at the most likely slow noise; its `free` and `observability` apply.
+    mixture
+        Distribution of the free parameters, p of nine.
+    excess
+        Slow noise beyond the base; zero if the base is trusted.
+    chi2, dof, p
+        Of the base alone; p is NaN without degrees of freedom.
+    covariances
+        Of the means of each axis with the most likely slow noise, shape (3, m, m).
+    """
+
+    fit: AccelerometerFit
+    mixture: Mixture
+    excess: Excess
+    chi2: float
+    dof: int
+    p: float
+    covariances: FloatArray
+
+    @property
+    def theta(self) -> FloatArray:
+        """Mean of all nine parameters, shape (9,); the fit's value for those that were fixed."""
+        theta = self.fit.theta.copy()
+        theta[self.fit.free] = self.mixture.mean
+        return theta
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of all nine parameters, shape (9, 9); zero for those that were fixed."""
+        full = np.zeros((9, 9))
+        full[np.ix_(self.fit.free, self.fit.free)] = self.mixture.covariance
+        return full
+
+
+def estimate_accelerometer(
+    means: FloatArray,
+    base: FloatArray,
+    walk: FloatArray,
+    *,
+    gravity: float,
+    gravity_sigma: float = 0.0,
+    checked: bool,
+) -> AccelerometerEstimate:
+    """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
+
+    Parameters
+    ----------
+    means
+        Mean raw readings of the rests, shape (m, 3).
+    base
+        Covariance of the means by the noise model, shape (3, m, m).
+    walk
+        `walk_covariance` of the rests, shape (m, m).
+    gravity, gravity_sigma
+        In m/s².
+    checked
+        True if `base` is a model of a long static log: it is used alone if its chi² has p >= 0.2, or if
+        nothing can be checked. False if it is only the white noise within the rests.
+
+    Raises
+    ------
+    DataError
+        If the rests do not determine bias and scale.
+    """
+    fit = first = fit_accelerometer(means, base, gravity=gravity, gravity_sigma=gravity_sigma)
+    p = float(chdtrc(first.dof, first.chi2)) if first.dof > 0 else math.nan
+    free, covariances = first.free, base
+    mixture = Mixture.single(first.theta[free], first.covariance[np.ix_(free, free)])
+    excess = Excess()
+    if not (checked and (math.isnan(p) or p >= TRUSTED)):
+        spread = Spread.of(base, walk)
+        for _ in range(_ROUNDS):
+            _, J, weights = derivatives(means, fit.C, fit.b)
+            # The rest of the covariance: unknown gravity and the misalignment that a diagonal model ignores.
+            own = residual_covariance(weights, covariances)
+            other = fit.residual_covariance - own
+            walks = weights @ weights.T * walk
+            parts = residual_covariance(weights, base) + other, (weights**2).sum(axis=1), walks
+            mixture, excess, likely = mix(fit.residual, J[:, free], fit.theta[free], parts, spread)
+            covariances = base + likely.tau**2 * np.eye(len(means)) + likely.kappa**2 * walk
+            start = (fit.C, fit.b) if first.model == "full" else None
+            fit = fit_accelerometer(
+                means,
+                covariances,
+                gravity=gravity,
+                gravity_sigma=gravity_sigma,
+                model=first.model,
+                start=start,
+            )
+    return AccelerometerEstimate(
+        fit=fit,
+        mixture=mixture,
+        excess=excess,
+        chi2=first.chi2,
+        dof=first.dof,
+        p=p,
+        covariances=covariances,
+    )
+
+
+def _between(covariance: FloatArray) -> float:
+    """Return the root mean square deviation of means from their own mean."""
+    m = len(covariance)
+    return math.sqrt(max(float(np.trace(covariance) - covariance.sum() / m) / max(m - 1, 1), 0.0))
+
+
+def _excess(tau: float, kappa: float, spread: Spread) -> Excess:
+    walk = (kappa * spread.walk) ** 2
+    return Excess(tau=tau, kappa=kappa, walk_share=walk / (walk + tau**2))
+
+
+def _grid() -> tuple[FloatArray, FloatArray]:
+    """Return sizes relative to the base, from negligible to far above it, and their half-Cauchy weights."""
+    edges = np.concatenate([[0.0], np.geomspace(*_GRID_ENDS, _CELLS - 1)])
+    middles = np.concatenate([[edges[1] / 2], np.sqrt(edges[1:-1] * edges[2:]), [1.5 * edges[-1]]])
+    below = np.concatenate([2 / math.pi * np.arctan(edges), [1.0]])
+    return middles, np.diff(below)

@@ -1,0 +1,188 @@
+"""Turns between rests as arrays, and where a fit of the gyroscope starts."""
+
+import math
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from imucal.errors import DataError
+from imucal.frozen import frozen, frozen_alone
+
+__all__ = ["Turn", "TurnData", "prepare_turns", "rotations", "start_of"]
+
+#: Median residual in rad above which a start is useless.
+_LOST = 0.3
+#: Common scales tried, and samples of the coarse turns they are tried on.
+_SCALES, _COARSE = 60, 40
+
+
+@frozen
+class Turn:
+    """One turn between two used rests; angles in degrees.
+
+    `residual_deg` and `before_deg` are the two components of the error with the calibration and before. `p`
+    is the p-value of the residual; None if the turn was not judged. `why` it is not used, or an empty text.
+    """
+
+    start_s: float
+    end_s: float
+    angle_deg: float
+    residual_deg: tuple[float, float] | None
+    before_deg: tuple[float, float] | None
+    p: float | None
+    used: bool
+    why: str = ""
+
+
+@frozen_alone
+class TurnData(ReadOnlyArrays):
+    """Turns as arrays, padded to the longest.
+
+    Attributes
+    ----------
+    rates
+        Raw rate minus bias and g-sensitivity, shape (t, n, 3); 0 beyond a turn's end.
+    spans
+        First sample and end of each, shape (t, 2).
+    share
+        Weight of the later rest in the interpolated bias, shape (t, n).
+    rests
+        Index of the rest before each turn; the next one follows it, shape (t,).
+    up
+        Unit vectors of the specific force at the m rests, shape (m, 3).
+    tau0
+        Sampling period, in s.
+    """
+
+    rates: FloatArray
+    spans: IntArray
+    share: FloatArray
+    rests: IntArray
+    up: FloatArray
+    tau0: float
+
+    def keeping(self, keep: BoolArray) -> "TurnData":
+        """Return the turns where `keep`, shape (t,), is true."""
+        return replace(
+            self,
+            rates=self.rates[keep],
+            spans=self.spans[keep],
+            share=self.share[keep],
+            rests=self.rests[keep],
+        )
+
+
+def prepare_turns(
+    samples: FloatArray,
+    rest_spans: IntArray,
+    rest_means: FloatArray,
+    up: FloatArray,
+    which: IntArray,
+    *,
+    rate_hz: float,
+    g_part: FloatArray | None = None,
+    g_part_at_rest: FloatArray | None = None,
+) -> TurnData:
+    """Return the turns as arrays.
+
+    Parameters
+    ----------
+    samples
+        Raw rates, shape (n, 3), finite inside the turns.
+    rest_spans, rest_means, up
+        Spans in samples, shape (m, 2), mean raw rates and unit vectors of the specific force, shape (m, 3).
+    which
+        Indices of the rests before the wanted turns.
+    rate_hz
+        Sampling rate, in Hz.
+    g_part, g_part_at_rest
+        G f at each sample and rest, shapes (n, 3) and (m, 3); by default 0.
+    """
+    first, end = rest_spans[which, 1], rest_spans[which + 1, 0]
+    index = first[:, None] + np.arange(int((end - first).max()))
+    live = index < end[:, None]
+    index = np.minimum(index, len(samples) - 1)
+    middle = rest_spans.mean(axis=1)
+    share = (index - middle[which, None]) / (middle[which + 1] - middle[which])[:, None]
+    local = rest_means - (0.0 if g_part_at_rest is None else g_part_at_rest)
+    bias = (1 - share)[..., None] * local[which, None] + share[..., None] * local[which + 1, None]
+    rates = samples[index] - bias - (0.0 if g_part is None else g_part[index])
+    return TurnData(
+        rates=np.where(live[..., None], rates, 0.0),
+        spans=np.column_stack([first, end]),
+        share=share,
+        rests=which,
+        up=up,
+        tau0=1 / rate_hz,
+    )
+
+
+def start_of(data: TurnData) -> FloatArray:
+    """Return the identity, or the common scale and, if necessary, the order of axes that explain the turns.
+
+    Raises
+    ------
+    DataError
+        If none does.
+    """
+    coarse = _coarse(data)
+    identity = np.eye(3)
+    if _misfit(coarse, identity) < _LOST:
+        return identity
+    whole = np.linalg.norm(coarse.rates.sum(axis=1), axis=1) * coarse.tau0
+    angle = np.arccos(np.clip(np.einsum("ti,ti->t", data.up[data.rests], data.up[data.rests + 1]), -1, 1))
+    # A turn about the vertical adds to the gyroscope's angle only: the ratio is a lower limit of the scale.
+    lowest = np.median(angle / np.maximum(whole, 1e-12))
+    best, least = identity, math.inf
+    for turned in _orders():
+        for scale in lowest * np.geomspace(0.5, 4.0, _SCALES):
+            if (misfit := _misfit(coarse, scale * turned)) < least:
+                best, least = scale * turned, misfit
+        if least < _LOST / 3:
+            return best
+    if least < _LOST:
+        return best
+    raise DataError(
+        "no scale of the gyroscope and no order of its axes explains the turns: the median error is "
+        f"{math.degrees(least):.0f}°; check that both sensors belong to one IMU and share one clock"
+    )
+
+
+def rotations(vectors: FloatArray) -> FloatArray:
+    """Return the rotation matrices of rotation vectors, shape (..., 3) to (..., 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    o = np.zeros_like(x)
+    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vectors.shape, 3)
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (cross @ cross)
+    )
+
+
+def _orders() -> list[FloatArray]:
+    """Return the 48 signed permutations of the axes, the identity first."""
+    return [
+        np.diag(np.array(signs)) @ np.eye(3)[list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+
+
+def _misfit(data: TurnData, C: FloatArray) -> float:
+    """Return the median angle between carried and measured directions, in rad."""
+    steps = rotations(-data.tau0 * data.rates @ C.T)
+    v = data.up[data.rests]
+    for k in range(steps.shape[1]):
+        v = np.einsum("tij,tj->ti", steps[:, k], v)
+    return float(np.median(np.linalg.norm(v - data.up[data.rests + 1], axis=1)))
+
+
+def _coarse(data: TurnData) -> TurnData:
+    """Return the turns with means over blocks of samples, for a quick look."""
+    t, n, _ = data.rates.shape
+    length = max(1, -(-n // _COARSE))
+    padded = np.zeros((t, -(-n // length) * length, 3))
+    padded[:, :n] = data.rates
+    return replace(data, rates=padded.reshape(t, -1, length, 3).mean(axis=2), tau0=data.tau0 * length)

@@ -1,0 +1,296 @@
+"""Gyroscope scale and misalignment from the direction of gravity before and after each turn.
+
+A turn goes from the end of one rest to the start of the next. The gyroscope, with C_g, carries the direction
+of gravity along; the accelerometer shows where it ends. Two components of the difference are the residuals.
+Their covariance includes the gyroscope's noise, the two bias estimates, and the error of both directions.
+"""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import chdtrc, stdtrit
+
+from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from imucal.calibration.accelerometer import LOWER, AccelerometerFit, Observability, observability
+from imucal.calibration.mean_covariance import mean_covariance
+from imucal.calibration.turn_data import TurnData, rotations, start_of
+from imucal.frozen import frozen_alone
+from imucal.noise import NoiseModel
+
+__all__ = ["GyroNoise", "TurnsFit", "direction_covariance", "fit_turns"]
+
+#: Most Gauss-Newton steps; the covariance is computed in these; the step in deviations that ends them.
+_STEPS, _UPDATES, _SMALL_STEP = 15, (0, 2), 1e-4
+#: Blocks of a turn whose weights on the gyroscope's noise are constant.
+_BLOCKS = 8
+#: A turn is wrong if its studentised residual has a smaller p-value; at most this share is excluded.
+_WRONG, _MOST_WRONG = 1e-4, 0.2
+#: Below this p-value of chi² the intervals are widened.
+_MISFIT = 0.05
+
+
+@frozen_alone
+class GyroNoise(ReadOnlyArrays):
+    """Noise of the three axes: models, further deviation of each rest's mean, shape (3,), and the rests.
+
+    `rest_spans` has shape (m, 2); `samples` is the length of the log.
+    """
+
+    models: tuple[NoiseModel, ...]
+    tau: FloatArray
+    rest_spans: IntArray
+    samples: int
+
+
+@frozen_alone
+class TurnsFit(ReadOnlyArrays):
+    """Scale and misalignment of a gyroscope: w = C (raw - b - G f).
+
+    Attributes
+    ----------
+    C, covariance
+        Shape (3, 3), in rad/s per raw unit; covariance of C by rows, shape (9, 9), widened if p < 0.05.
+    quantile
+        Half-width of a 95 % interval in deviations.
+    residual, before
+        Angle between the carried and the measured direction with C and with the start, shape (t, 2), in rad.
+    angle
+        Angle between the directions of gravity before and after, shape (t,), in rad.
+    p
+        p-value of each turn's studentised residual when it was judged, shape (t,).
+    used
+        Which turns the fit used, shape (t,).
+    chi2, dof, p_fit, widening
+        Of the turns used; the factor by which deviations were widened.
+    """
+
+    C: FloatArray
+    covariance: FloatArray
+    quantile: float
+    residual: FloatArray
+    before: FloatArray
+    angle: FloatArray
+    p: FloatArray
+    used: BoolArray
+    chi2: float
+    dof: int
+    p_fit: float
+    widening: float
+    observability: Observability
+
+
+@frozen_alone
+class _Carried(ReadOnlyArrays):
+    """Gravity carried along the turns.
+
+    Residuals (t, 2), their derivatives in C (2t, 9), rotations over the turn (t, 3, 3) and to its end
+    (t, n, 3, 3), tangents (t, 2, 3) and their products with the carried direction (t, 2, 3).
+    """
+
+    residual: FloatArray
+    J: FloatArray
+    whole: FloatArray
+    to_end: FloatArray
+    tangents: FloatArray
+    lever: FloatArray
+
+
+def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> TurnsFit:
+    """Fit C to the turns, and exclude wrong turns one after the other.
+
+    Parameters
+    ----------
+    data
+        The turns.
+    noise
+        The gyroscope's noise.
+    directions
+        Covariance of the unit vectors at the rests, by rest, shape (3m, 3m); see `direction_covariance`.
+
+    Raises
+    ------
+    DataError
+        If no scale or orientation of the gyroscope explains the turns.
+    """
+    start = start_of(data)
+    used = np.ones(len(data.rests), dtype=np.bool_)
+    p = np.ones(used.size)
+    C = start
+    while True:
+        part = data.keeping(used)
+        C, carried, S = _gauss_newton(part, noise, directions, C)
+        Jw, rw, size = _whitened(carried, S)
+        inner = (Jw / size).T @ (Jw / size)
+        covariance = np.linalg.pinv(inner, rcond=1e-10) / np.outer(size, size)
+        judged = _studentised(carried, S, covariance)
+        p[used] = chdtrc(2, judged)
+        worst = int(np.flatnonzero(used)[np.argmax(judged)])
+        if p[worst] >= _WRONG or np.sum(~used) + 1 > _MOST_WRONG * used.size:
+            break
+        used[worst] = False
+    everything = _carry(data, C)
+    seen = observability(carried.J * np.repeat(np.diag(C), 3), S, np.ones(9, dtype=np.bool_))
+    rank = 9 - seen.statuses.count("not-observable")
+    chi2, dof = float(rw @ rw), len(rw) - rank
+    p_fit = float(chdtrc(dof, chi2)) if dof > 0 else math.nan
+    misfit = p_fit < _MISFIT
+    widening = math.sqrt(chi2 / dof) if misfit else 1.0
+    before, after = data.up[data.rests], data.up[data.rests + 1]
+    return TurnsFit(
+        C=C,
+        covariance=covariance * widening**2,
+        quantile=float(stdtrit(dof, 0.975)) if misfit else 1.959963985,
+        residual=everything.residual,
+        before=_carry(data, start).residual,
+        angle=np.arctan2(
+            np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ti,ti->t", before, after)
+        ),
+        p=p,
+        used=used,
+        chi2=chi2,
+        dof=dof,
+        p_fit=p_fit,
+        widening=widening,
+        observability=seen,
+    )
+
+
+def direction_covariance(fit: AccelerometerFit, means: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
+
+    The noise of the means moves a direction itself, and through C and b; both are treated jointly.
+
+    Parameters
+    ----------
+    fit
+        The accelerometer.
+    means, covariances
+        Its raw means, shape (m, 3), and their covariance, shape (3, m, m).
+    """
+    m = len(means)
+    up = fit.up
+    across = (np.eye(3) - up[:, :, None] * up[:, None, :]) / np.linalg.norm(fit.f, axis=1)[:, None, None]
+    by_parameter = np.zeros((m, 3, 9))
+    for k, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        by_parameter[:, i, k] = (means - fit.b)[:, j]
+    by_parameter[:, :, 6:] = -fit.C
+    by_parameter = (across @ by_parameter).reshape(3 * m, 9)
+    gain = -fit.covariance @ np.linalg.solve(fit.residual_covariance, fit.jacobian).T
+    weights = up @ fit.C
+    total = np.zeros((3 * m, 3 * m))
+    for axis in range(3):
+        own = np.zeros((m, 3, m))
+        own[np.arange(m), :, np.arange(m)] = across @ fit.C[:, axis]
+        by_noise = own.reshape(3 * m, m) + by_parameter @ (gain * weights[:, axis])
+        total += by_noise @ covariances[axis] @ by_noise.T
+    return total
+
+
+def _carry(data: TurnData, C: FloatArray) -> _Carried:
+    """Carry gravity along each turn; see `_Carried`."""
+    t, n, _ = data.rates.shape
+    steps = rotations(-data.tau0 * data.rates @ C.T)
+    to_end = np.empty((n, t, 3, 3))
+    whole = np.broadcast_to(np.eye(3), (t, 3, 3))
+    for k in range(n - 1, -1, -1):
+        to_end[k] = whole
+        whole = whole @ steps[:, k]
+    to_end = to_end.transpose(1, 0, 2, 3)
+    target = data.up[data.rests + 1]
+    carried = np.einsum("tij,tj->ti", whole, data.up[data.rests])
+    helper = np.where(np.abs(target[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    one = np.cross(target, helper)
+    one /= np.linalg.norm(one, axis=1)[:, None]
+    tangents = np.stack([one, np.cross(target, one)], axis=1)
+    # d r_c = (e_c x carried) . sum over samples of R(to the end) dC x dt
+    lever = np.cross(tangents, carried[:, None, :])
+    products = to_end.reshape(t, n, 9).transpose(0, 2, 1) @ (data.rates * data.tau0)
+    J = np.einsum("tcj,tjil->tcil", lever, products.reshape(t, 3, 3, 3)).reshape(2 * t, 9)
+    residual = np.einsum("tci,ti->tc", tangents, carried - target)
+    return _Carried(residual=residual, J=J, whole=whole, to_end=to_end, tangents=tangents, lever=lever)
+
+
+def _gauss_newton(
+    data: TurnData, noise: GyroNoise, directions: FloatArray, C: FloatArray
+) -> tuple[FloatArray, _Carried, FloatArray]:
+    carried = _carry(data, C)
+    S = np.zeros(0)
+    for number in range(_STEPS):
+        if number in _UPDATES:
+            S = _covariance(data, carried, noise, directions, C)
+        Jw, rw, size = _whitened(carried, S)
+        step = np.linalg.lstsq(Jw / size, -rw, rcond=1e-5)[0] / size
+        C = C + step.reshape(3, 3)
+        carried = _carry(data, C)
+        if number >= max(_UPDATES) and np.all(np.abs(Jw @ step) < _SMALL_STEP):
+            break
+    return C, carried, S
+
+
+def _whitened(carried: _Carried, S: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return whitened derivatives and residuals, and the length of the derivatives' columns."""
+    L = np.linalg.cholesky(S)
+    Jw = solve_triangular(L, carried.J, lower=True)
+    rw = solve_triangular(L, carried.residual.ravel(), lower=True)
+    size = np.linalg.norm(Jw, axis=0)
+    return Jw, rw, np.where(size > 0, size, 1.0)
+
+
+def _covariance(
+    data: TurnData, carried: _Carried, noise: GyroNoise, directions: FloatArray, C: FloatArray
+) -> FloatArray:
+    """Return the covariance of the residuals, shape (2t, 2t)."""
+    t, m = len(data.rests), len(data.up)
+    spans, rows = [], []
+    for k, (first, end) in enumerate(data.spans):
+        edges = np.unique(np.linspace(0, end - first, _BLOCKS + 1).astype(int))
+        for low, high in pairwise(edges):
+            to_end = carried.to_end[k, low:high] * data.tau0
+            both = np.stack([to_end.sum(axis=0), np.tensordot(data.share[k, low:high], to_end, axes=1)])
+            spans.append((first + low, first + high))
+            rows.append((k, carried.lever[k] @ both @ C))
+    A = np.zeros((2 * t, len(spans) + m, 3))
+    for i, (k, (own, later)) in enumerate(rows):
+        here, rest = slice(2 * k, 2 * k + 2), len(spans) + data.rests[k]
+        A[here, i] += own
+        A[here, rest] -= own - later
+        A[here, rest + 1] -= later
+    where = np.vstack([np.array(spans), noise.rest_spans])
+    S = np.zeros((2 * t, 2 * t))
+    extra = np.concatenate([np.zeros(len(spans)), np.ones(m)])
+    known: dict[NoiseModel, FloatArray] = {}
+    for axis, model in enumerate(noise.models):
+        if model not in known:
+            known[model] = mean_covariance(model, where, rate_hz=1 / data.tau0, samples=noise.samples)
+        weights = A[:, :, axis]
+        S += weights @ known[model] @ weights.T + noise.tau[axis] ** 2 * (weights * extra) @ weights.T
+    D = np.zeros((2 * t, 3 * m))
+    for k, rest in enumerate(data.rests):
+        here = slice(2 * k, 2 * k + 2)
+        D[here, 3 * rest : 3 * rest + 3] = carried.tangents[k] @ carried.whole[k]
+        D[here, 3 * rest + 3 : 3 * rest + 6] = -carried.tangents[k]
+    return S + D @ directions @ D.T
+
+
+def _studentised(carried: _Carried, S: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the studentised square of each turn's residual, shape (t,): chi² with 2 degrees of freedom."""
+    inverse = np.linalg.inv(S)
+    SJ = inverse @ carried.J
+    P = inverse - SJ @ covariance @ SJ.T
+    t = len(carried.residual)
+    q = (P @ carried.residual.ravel()).reshape(t, 2)
+    own = _blocks(P)
+    # A turn that alone determines a parameter has no residual to judge.
+    judged = np.linalg.det(own) > 1e-6 * np.linalg.det(_blocks(np.asarray(inverse, dtype=np.float64)))
+    found = np.zeros(t)
+    solved = np.linalg.solve(own[judged], q[judged, :, None])[..., 0]
+    found[judged] = np.einsum("ti,ti->t", q[judged], solved)
+    return found
+
+
+def _blocks(S: FloatArray) -> FloatArray:
+    """Return the 2 by 2 blocks on the diagonal, shape (t, 2, 2)."""
+    t = len(S) // 2
+    return np.asarray(S.reshape(t, 2, t, 2)[np.arange(t), :, np.arange(t)])

@@ -1,0 +1,146 @@
+"""Accelerometer: exact recovery, observability, the diagonal model, which rest to add."""
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.calibration.accelerometer import (
+    LOWER,
+    PARAMETERS,
+    derivatives,
+    describe_direction,
+    fit_accelerometer,
+    suggest_rest,
+)
+from imucal.errors import DataError
+from tests.calibration.simulated import FACES, GRAVITY, Truth, attitudes
+
+
+def noise(m: int, deviation: float = 1e-3) -> FloatArray:
+    return np.tile(deviation**2 * np.eye(m), (3, 1, 1))
+
+
+def exact(up: FloatArray, truth: Truth) -> FloatArray:
+    return np.asarray(up * GRAVITY @ truth.M_a.T + truth.b_a)
+
+
+@pytest.fixture
+def truth() -> Truth:
+    return Truth.draw(np.random.default_rng(6200))
+
+
+def test_recovers_exact_parameters(truth: Truth) -> None:
+    """Twelve attitudes without noise."""
+    fit = fit_accelerometer(exact(attitudes(12, np.random.default_rng(1)), truth), noise(12), gravity=GRAVITY)
+    assert fit.model == "full"
+    np.testing.assert_allclose(fit.C, np.linalg.inv(truth.M_a), atol=1e-10)
+    np.testing.assert_allclose(fit.b, truth.b_a, atol=1e-9)
+    assert fit.dof == 3
+    assert fit.chi2 < 1e-10
+
+
+def test_raw_counts_need_no_scale(truth: Truth) -> None:
+    """Offset-binary counts of an unknown scale."""
+    means = 415 * exact(attitudes(14, np.random.default_rng(2)), truth) + 32768
+    fit = fit_accelerometer(means, noise(14, 0.5), gravity=GRAVITY)
+    np.testing.assert_allclose(fit.C * 415, np.linalg.inv(truth.M_a), atol=1e-9)
+
+
+def test_derivatives_are_those_of_finite_differences(truth: Truth) -> None:
+    """Of |f| in the nine parameters and in the raw means."""
+    means = exact(attitudes(10, np.random.default_rng(3)), truth)
+    C = np.asarray(np.linalg.inv(truth.M_a) + np.tril(np.full((3, 3), 0.01)), dtype=np.float64)
+    b = truth.b_a + 0.1
+    _, J, weights = derivatives(means, C, b)
+
+    def norm(theta: FloatArray, moved: float = 0.0, axis: int = 0) -> FloatArray:
+        matrix = np.zeros((3, 3))
+        matrix[LOWER] = theta[:6]
+        return derivatives(means + moved * np.eye(3)[axis], matrix, theta[6:])[0]
+
+    theta = np.concatenate([C[LOWER], b])
+    for k in range(9):
+        step = 1e-6 * np.eye(9)[k]
+        np.testing.assert_allclose((norm(theta + step) - norm(theta - step)) / 2e-6, J[:, k], atol=1e-7)
+    for a in range(3):
+        np.testing.assert_allclose(
+            (norm(theta, 1e-6, a) - norm(theta, -1e-6, a)) / 2e-6, weights[:, a], atol=1e-7
+        )
+
+
+def test_six_faces_give_a_diagonal_model(truth: Truth) -> None:
+    """Misalignment is not observable; the ignored one widens the intervals enough."""
+    hits = []
+    for seed in range(40):
+        rng = np.random.default_rng(6300 + seed)
+        own = Truth.draw(rng)
+        fit = fit_accelerometer(exact(attitudes(6, rng), own), noise(6), gravity=GRAVITY)
+        assert fit.model == "diagonal"
+        error = fit.theta - np.concatenate([np.linalg.inv(own.M_a)[LOWER], own.b_a])
+        hits.append((np.abs(error) < 1.96 * np.sqrt(np.diag(fit.covariance)))[fit.free])
+    assert np.mean(hits) > 0.9
+    fit = fit_accelerometer(exact(FACES, truth), noise(6), gravity=GRAVITY)
+    assert [s for p, s in zip(PARAMETERS, fit.observability.statuses, strict=True) if "mis" in p] == [
+        "not-observable"
+    ] * 3
+    assert fit.observability.statuses[0] == "estimated"
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_too_few_faces_cannot_be_calibrated(count: int, truth: Truth) -> None:
+    """Each axis needs both directions."""
+    with pytest.raises(DataError, match="six faces"):
+        fit_accelerometer(exact(FACES[:count], truth), noise(count), gravity=GRAVITY)
+
+
+def test_repeated_faces_do_not_determine_misalignment(truth: Truth) -> None:
+    """Eighteen rests in six attitudes: still diagonal, and `full` is refused."""
+    means = exact(np.tile(FACES, (3, 1)), truth)
+    assert fit_accelerometer(means, noise(18), gravity=GRAVITY).model == "diagonal"
+    with pytest.raises(ValueError, match="nine parameters"):
+        fit_accelerometer(means, noise(18), gravity=GRAVITY, model="full")
+
+
+def test_nearly_repeated_faces_are_weak(truth: Truth) -> None:
+    """Tilted by a third of a degree, faces determine misalignment, but hardly."""
+    up = np.tile(FACES, (3, 1)) + np.random.default_rng(5).normal(0, 0.006, (18, 3))
+    means = exact(up / np.linalg.norm(up, axis=1)[:, None], truth)
+    fit = fit_accelerometer(means, noise(18), gravity=GRAVITY)
+    assert fit.model == "full"
+    statuses = dict(zip(PARAMETERS, fit.observability.statuses, strict=True))
+    assert {statuses[p] for p in PARAMETERS if "mis" in p} == {"weak"}
+    assert statuses["bias_x"] == "estimated"
+
+
+def test_unknown_gravity_widens_scales_only(truth: Truth) -> None:
+    """0.015 m/s² are 0.15 % of each scale; bias and misalignment hardly change."""
+    means = exact(attitudes(18, np.random.default_rng(6)), truth)
+    known = fit_accelerometer(means, noise(18), gravity=GRAVITY)
+    unknown = fit_accelerometer(means, noise(18), gravity=GRAVITY, gravity_sigma=0.015)
+    wide, narrow = (np.sqrt(np.diag(fit.covariance)) for fit in (unknown, known))
+    np.testing.assert_allclose(wide[[0, 2, 5]], 0.015 / GRAVITY, rtol=0.05)
+    np.testing.assert_allclose(wide[6:], narrow[6:], rtol=0.05)
+    assert unknown.observability.statuses == known.observability.statuses
+
+
+def test_the_suggested_rest_helps_as_much_as_it_says(truth: Truth) -> None:
+    """No x-z edge, but a face tilted by 10°: the suggestion is an edge, and it helps that much."""
+    edges = np.array([[1, 1, 0], [1, -1, 0], [0, 1, 1]]) / np.sqrt(2)
+    up = np.vstack([FACES, edges, [[np.sin(0.17), 0, np.cos(0.17)]]])
+    fit = fit_accelerometer(exact(up, truth), noise(10), gravity=GRAVITY)
+    found = suggest_rest(fit, gravity=GRAVITY)
+    assert found.parameter == "misalignment_zx"
+    assert {word.strip(",")[1] for word in found.text.split() if word[0] in "+-"} >= {"x", "z"}
+    better = fit_accelerometer(
+        exact(np.vstack([up, -np.array(found.down)]), truth), noise(11), gravity=GRAVITY
+    )
+    size = np.array([1.0] * 6 + [1 / GRAVITY] * 3)
+    before, after = ((np.sqrt(np.diag(f.covariance)) * size).max() for f in (fit, better))
+    assert after / before == pytest.approx(found.ratio, rel=0.05)
+    assert found.ratio < 0.5
+
+
+def test_directions_in_words() -> None:
+    """Nearest axis first, with the angle from it."""
+    assert describe_direction(np.array([0.0, 0.1, -0.995])) == "down along -z"
+    assert describe_direction(np.array([-0.766, 0.0, 0.643])) == "down between -x and +z, 40° from -x"

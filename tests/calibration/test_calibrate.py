@@ -1,0 +1,250 @@
+"""calibrate: from a recording to the result, its findings, and its application."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import imucal
+from imucal import Calibration, calibrate
+from imucal.errors import DataError
+from imucal.noise import NoiseModel
+from imucal.recording import AXES, Recording, Sensor, Temperature
+from tests.calibration.simulated import FACES, GRAVITY, RATE, Log, Truth, attitudes, log
+from tests.real_data import real_data
+
+NOISE = NoiseModel.parse("N=2e-3 + B=5e-4 + K=5e-5"), NoiseModel.parse("N=1.5e-4 + B=2e-5 + K=2e-6")
+MODELS = {f"{s.short}_{axis}": NOISE[s is Sensor.GYROSCOPE] for s in Sensor for axis in AXES}
+
+
+def drawn(seed: int, count: int = 14, up: np.ndarray | None = None) -> tuple[Truth, Log]:
+    rng = np.random.default_rng(seed)
+    truth = Truth.draw(rng)
+    return truth, log(truth, NOISE, attitudes(count, rng) if up is None else up, rng, latitude=47.4)
+
+
+@pytest.fixture(scope="module")
+def good() -> tuple[Truth, Log, Calibration]:
+    truth, one = drawn(8000, 18)
+    return truth, one, calibrate(one.recording(), noise=MODELS, gravity=GRAVITY, latitude=47.4)
+
+
+def codes(result: Calibration) -> set[str]:
+    return {finding.code for finding in result.findings}
+
+
+def poses(name: str) -> Recording:
+    path = real_data("..", "poses", name)
+    return (
+        imucal.read(path, rate_hz=100.0)
+        if "mikoff" in name
+        else imucal.read(path, accel_scale=1.0, gyro_scale=1.0)
+    )
+
+
+def test_a_good_log_gives_the_truth(good: tuple[Truth, Log, Calibration]) -> None:
+    """All parameters within twice their interval, no warning."""
+    truth, one, found = good
+    assert found.verdict == "good"
+    assert found.accelerometer.model == "full"
+    assert len(found.rests) == 18
+    assert all(turn.used for turn in found.turns)
+    assert found.gyroscope is not None
+    for axis in range(3):
+        name = AXES[axis]
+        for result, M, b in (
+            (found.accelerometer, truth.M_a, one.b_a),
+            (found.gyroscope, truth.M_g, one.b_g),
+        ):
+            scale, bias = result.parameters[f"scale_{name}"], result.parameters[f"bias_{name}"]
+            assert scale.value == pytest.approx(100 * (M[axis, axis] - 1), abs=2 * (scale.half_width or 0))
+            assert bias.value == pytest.approx(b[axis], abs=2 * (bias.half_width or 0))
+            assert scale.unit == "%"
+    skew = found.accelerometer.parameters["misalignment_zx"]
+    assert skew.value == pytest.approx(
+        np.degrees(truth.M_a[2, 0] / truth.M_a[2, 2]), abs=2 * (skew.half_width or 0)
+    )
+    assert found.accelerometer.covariance.shape == (9, 9)
+
+
+def test_apply_removes_the_errors(good: tuple[Truth, Log, Calibration]) -> None:
+    """Gravity has its length, rates at rest are zero."""
+    _, one, found = good
+    corrected = found.apply(one.recording())
+    f = np.column_stack([corrected.axis("accel", axis).samples for axis in AXES])
+    w = np.column_stack([corrected.axis("gyro", axis).samples for axis in AXES])
+    norms = [np.linalg.norm(f[a:b].mean(axis=0)) for a, b in one.spans]
+    np.testing.assert_allclose(norms, GRAVITY, atol=5e-3)
+    assert max(np.abs(w[a:b].mean(axis=0)).max() for a, b in one.spans) < 5e-4
+    np.testing.assert_allclose(f, one.f, atol=0.1)
+
+
+def test_raw_counts_give_the_same_calibration(good: tuple[Truth, Log, Calibration]) -> None:
+    """Offset-binary counts: the matrices differ by the scales, the corrected log does not."""
+    _, one, found = good
+    counts = replace(
+        one, accelerometer=400 * one.accelerometer + 32768, gyroscope=4000 * one.gyroscope + 32000
+    )
+    raw = calibrate(counts.recording(), gravity=GRAVITY, latitude=47.4)
+    assert raw.accelerometer.parameters["scale_x"].unit == "raw/(m/s^2)"
+    np.testing.assert_allclose(raw.accelerometer.C * 400, found.accelerometer.C, atol=2e-3)
+    assert raw.gyroscope is not None
+    assert found.gyroscope is not None
+    np.testing.assert_allclose(raw.gyroscope.C * 4000, found.gyroscope.C, atol=5e-3)
+
+
+def test_without_a_gyroscope_only_the_accelerometer_is_calibrated() -> None:
+    """With `gyro=False`, or if there is none."""
+    _, one = drawn(8001)
+    recording = one.recording()
+    alone = replace(recording, series=tuple(s for s in recording.series if s.sensor is Sensor.ACCELEROMETER))
+    for result in (calibrate(recording, gyro=False), calibrate(alone)):
+        assert result.gyroscope is None
+        assert result.turns == ()
+    with pytest.raises(DataError, match="no accelerometer"):
+        calibrate(replace(recording, series=recording.series[:3]))
+
+
+def test_six_faces_report_what_is_missing() -> None:
+    """A diagonal model, a finding, and the attitude to add."""
+    _, one = drawn(8002, up=FACES)
+    found = calibrate(one.recording(), noise=MODELS, gravity=GRAVITY)
+    assert found.accelerometer.model == "diagonal"
+    missing = found.accelerometer.parameters["misalignment_yx"]
+    assert (missing.value, missing.status) == (None, "not-observable")
+    finding = next(f for f in found.findings if f.code == "not-observable" and f.axis == "accel")
+    assert "misalignment yx" in finding.text
+    assert "Add a rest with down" in finding.advice
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_too_few_rests_cannot_be_calibrated(count: int) -> None:
+    """The message asks for more attitudes."""
+    _, one = drawn(8003, up=FACES[:count])
+    with pytest.raises(
+        DataError, match=rf"found {count} of at least 6 rests in .* put the IMU down on each face"
+    ):
+        calibrate(one.recording())
+
+
+def test_one_attitude_cannot_be_calibrated() -> None:
+    """Eight rests with the same side down."""
+    _, one = drawn(8004, up=np.tile(FACES[0], (8, 1)) + np.random.default_rng(3).normal(0, 0.01, (8, 3)))
+    with pytest.raises(DataError, match=r"same attitude|found 1 of"):
+        calibrate(one.recording())
+
+
+def test_gravity_and_latitude_are_asked_for() -> None:
+    """Without them all scales share an error; with them they do not."""
+    _, one = drawn(8005)
+    unknown, known = calibrate(one.recording()), calibrate(one.recording(), latitude=45.0)
+    assert "gravity-unknown" in codes(unknown)
+    assert "gravity-unknown" not in codes(known)
+    wide, narrow = (c.accelerometer.parameters["scale_x"].half_width or 0 for c in (unknown, known))
+    assert wide == pytest.approx(100 * 1.96 * 0.015 / GRAVITY, rel=0.1)
+    assert narrow < 0.3 * wide
+
+
+def test_a_rest_that_moved_is_excluded() -> None:
+    """A creep of half a degree in one rest."""
+    _, one = drawn(8006)
+    moved = one.accelerometer.copy()
+    first, end = one.spans[4]
+    moved[first:end, int(np.argmin(np.abs(one.f[first])))] += np.linspace(0, 0.08, end - first)
+    found = calibrate(replace(one, accelerometer=moved).recording(), noise=MODELS)
+    assert [k for k, rest in enumerate(found.rests) if not rest.used] == [4]
+    assert found.rests[4].why == "moved"
+    assert "rest-moved" in codes(found)
+
+
+def test_lost_and_clipped_turns_are_named() -> None:
+    """A gap in one turn, a clipped axis in another."""
+    _, one = drawn(8007, 16)
+    gyroscope = one.gyroscope.copy()
+    a, b = one.spans[3, 1], one.spans[4, 0]
+    gyroscope[(a + b) // 2 : (a + b) // 2 + 5] = np.nan
+    a, b = one.spans[8, 1], one.spans[9, 0]
+    axis = int(np.argmax(np.abs(gyroscope[a:b]).max(axis=0)))
+    limit = 0.8 * np.abs(gyroscope[a:b, axis]).max()
+    # No other turn may reach the range, as in a real log.
+    gyroscope[:, axis] = np.clip(gyroscope[:, axis], -limit, limit)
+    found = calibrate(replace(one, gyroscope=gyroscope).recording(), noise=MODELS)
+    assert found.turns[3].why == "gap"
+    assert found.turns[8].why == "clipped"
+    assert {"turn-gap", "clipped"} <= codes(found)
+
+
+def test_noise_of_another_unit_is_noticed() -> None:
+    """Models with ten times the noise."""
+    _, one = drawn(8008)
+    other = {name: NoiseModel.parse("N=2e-2" if name[0] == "a" else "N=1.5e-3") for name in MODELS}
+    assert "noise-differs" in codes(calibrate(one.recording(), noise=other))
+    assert "noise-differs" not in codes(calibrate(one.recording(), noise=MODELS))
+    with pytest.raises(DataError, match="no model of accel_x"):
+        calibrate(one.recording(), noise={})
+
+
+def test_a_changing_temperature_is_reported() -> None:
+    """More than 2 K."""
+    recording = drawn(8009)[1].recording()
+    clock = recording.series[0].clock
+    warm = Temperature(samples=np.linspace(20.0, 25.0, clock.n), clock=clock)
+    found = calibrate(replace(recording, temperature=warm), noise=MODELS)
+    assert found.temperature == pytest.approx((22.5, 20.0, 25.0))
+    assert "warming" in codes(found)
+
+
+def test_a_report_gives_the_noise() -> None:
+    """Ten minutes of a static log."""
+    rng = np.random.default_rng(8010)
+    _, one = drawn(8011)
+    series = tuple(
+        imucal.AxisSeries.from_samples(
+            NOISE[sensor is Sensor.GYROSCOPE].simulate(60_000, rate_hz=RATE, rng=rng),
+            rate_hz=RATE,
+            sensor=sensor,
+            axis=axis,
+        )
+        for sensor in Sensor
+        for axis in AXES
+    )
+    report = imucal.characterize(
+        replace(one.recording(), series=series), imucal.Settings(second_opinion=False)
+    )
+    found = calibrate(one.recording(), noise=report, gravity=GRAVITY)
+    assert found.noise["accel"].origin == "report"
+    assert found.noise["accel"].ratio == pytest.approx(1.0, abs=0.05)
+    assert "noise-differs" not in codes(found)
+
+
+def test_xsens_certificate() -> None:
+    """Raw counts of an Xsens MTi: gains within 0.25 % and cosines within 0.01 of the factory certificate."""
+    found = calibrate(poses("imu_tk_xsens_mti.csv.gz"), gravity=9.81744)
+    assert len(found.rests) >= 40
+    assert found.gyroscope is not None
+    for result, gains in ((found.accelerometer, (415, 413, 415)), (found.gyroscope, (4778, 4758, 4766))):
+        # The length of a row is the gain along the sensitive axis.
+        np.testing.assert_allclose(np.linalg.norm(result.M, axis=1), gains, rtol=0.0025)
+    used = np.array([rest.residual for rest in found.rests if rest.used])
+    assert np.sqrt(np.mean(used**2)) < 2e-3
+    turns = np.array([turn.residual_deg for turn in found.turns if turn.used])
+    assert turns.std() < 0.15
+
+
+def test_mikoff_published_values_are_inside() -> None:
+    """An MPU-9150 in a hand: published scale errors and biases lie in the intervals."""
+    found = calibrate(poses("mikoff_mpu9150_1.csv.gz"), gravity=9.81)
+    published = {"scale": (0.363, 0.315, 0.647), "bias": (0.103, 0.097, 0.344)}
+    for kind, values in published.items():
+        for axis, value in zip(AXES, values, strict=True):
+            parameter = found.accelerometer.parameters[f"{kind}_{axis}"]
+            assert parameter.low is not None
+            assert parameter.high is not None
+            assert parameter.low < value < parameter.high
+
+
+def test_a_log_held_in_a_hand_all_the_time_cannot_be_calibrated() -> None:
+    """A rotation without rests."""
+    log_path = real_data("real", "mpu6050", "imu_90_x_rot.csv")
+    with pytest.raises(DataError, match="put the IMU down"):
+        calibrate(imucal.read(log_path, accel_scale=9.80665 / 16384, gyro_scale=np.radians(1 / 131)))
