@@ -31,7 +31,7 @@ def command(
             "model": option('--model TEXT=auto  Terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
             "method": option("--method=mle  Estimator.", click.Choice(METHODS)),
             "level": option("--level=0.95  Confidence level of every interval.", LEVEL),
-            "criterion": option("--ic=chance  What chooses the model.", click.Choice(CRITERIA)),
+            "criterion": option("--criterion --ic=chance  What chooses the model.", click.Choice(CRITERIA)),
             "weights": option("--weights=full  Weights of gmwm.", click.Choice(WEIGHTS)),
             "segments": option(
                 "--segments N=8  Parts whose noise is compared; 1 for none.", click.IntRange(1, MOST_SEGMENTS)

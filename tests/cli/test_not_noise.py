@@ -156,7 +156,7 @@ def test_a_strict_run_says_what_it_found(tmp_path: Path) -> None:
     done = run("fit", "log.csv", *QUICK, "-q", "--strict", cwd=tmp_path)
     assert done.returncode == 4
     (line,) = done.stderr.splitlines()
-    assert line == "Error: log.csv: touch, spikes found, and --strict allows no warning"
+    assert line == "Error: log.csv: touch found, and --strict allows no warning"
 
 
 def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:

@@ -205,6 +205,6 @@ def test_what_is_forgotten_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch
     """Those added here stand in no docs and no schema; one without units is told so as well."""
     said = missing("S")
     assert any("README.md has no row for S" in sentence for sentence in said), said
-    assert any("report-1.schema.json does not list S" in sentence for sentence in said), said
+    assert any("report-2.schema.json does not list S" in sentence for sentence in said), said
     monkeypatch.delattr(Sinusoid, "units")
     assert any(sentence.startswith("Sinusoid lacks `units`") for sentence in missing("S"))
