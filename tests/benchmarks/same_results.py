@@ -41,7 +41,8 @@ def said(findings: list[dict[str, Any]]) -> set[tuple[str, str, str]]:
 
 def every(report: dict[str, Any]) -> list[dict[str, Any]]:
     """Return all findings; in version 1 of report.json those of an axis are in its entry."""
-    return report["findings"] + [f for axis in report["axes"] for f in axis.get("findings", ())]
+    found: list[dict[str, Any]] = report["findings"]
+    return found + [f for axis in report["axes"] for f in axis.get("findings", ())]
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, list[str]]:
