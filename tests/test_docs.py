@@ -192,7 +192,7 @@ def test_what_was_read_of_each_program_is_in_the_table() -> None:
     """Word for word as the format says it."""
     from imucal.report.exports import TARGETS
 
-    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
+    page = (DOCS / "results" / "config-files.md").read_text(encoding="utf-8")
     for target in TARGETS.values():
         assert f"| {target.name} | {target.source} | " in page
 
