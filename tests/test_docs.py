@@ -155,7 +155,7 @@ def test_every_finding_is_described() -> None:
         written |= _loose_codes(name)
     described = {
         code
-        for cell in _CODE.findall((DOCS / "findings.md").read_text(encoding="utf-8"))
+        for cell in _CODE.findall((DOCS / "messages.md").read_text(encoding="utf-8"))
         for code in re.findall(r"`([a-z-]+)`", cell)
     }
     assert described == written
