@@ -101,7 +101,7 @@ def test_the_recipes_deviations_are_allantools(overlapping: bool, witness: Calla
 
 def test_the_comparison_names_every_way() -> None:
     """One row a tool in each of the tables, and the command that printed them."""
-    page = (DOCS / "comparison.md").read_text(encoding="utf-8")
+    page = (DOCS / "results" / "comparison.md").read_text(encoding="utf-8")
     for tool in peers.TOOLS:
         assert len(re.findall(rf"^\| {re.escape(tool)} \|", page, re.MULTILINE)) == len(peers.TRUTHS) + 1
     for model in peers.TRUTHS.values():
