@@ -155,7 +155,7 @@ def test_every_finding_is_described() -> None:
         written |= _loose_codes(name)
     described = {
         code
-        for cell in _CODE.findall((DOCS / "findings.md").read_text(encoding="utf-8"))
+        for cell in _CODE.findall((DOCS / "messages.md").read_text(encoding="utf-8"))
         for code in re.findall(r"`([a-z-]+)`", cell)
     }
     assert described == written
@@ -192,7 +192,7 @@ def test_what_was_read_of_each_program_is_in_the_table() -> None:
     """Word for word as the format says it."""
     from imucal.report.exports import TARGETS
 
-    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
+    page = (DOCS / "results" / "config-files.md").read_text(encoding="utf-8")
     for target in TARGETS.values():
         assert f"| {target.name} | {target.source} | " in page
 

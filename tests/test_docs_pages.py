@@ -39,9 +39,9 @@ def says(message: str, text: str) -> bool:
     return re.search(".*".join(parts), text, re.DOTALL) is not None
 
 
-def test_troubleshooting_quotes_what_is_printed() -> None:
+def test_frequent_messages_are_printed_by_the_package() -> None:
     """Twenty messages and more, each in the package's own words."""
-    page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    page = (DOCS / "messages.md").read_text(encoding="utf-8").partition("\n## Frequent messages\n")[2]
     messages = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
     assert len(messages) >= 20
     assert len(set(messages)) == len(messages)
@@ -101,7 +101,7 @@ def test_the_recipes_deviations_are_allantools(overlapping: bool, witness: Calla
 
 def test_the_comparison_names_every_way() -> None:
     """One row a tool in each of the tables, and the command that printed them."""
-    page = (DOCS / "comparison.md").read_text(encoding="utf-8")
+    page = (DOCS / "results" / "comparison.md").read_text(encoding="utf-8")
     for tool in peers.TOOLS:
         assert len(re.findall(rf"^\| {re.escape(tool)} \|", page, re.MULTILINE)) == len(peers.TRUTHS) + 1
     for model in peers.TRUTHS.values():

@@ -7,9 +7,14 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run import run
-from tests.code_blocks import code_blocks, run_block
+from tests.code_blocks import code_blocks, missing_lines, run_block
 
 ROOT = Path(__file__).parents[1]
+
+
+def test_the_readme_is_short() -> None:
+    """A reader sees the whole of it in a few minutes."""
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
 
 
 @pytest.mark.slow
@@ -19,10 +24,14 @@ def test_the_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
     run("simulate", "N=1e-4", "--accel", "N=1e-3", "--duration", "20s", "-o", "log.mcap", cwd=tmp_path)
     blocks = code_blocks(ROOT / "README.md")
     assert {"python", "console", "toml", "json"} <= {language for language, _ in blocks}
+    printed = ""
     for language, text in blocks:
-        run_block(language, text.replace("pip install . && ", ""), tmp_path)
+        printed += run_block(language, text.replace("pip install . && ", ""), tmp_path)
     assert (tmp_path / "report" / "report.html").is_file()
-    assert (tmp_path / "imu.yaml").is_file()
+    printed += (tmp_path / "imu.yaml").read_text(encoding="utf-8")
+    for language, text in blocks:
+        if language in {"text", "yaml"}:
+            assert missing_lines(text.replace("…\n", ""), printed) == []
     _shows_what_the_json_holds(next(text for language, text in blocks if language == "json"), tmp_path)
 
 

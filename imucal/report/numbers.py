@@ -307,8 +307,16 @@ def rounded_up(bound: float, digits: int) -> str:
     return _fixed(raised, places)
 
 
+def _in_powers(value: float, places: int) -> str:
+    """Return a number such as ``1.45e-9``, with as many digits as `places` has, but two to five."""
+    exponent = math.floor(math.log10(abs(value)))
+    mantissa, power = f"{value:.{min(max(places + exponent, 1), 4)}e}".split("e")
+    whole, _, part = mantissa.partition(".")
+    return f"{whole}.{part.rstrip('0') or '0'}e{int(power)}"
+
+
 def _fixed(value: float, places: int) -> str:
     text = f"{round(value, places):.{max(places, 0)}f}"
     if len(text) > _LONGEST:
-        return f"{value:.1e}".replace("e+", "e").replace("e0", "e").replace("e-0", "e-") if value else "0"
+        return _in_powers(value, places) if value else "0"
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text

@@ -1,6 +1,6 @@
 """Run the benchmarks of time and memory one after the other: job, one axis, readers, Allan curve.
 
-    python tests/benchmarks/all.py [--before TREE PYTHON] [--page docs/speed.md]
+    python tests/benchmarks/all.py [--before TREE PYTHON] [--page docs/results/speed.md]
 
 Their tables, in Markdown, follow each other on one machine in one session. `--before` measures the whole job
 of another version too, a tree and its interpreter; `--page` puts the tables into a page, below its line

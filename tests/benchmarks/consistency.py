@@ -18,7 +18,7 @@ another one checked, by the filter's error on its samples and by its Allan varia
 `--graph`: a factor graph of GTSAM, where that is installed, aided in attitude at 1 Hz for 5 minutes, then
 coasting for 60 s; its errors are drawn.
 
-The tables are those of docs/consistency.md, in Markdown.
+The tables are those of docs/results/consistency.md, in Markdown.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.peers --records 20
 
-Prints the tables of docs/comparison.md in Markdown, seed 120 and up; about five minutes on one core. One
+Prints the tables of docs/results/comparison.md in Markdown, seed 120 and up; five minutes on one core. One
 process runs everything on the same samples. The recipes of other projects are written anew from their
 sources, as `allan_variance_ros`, `imu_utils` and `kalibr_allan` say; where a solver isn't the same, the
 text says so. R's gmwm is not among them: the Debian archive has no package of it.

@@ -199,7 +199,7 @@ def test_terms_have_the_names_of_data_sheets_too() -> None:
 
 def test_the_codes_are_those_of_the_page_on_findings() -> None:
     """A new finding is added to the page, which is held to the source, and to the list."""
-    page = (EXAMPLE.parent / "findings.md").read_text(encoding="utf-8")
+    page = (EXAMPLE.parent / "messages.md").read_text(encoding="utf-8")
     cells = re.findall(r"^\| (`[^|]*`) \|", page, re.MULTILINE)
     assert {code for cell in cells for code in re.findall(r"`([a-z-]+)`", cell)} == FINDING_CODES
 

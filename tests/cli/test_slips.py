@@ -15,7 +15,7 @@ from tests.cli.run import SAMPLE_LOGS, run
 from tests.cli.test_not_noise import dead, moved, write
 from tests.report.synthetic import consumer_report
 
-PAGE = SAMPLE_LOGS.parent / "docs" / "exit-codes.md"
+PAGE = SAMPLE_LOGS.parent / "docs" / "results" / "mistakes.md"
 SLIPS = re.findall(r"^\| `imucal (.*)` \| (\d+) \| (.*) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 
 

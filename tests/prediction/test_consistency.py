@@ -11,7 +11,7 @@ from imucal.arrays import FloatArray
 from tests.benchmarks.aided_filter import Aiding, nees
 from tests.benchmarks.consistency import RULES, covered, known_fit, observed
 
-PAGE = Path(__file__).parents[2] / "docs" / "consistency.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "consistency.md"
 
 
 def run_filter(
