@@ -12,7 +12,8 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from tests.benchmarks import peers, tutorial_figures
+from imucal.cli import COMMANDS
+from tests.benchmarks import options_page, peers, tutorial_figures
 from tests.code_blocks import code_blocks
 
 ROOT = Path(__file__).parents[1]
@@ -55,6 +56,13 @@ def test_a_message_that_nobody_prints_is_caught() -> None:
     assert says("…: there is no topic …; choose one of these topics", text)
     assert not says("choose one … there is no topic", text)
     assert not says("…: there is no such topic …", text)
+
+
+def test_the_page_of_options_is_the_help_of_every_command() -> None:
+    """If not, run `python -m tests.benchmarks.options_page`."""
+    page = options_page.PAGE.read_text(encoding="utf-8")
+    assert page == options_page.page()
+    assert page.count("\n## imucal ") == len(COMMANDS) + 3
 
 
 def test_the_tutorial_shows_the_pictures_of_its_script() -> None:

@@ -4,7 +4,9 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from tests.cli.run import run
 from tests.code_blocks import code_blocks, missing_lines, run_block
@@ -32,7 +34,16 @@ def test_the_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
     for language, text in blocks:
         if language in {"text", "yaml"}:
             assert missing_lines(text.replace("…\n", ""), printed) == []
+    _shows_the_picture(tmp_path / "report" / "gyro_x.png")
     _shows_what_the_json_holds(next(text for language, text in blocks if language == "json"), tmp_path)
+
+
+def _shows_the_picture(drawn: Path) -> None:
+    """Fewer than 1 % of the pixels differ clearly; another number or term changes more."""
+    shown = imread(ROOT / "docs" / "images" / "gyro_x.png")[..., :3]
+    own = imread(drawn)[..., :3]
+    assert shown.shape == own.shape
+    assert np.mean(np.abs(shown - own).max(axis=-1) > 0.25) < 0.01
 
 
 def _shows_what_the_json_holds(shown: str, folder: Path) -> None:

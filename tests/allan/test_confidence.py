@@ -42,7 +42,7 @@ def avar(variances: tuple[float, ...], m: FloatArray) -> FloatArray:
 def test_intervals_cover_at_every_octave(name: str) -> None:
     """95 % intervals hold the truth in 95 % of 250 series, within four standard errors downwards.
 
-    The full study (2000 series each) stands in docs/science-measured.md: 93.8 to 97.9 %.
+    The full study (2000 series each) is in docs/results/accuracy.md: 93.8 to 97.9 %.
     """
     _, share = coverage(STANDARD[name], REPLICATIONS, seed=1)
     assert share.min() > 0.95 - 4 * np.sqrt(0.95 * 0.05 / REPLICATIONS)

@@ -160,7 +160,7 @@ def _pattern(kind: str, rng: np.random.Generator, places: int) -> NDArray[np.boo
 def test_values_are_unbiased(kind: str) -> None:
     """60 series with N and K, m = 1, 16, 256, 1024: the mean is right to four standard errors.
 
-    The full study stands in docs/science-allan.md.
+    The full study is in docs/results/accuracy.md.
     """
     rng, m = np.random.default_rng(3), np.array([1, 16, 256, 1024])
     true = MODEL.avar(m.astype(np.float64), rate_hz=1.0)

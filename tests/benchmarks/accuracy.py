@@ -6,7 +6,7 @@
     python tests/benchmarks/accuracy.py gaps --n 65536 --repeats 100
     python tests/benchmarks/accuracy.py exact --n 20000 --repeats 20
 
-Each prints a table in Markdown; `docs/science-measured.md` holds the last ones. The seed of a cell is
+Each prints a table in Markdown; `docs/results/accuracy.md` contains the last ones. The seed of a cell is
 made of the command, its row and `--seed`, so that rows can be run apart.
 """
 

@@ -1,4 +1,4 @@
-"""The pictures of docs/tutorial.md: those that imucal writes when the page's own commands are typed.
+"""The plots of docs/tutorial.md and the README: imucal writes them when their commands are typed.
 
     python -m tests.benchmarks.tutorial_figures [folder]
 
@@ -30,7 +30,9 @@ def draw(folder: Path) -> None:
                 run_block(language, text, Path(scratch))
             if (Path(scratch) / "tutorial").is_dir():
                 break
-        for name, made in FIGURES.items():
+        log = str(_DOCS.parent / "sample_logs" / "consumer_mems.mcap")
+        run_block("console", f"imucal fit {log} -o report", Path(scratch))
+        for name, made in (*FIGURES.items(), ("gyro_x.png", "report/gyro_x.png")):
             shutil.copy(Path(scratch) / made, folder / name)
 
 
