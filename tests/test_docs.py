@@ -188,6 +188,18 @@ def test_every_export_is_in_the_table() -> None:
     assert rows == set(TARGETS)
 
 
+def test_the_kind_of_numbers_is_in_the_table() -> None:
+    """Continuous or discrete, as the format's own comment."""
+    from imucal.report.exports import TARGETS
+
+    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
+    kinds = dict(re.findall(r"^\|[^|]*\| `([a-z][a-z0-9-]+)` \|.*\| ([^|]*) \|$", page, re.MULTILINE))
+    named = {name: set(re.findall("continuous|discrete", kind)) for name, kind in kinds.items()}
+    assert sum(map(bool, named.values())) >= 25
+    for name, words in named.items():
+        assert words <= set(re.findall("continuous|discrete", TARGETS[name].kind)), name
+
+
 def test_what_was_read_of_each_program_is_in_the_table() -> None:
     """Word for word as the format says it."""
     from imucal.report.exports import TARGETS

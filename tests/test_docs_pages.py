@@ -19,6 +19,9 @@ from tests.code_blocks import code_blocks
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 _GAP = "\0"
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
+#: `ros2 topic echo --csv`, and a benchmark.
+_OTHERS = {"--csv", "--minutes"}
 
 
 def texts() -> Iterator[str]:
@@ -62,7 +65,14 @@ def test_the_page_of_options_is_the_help_of_every_command() -> None:
     """If not, run `python -m tests.benchmarks.options_page`."""
     page = options_page.PAGE.read_text(encoding="utf-8")
     assert page == options_page.page()
-    assert page.count("\n## imucal ") == len(COMMANDS) + 3
+    assert page.count("\n## imucal") == len(COMMANDS) + 4
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
+def test_options_that_a_page_names_exist(page: Path) -> None:
+    """Except options of other programs."""
+    known = set(_OPTION.findall(options_page.PAGE.read_text(encoding="utf-8")))
+    assert set(_OPTION.findall(page.read_text(encoding="utf-8"))) <= known | _OTHERS
 
 
 def test_the_tutorial_shows_the_pictures_of_its_script() -> None:

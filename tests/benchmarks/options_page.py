@@ -18,13 +18,13 @@ _FLEET = ("run", "report", "status")
 
 def page() -> str:
     """Return the Markdown of the page, at 80 columns."""
-    commands: list[tuple[str, ...]] = [(name,) for name in COMMANDS]
+    commands: list[tuple[str, ...]] = [(), *((name,) for name in COMMANDS)]
     commands += [("fleet", name) for name in _FLEET]
     parts = ["# Options\n\nThe output of `imucal COMMAND --help` for every command.\n"]
     for command in commands:
         text = run(*command, "--help", cwd=PAGE.parent, COLUMNS="80").stdout
         lines = "\n".join(line.rstrip() for line in text.strip().splitlines())
-        parts.append(f"## imucal {' '.join(command)}\n\n```text\n{lines}\n```\n")
+        parts.append(f"## {' '.join(('imucal', *command))}\n\n```text\n{lines}\n```\n")
     return "\n".join(parts)
 
 
