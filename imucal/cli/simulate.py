@@ -27,11 +27,11 @@ def _gap(text: str) -> tuple[float, float]:
     return seconds_of(start), seconds_of(length)
 
 
-def _log_to_write(_: click.Context, __: click.Parameter, path: Path) -> Path:
-    """Return the path of a log whose suffix is a format's."""
+def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
+    """Return the path of a log whose suffix is a format's, or None."""
     from imucal.simulation import WRITERS
 
-    if path.suffix.lower() not in WRITERS:
+    if path is not None and path.suffix.lower() not in WRITERS:
         known = ", ".join(suffix or "none (a ROS 2 folder)" for suffix in WRITERS)
         raise click.BadParameter(f"{path.name!r} ends in {path.suffix!r}; expected one of {known}")
     return path
@@ -45,7 +45,7 @@ def command(
     out: Path = option(
         "-o --out FILE  Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
         PATH,
-        callback=_log_to_write,
+        callback=log_to_write,
         required=True,
     ),
     rate: float = option("--rate HZ=200.0  Sampling rate.", RATE),
