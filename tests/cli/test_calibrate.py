@@ -239,3 +239,28 @@ def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
         done = run("calibrate", *arguments, cwd=tmp_path)
         assert done.returncode == code, done.stderr
         assert said in done.stderr
+
+
+def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
+    """One file, standard output, all of them; formats that need another kind of folder are refused."""
+    place = str(folder / "poses-calibration")
+    one = run("export", place, "--to", "OpenVINS", "-o", "imu.yaml", cwd=tmp_path)
+    assert (one.returncode, one.stdout) == (0, "imu.yaml\n")
+    assert "run imucal calibrate with --noise REPORT" in one.stderr
+    printed = run("export", f"{place}/calibration.json", "--to", "openvins", "-o", "-", "-q", cwd=tmp_path)
+    assert printed.stdout == (tmp_path / "imu.yaml").read_text(encoding="utf-8")
+    every = run("export", place, "--to", "all", "-o", "configs", cwd=tmp_path)
+    assert every.returncode == 0
+    assert len(every.stdout.splitlines()) == len(list((tmp_path / "configs").iterdir())) == 13
+    (tmp_path / "mine.yaml").write_text("mine", encoding="utf-8")
+    write_report(tmp_path, "still")
+    for arguments, code, said in (
+        ((place, "--to", "rovio"), 2, "no format 'rovio' of a calibration; there are kalibr, openvins"),
+        ((place, "--to", "kalbir"), 2, "did you mean kalibr?"),
+        ((place, "--to", "c", "--to", "yaml", "-o", "-"), 2, "standard output takes one format"),
+        (("still", "--to", "imu-tk"), 2, "imu-tk is about a calibration, but still is none"),
+        ((place, "--to", "kalibr", "-o", "mine.yaml"), 5, "was not written by imucal"),
+    ):
+        done = run("export", *arguments, cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        assert said in done.stderr
