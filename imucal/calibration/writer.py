@@ -3,7 +3,7 @@
 import errno
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from imucal.atomic import alone, replacing, sync_folder
@@ -14,12 +14,11 @@ from imucal.report import json_file
 from imucal.report.result import Report
 from imucal.report.writer import held_by, home_of
 
-__all__ = ["NOISE_NAME", "check_folder", "is_calibration", "write_calibration"]
+__all__ = ["NOISE_NAME", "PAGE_NAME", "check_folder", "is_calibration", "write_calibration"]
 
 #: Copy of the noise report; exports write its numbers next to the intrinsics.
 NOISE_NAME = "noise.json"
-#: What makes a file: its text or its bytes.
-Maker = Callable[[Calibration], bytes]
+PAGE_NAME, PICTURES = "calibration.html", ("rests.png", "attitudes.png", "turns.png")
 
 
 def is_calibration(path: Path) -> bool:
@@ -52,7 +51,7 @@ def write_calibration(
     out: str | Path,
     *,
     noise: Report | None = None,
-    others: Mapping[str, Maker] | None = None,
+    html: bool = True,
 ) -> tuple[Path, ...]:
     """Write the folder `out`; return its files, calibration.json first.
 
@@ -64,8 +63,8 @@ def write_calibration(
         The folder; a calibration that is there is replaced, other files are kept.
     noise
         The report that the calibration used; a copy is kept for exports.
-    others
-        Names of further files and what makes their content.
+    html
+        Whether to write calibration.html and the three pictures.
 
     Raises
     ------
@@ -74,7 +73,14 @@ def write_calibration(
     """
     out = Path(out)
     check_folder(out)
-    contents = {name: make(found) for name, make in (others or {}).items()}
+    contents: dict[str, bytes] = {}
+    if html:
+        from imucal.calibration.figures import picture
+        from imucal.calibration.page import render_page
+
+        contents = {name: picture(found, Path(name).stem) for name in PICTURES}
+        drawn = {Path(name).stem: content for name, content in contents.items()}
+        contents[PAGE_NAME] = render_page(found, drawn).encode()
     if noise is not None:
         contents[NOISE_NAME] = json_file.dumps(json_file.to_document(noise)).encode()
     # The document comes last: with it the folder is complete.
@@ -84,6 +90,8 @@ def write_calibration(
         with alone(out):
             if noise is None:
                 (out / NOISE_NAME).unlink(missing_ok=True)
+            for name in () if html else (PAGE_NAME, *PICTURES):
+                (out / name).unlink(missing_ok=True)
             for name, content in contents.items():
                 with replacing(out / name) as scratch:
                     scratch.write_bytes(content)

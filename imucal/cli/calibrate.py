@@ -20,6 +20,7 @@ from imucal.recording import AXES, Sensor
 if TYPE_CHECKING:
     from imucal.calibration import Calibration
     from imucal.recording import Recording
+    from imucal.report.result import Report
 
 
 @declared
@@ -38,6 +39,8 @@ def command(
         "--apply FILE  Also write the corrected log: .csv, .mcap or .bag.", PATH, callback=log_to_write
     ),
     no_files: bool = flag("--no-files  Write no folder."),
+    no_html: bool = flag("--no-html  Write no page and no pictures."),
+    opened: bool = flag("--open  Show the page in the browser when it is written."),
     as_json: bool = flag("--json  Print calibration.json on standard output."),
     _force: bool = option("--force  Write the result although a finding is an error.", is_flag=True),
 ) -> None:
@@ -60,7 +63,7 @@ def command(
     """
     from imucal.calibration import calibrate
     from imucal.calibration.document import to_document
-    from imucal.calibration.writer import check_folder, write_calibration
+    from imucal.calibration.writer import check_folder
     from imucal.report.json_file import dumps
 
     folder = out or report_folder(request.logs[0], "calibration")
@@ -78,15 +81,11 @@ def command(
     else:
         _print_table(found)
     print_findings(found.findings)
-    usable = found.verdict != "not usable" or is_set("force")
-    if usable:
+    if found.verdict != "not usable" or is_set("force"):
         if not no_files:
-            names = [path.name for path in write_calibration(found, folder, noise=report)]
-            say(f"Wrote {folder}: {', '.join(names)}")
+            _write_folder(found, folder, report, html=not no_html, opened=opened)
         if apply_to:
             _write_corrected(found.apply(recording), apply_to)
-        if not no_files:
-            say(f"Next: imucal export {as_typed(folder)} --to kalibr (or openvins, px4, python, …)")
     _end(found.verdict, recording.source.path, [f.code for f in found.findings if f.level != "info"])
 
 
@@ -106,6 +105,20 @@ def _print_table(found: "Calibration") -> None:
     lines = [*wrapped(headline(found)), "", table(found, width()), ""]
     text = "\n".join([*lines, *(line for remark in remarks(found) for line in wrapped(remark))])
     echo(text if can_print(text) else text.replace("±", "+-").replace("²", "^2").replace("°", " deg"))
+
+
+def _write_folder(
+    found: "Calibration", folder: Path, noise: "Report | None", *, html: bool, opened: bool
+) -> None:
+    from imucal.calibration.writer import PAGE_NAME, write_calibration
+
+    files = write_calibration(found, folder, noise=noise, html=html)
+    names = [path.name for path in files if path.suffix != ".png"]
+    names += [f"{len(files) - len(names)} pictures"] * html
+    say(f"Wrote {folder}: {', '.join(names)}")
+    say(f"Next: imucal export {as_typed(folder)} --to kalibr (or openvins, px4, python, …)")
+    if opened and html:
+        click.launch(str(folder / PAGE_NAME))
 
 
 def _write_corrected(corrected: "Recording", path: Path) -> None:
