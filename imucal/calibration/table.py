@@ -17,7 +17,7 @@ from imucal.units import G0, duration
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["Row", "frame_of", "headline", "html_of", "remarks", "rows", "table", "text_of"]
+__all__ = ["Row", "frame_of", "headline", "html_of", "readable", "remarks", "rows", "table", "text_of"]
 
 #: Unit of a parameter -> unit that people read, and its factor.
 _UNITS = {
@@ -62,6 +62,12 @@ def rows(found: Calibration) -> tuple[tuple[str, tuple[Row, ...]], ...]:
         sensitivity = [each for name, each in every.items() if name.startswith("g_sens")]
         blocks.append(("gyroscope", (*gyro, _sensitivity(sensitivity))))
     return tuple(blocks)
+
+
+def readable(value: float, unit: str) -> tuple[float, str]:
+    """Return a value of a parameter in the unit that people read."""
+    name, factor = _UNITS.get(unit, (unit, 1.0))
+    return value * factor, name
 
 
 def headline(found: Calibration) -> str:
@@ -155,8 +161,8 @@ def _row(name: str, found: Parameter) -> Row:
     title = name.replace("_", " ")
     if found.value is None or found.half_width is None:
         return Row(name=title, value="not observable", half="")
-    unit, factor = _UNITS.get(found.unit, (found.unit, 1.0))
-    value, half = _rounded(found.value * factor, found.half_width * factor)
+    (number, unit), (width, _) = readable(found.value, found.unit), readable(found.half_width, found.unit)
+    value, half = _rounded(number, width)
     remark = found.status if found.status in _SHOWN else ""
     return Row(name=title, value=f"{value} {unit}", half=half, remark=remark)
 
