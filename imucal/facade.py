@@ -14,6 +14,8 @@ import numpy as np
 from imucal.allan import AllanCurve
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
+from imucal.calibration import Calibration
+from imucal.calibration.exports import export_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
 from imucal.clock import seconds_of
@@ -159,18 +161,27 @@ def _report(report: object) -> Report:
 
 
 def export(
-    report: Report | str | Path, target: str, path: str | Path, **options: Unpack[Options]
+    report: Report | Calibration | str | Path,
+    target: str,
+    path: str | Path,
+    *,
+    noise: Report | None = None,
+    **options: Unpack[Options],
 ) -> tuple[Path, ...]:
     """Write the config file of a filter or simulator, such as ``export(report, "kalibr", "imu.yaml")``.
 
     Parameters
     ----------
     report
-        What was found; or the path of a report.json or its folder.
+        What was found; or the path of a report.json or its folder. Or a calibration, for formats with bias,
+        scale and misalignment.
     target
-        The format, such as ``kalibr`` or ``px4``; ``all`` writes each into the folder `path`.
+        The format, such as ``kalibr`` or ``px4``; ``all`` writes each into the folder `path` (not
+        of a calibration).
     path
         The file to write, or a folder.
+    noise
+        Of a calibration: the report whose noise numbers go into the same file.
     options
         ``axis_policy``, ``inflate``, ``unidentified``, ``topic``, ``numbers``, ``horizon_s`` and ``step_s``,
         as in `imucal.report.exports.export`.
@@ -190,6 +201,8 @@ def export(
         If a file can't be written, or one of the same name wasn't written by imucal.
     """
     with _refusals():
+        if isinstance(report, Calibration):
+            return (export_calibration(report, target, Path(path), noise, **options),)
         return export_report(_report(report), target, Path(path), **options)
 
 

@@ -51,7 +51,7 @@ BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
 BELOW["fleet_run"] = (
     BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}
 )
-BELOW["facade"] = BELOW["fleet_run"] | {"checking", "simulation"}
+BELOW["facade"] = BELOW["fleet_run"] | {"calibration", "checking", "simulation"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

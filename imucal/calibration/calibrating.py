@@ -30,7 +30,7 @@ from imucal.clock import seconds_of
 from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
-from imucal.recording import Recording, Sensor
+from imucal.recording import AXES, Recording, Sensor
 from imucal.report.result import Report
 
 __all__ = ["calibrate"]
@@ -39,6 +39,10 @@ __all__ = ["calibrate"]
 _FEWEST = 6
 #: At most this share of the rests is excluded as moved.
 _MOST_MOVED = 1 / 3
+#: Lengths of gravity that belong to a log in g.
+_IN_G = 0.85, 1.15
+#: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
+_NOISY = 3
 #: A longer turn is not used, in s.
 _LONGEST_TURN_S = 60.0
 #: A clipped axis repeats its extreme this often, and the extreme is this many steps from the level at rest.
@@ -93,6 +97,7 @@ def calibrate(
         _require_rests(spans, accelerometer)
         found = _Sensor.of(accelerometer, spans, noise)
         _require_attitudes(found.rests.means)
+        _require_range(accelerometer, found.rests)
         turning = _Sensor.of(gyroscope, spans, noise) if gyroscope is not None else None
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         used = ~_worst(z)
@@ -177,6 +182,27 @@ def _require_attitudes(means: FloatArray) -> None:
         raise DataError(f"all {len(means)} rests have the same attitude within 10°; {_ADVICE}")
 
 
+def _require_range(data: Triad, rests: RestMeans) -> None:
+    """Raise a DataError if the samples are in g, or an axis is clipped at rest."""
+    norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
+    if _IN_G[0] < norm < _IN_G[1]:
+        msg = f"the accelerometer reads {norm:.3g} at rest and not 9.81 m/s²: its unit is g"
+        raise DataError(msg)
+    for axis, column in enumerate(data.samples.T):
+        parts = [column[first:end] for first, end in rests.spans]
+        extremes = np.nanmin(column), np.nanmax(column)
+        constant = np.array([np.ptp(part) == 0 and part[0] in extremes for part in parts])
+        # With coarse steps other rests are constant too.
+        if constant.any() and np.median([np.ptp(part) for part in parts]) > _NOISY * step_of(column):
+            value = float(parts[int(np.argmax(constant))][0])
+            share = f"{int(constant.sum())} of {len(parts)} rests"
+            msg = (
+                f"accel_{AXES[axis]} is clipped at {value:.4g} in {share}; "
+                "choose a larger range of the accelerometer"
+            )
+            raise DataError(msg)
+
+
 def _worst(z: FloatArray) -> BoolArray:
     """Return which rests to exclude as moved, at most a third."""
     moved = moved_rests(z)
@@ -245,6 +271,12 @@ def _gyroscope(
                 data.samples, rests.spans, rests.means, fit.up, which, rate_hz=data.rate_hz
             )
             start = start_of(arrays)
+            if turned := _order_of(start):
+                trouble = (
+                    f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
+                    "axes, in the log or when it is read"
+                )
+                start = None
         except DataError as error:
             trouble = str(error)
     earth = earth_rate(latitude)
@@ -285,6 +317,16 @@ def _gyroscope(
         raw_means = (fit.f @ np.linalg.inv(fit.C).T) + fit.b
         turns = fit_turns(arrays, noise, direction_covariance(fit, raw_means, estimate.covariances))
     return _gyroscope_result(rest, turns), _turns(spans_s, fit.up, reasons, which, turns), trouble
+
+
+def _order_of(start: FloatArray) -> str:
+    """Return such as ``y, -x, z`` for a start with permuted or mirrored axes; empty for the usual order."""
+    signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
+    if np.array_equal(signed, np.eye(3)):
+        return ""
+    # Column k of C maps the gyroscope's axis k to the frame.
+    places = np.argmax(np.abs(signed), axis=0)
+    return ", ".join(f"{'-' if signed[i, k] < 0 else ''}{AXES[i]}" for k, i in enumerate(places))
 
 
 def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None) -> GyroscopeResult:

@@ -153,7 +153,8 @@ def _observability(facts: Facts) -> Iterator[Finding]:
             yield replace(finding, text=text, advice=advice, axis="accel")
         own = [name for name, parameter in facts.gyro_parameters.items() if parameter.status == status]
         turned = [name for name in own if name.startswith(("scale", "misalignment"))]
-        if turned:
+        # Turns that nothing explains have a finding of their own.
+        if turned and not facts.trouble:
             turns = [
                 f"about {axis} (start with {_others(axis)} down)" for axis in sorted({n[-1] for n in turned})
             ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -114,6 +115,9 @@ class Calibration(Displayed):
     findings, verdict
         What to know, and `good`, `look first` or `not usable`.
     """
+
+    #: Draws the text and the table that notebooks show.
+    drawn_by: ClassVar[str] = "imucal.calibration.table"
 
     source: Source
     gravity: Gravity

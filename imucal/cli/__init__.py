@@ -113,6 +113,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "adev": ("adev", "Print the Allan deviations of every axis as CSV or JSON."),
     "simulate": ("simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
     "plan": ("plan", "Say how long to record for a wanted precision."),
+    "calibrate": ("calibrate", "Find bias, scale and misalignment from a log of rests and turns."),
     "drift": ("drift", "Say how far dead reckoning drifts after a rest, with limits."),
     "check": ("check", "Pass or fail a report or a log against limits (the CI gate)."),
     "compare": ("compare", "Say which terms of two reports differ significantly."),

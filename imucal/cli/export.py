@@ -1,6 +1,7 @@
 """``imucal export``: the config files of downstream filters and simulators."""
 
 import math
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -8,6 +9,9 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
+from imucal.calibration.exports import CALIBRATION_TARGETS
+from imucal.calibration.writer import is_calibration
+from imucal.cli._calibration_export import export_calibration, require_noise_targets
 from imucal.cli._declared import declared, is_set, misuse, option, together
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import echo, refuse, say
@@ -19,6 +23,7 @@ from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
 from imucal.report.exports.config_numbers import vague_axes
+from imucal.report.exports.target import name_key
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
@@ -33,7 +38,7 @@ _TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 def _target_name(text: str) -> str:
     """Return the name of a downstream format as it was typed, or all."""
-    if text != "all":
+    if text != "all" and name_key(text) not in map(name_key, CALIBRATION_TARGETS):
         try:
             exports.find_target(text)
         except ValueError as error:
@@ -61,6 +66,7 @@ def _factors(text: str) -> dict[str, float]:
     return factors
 
 
+_OF_CALIBRATION = "\n  ".join(textwrap.wrap(", ".join(CALIBRATION_TARGETS), 76))
 _LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
 
 
@@ -122,7 +128,8 @@ def command(
 ) -> None:
     """Write the config files that filters and simulators read.
 
-    REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a fleet.
+    REPORT is a report.json, its folder, a log (which is characterised first), the folder of a fleet, or
+    that of a calibration.
     Every file says in a comment which number is continuous or discrete, by which formula, and from which
     axis.
 
@@ -133,6 +140,7 @@ def command(
       imucal export still-imucal --to openvins --inflate white=5,walk=10
       imucal export still-imucal --to px4 --horizon 10min --step 0.2s
       imucal export fleet --value tolerance --to kalibr
+      imucal export poses-calibration --to openvins -o imu.yaml
 
     Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
     are not noise at rest or a number that the format needs is missing, 5 the
@@ -141,6 +149,11 @@ def command(
     horizon_s, step_s = options["horizon_s"], options["step_s"]
     if horizon_s is not None and horizon_s <= step_s:
         misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
+    if is_calibration(Path(request.logs[0])):
+        options["topic"] = rostopic
+        export_calibration(Path(request.logs[0]), targets, out, options)
+        return
+    require_noise_targets(targets, shown_address(request.logs[0]))
     report = _report(request, value, fleet_model)
     refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
     if (axes := vague_axes(report)) and not is_set("force"):
@@ -169,6 +182,8 @@ command.epilog = f"""\b
 Formats:
 {_LISTED}
   all        each of them, into a folder
+Formats of a calibration, with noise numbers if it was made with --noise:
+  {_OF_CALIBRATION}
 
 {command.epilog}"""
 

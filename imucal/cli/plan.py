@@ -2,10 +2,13 @@
 
 import math
 
+import click
+
+from imucal.cli._calibration_plan import plan_calibration
 from imucal.cli._declared import argument, declared, flag, is_set, option
 from imucal.cli._printing import FULL, can_print, echo, picked, print_json, say, width, wrapped
 from imucal.cli._report_input import MODELS, report_or_model
-from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Text
+from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Number, Text
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
@@ -42,6 +45,11 @@ def command(
     duration: float | None = option(
         "--duration TIME  Also say what a record so long tells, such as 3h.", DURATION
     ),
+    rests: int | None = option(
+        "--rests N  Plan a log for imucal calibrate: attitudes and precision.", click.IntRange(9, 1000)
+    ),
+    rest: float = option("--rest TIME=5s  With --rests: length of each rest.", DURATION),
+    latitude: float | None = option("--latitude DEG  With --rests: of the place.", Number(-90, 90)),
     _datasheet: bool = option(
         "--datasheet/--si  Units of a report's table.", default=True, show_default=True
     ),
@@ -60,11 +68,16 @@ def command(
       imucal plan --accel "N=60ug/sqrt(Hz)" --rate 200
       imucal plan log-imucal --precision 5% --level 0.95
       imucal plan log-imucal --duration 3h --json -q
+      imucal plan log-imucal --rests 18 --rest 5s --latitude 47.4
 
     Exit codes: 0 done, 2 usage, 3 the report can't be read.
     """
+    report = report_or_model(source, models, rate)
+    if rests:
+        plan_calibration(report, rests, rest, latitude, as_json=as_json)
+        return
     result = plan(
-        report_or_model(source, models, rate),
+        report,
         rate_hz=rate,
         precision=precision,
         level=level or ONE_DEVIATION,

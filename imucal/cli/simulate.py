@@ -27,11 +27,11 @@ def _gap(text: str) -> tuple[float, float]:
     return seconds_of(start), seconds_of(length)
 
 
-def _log_to_write(_: click.Context, __: click.Parameter, path: Path) -> Path:
-    """Return the path of a log whose suffix is a format's."""
+def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
+    """Return the path of a log whose suffix is a format's, or None."""
     from imucal.simulation import WRITERS
 
-    if path.suffix.lower() not in WRITERS:
+    if path is not None and path.suffix.lower() not in WRITERS:
         known = ", ".join(suffix or "none (a ROS 2 folder)" for suffix in WRITERS)
         raise click.BadParameter(f"{path.name!r} ends in {path.suffix!r}; expected one of {known}")
     return path
@@ -45,7 +45,7 @@ def command(
     out: Path = option(
         "-o --out FILE  Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
         PATH,
-        callback=_log_to_write,
+        callback=log_to_write,
         required=True,
     ),
     rate: float = option("--rate HZ=200.0  Sampling rate.", RATE),
@@ -55,6 +55,11 @@ def command(
     ),
     gyro_lsb: float = option("--gyro-lsb X  Resolution of the gyroscope, in rad/s.", _LSB, default=0.0),
     accel_lsb: float = option("--accel-lsb X  Resolution of the accelerometer, in m/s^2.", _LSB, default=0.0),
+    rests: int | None = option(
+        "--rests N  Rests in N attitudes with turns between, for imucal calibrate; seed draws the errors.",
+        click.IntRange(6, 1000),
+    ),
+    rest: float = option("--rest TIME=5s  With --rests: length of each.", DURATION),
     seed: int = option("--seed N=0  The same seed gives the same log.", click.IntRange(min=0)),
     as_json: bool = flag("--json  Print the truth as JSON."),
     _quiet: bool = QUIET,
@@ -70,26 +75,35 @@ def command(
       imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
       imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \
         --rate 400 --duration 2h --gap 10min:3s -o gaps.bag
+      imucal simulate "N=1e-4" --accel "N=1e-3" --rests 18 --json -o poses.mcap
     """
+    from imucal.calibration.known_log import simulate_rests
     from imucal.simulation import SensorTruth, simulate_recording, write_log
 
-    if not 1 <= duration * rate <= _MOST:
-        misuse(f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}")
+    length = duration if rests is None else rests * (rest + 2.0)
+    if not 1 <= length * rate <= _MOST:
+        misuse(f"{length:g} s at {rate:g} Hz are {length * rate:.3g} samples; expected 1 to {_MOST:g}")
+    if rests and gaps:
+        misuse("--gap is not for a log with --rests; leave one of them out")
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:
         misuse(error, "--accel")
-    gyroscope = SensorTruth(model=models[0], mean=(0.0, 0.0, 0.0), lsb=gyro_lsb)
-    accelerometer = SensorTruth(model=models[1], mean=(0.0, 0.0, G0), lsb=accel_lsb)
+    errors: dict[str, object] = {}
     try:
-        recording = simulate_recording(
-            gyroscope=gyroscope,
-            accelerometer=accelerometer,
-            rate_hz=rate,
-            duration_s=duration,
-            seed=seed,
-            gaps_s=gaps,
-        )
+        if rests:
+            lsb = gyro_lsb, accel_lsb
+            recording, known = simulate_rests(models, rests, rest_s=rest, rate_hz=rate, seed=seed, lsb=lsb)
+            errors = {"calibration": picked(known, "M_a b_a M_g b_g G")}
+        else:
+            recording = simulate_recording(
+                gyroscope=SensorTruth(model=models[0], mean=(0.0, 0.0, 0.0), lsb=gyro_lsb),
+                accelerometer=SensorTruth(model=models[1], mean=(0.0, 0.0, G0), lsb=accel_lsb),
+                rate_hz=rate,
+                duration_s=duration,
+                seed=seed,
+                gaps_s=gaps,
+            )
     except ValueError as error:
         misuse(error)
     write_log(recording, out)
@@ -105,6 +119,7 @@ def command(
         "duration_s": clock.duration_s,
         "gaps": [picked(gap, "start_s duration_s") for gap in clock.gaps],
         "seed": seed,
+        **errors,
     }
     print_json(truth)
     say(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}")

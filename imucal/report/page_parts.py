@@ -6,7 +6,7 @@ noise over time has heights relative to the record's value: one scale for every 
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from itertools import count
 from typing import TypeAlias
@@ -65,8 +65,13 @@ def _states(seen: View, key: str) -> list[tuple[float, float] | None]:
 
 def findings_section(report: Report) -> Markup:
     """Return every finding in words, the grave ones first; those with the same advice stand together."""
+    return listed_findings(_all_findings(report))
+
+
+def listed_findings(found: Iterable[tuple[str, Finding]]) -> Markup:
+    """Return findings, each with its axis, as the page lists them: errors first, one entry an advice."""
     grouped: dict[_Kind, dict[str, list[str]]] = {}
-    for axis, finding in _all_findings(report):
+    for axis, finding in found:
         kind = (finding.level, finding.code, finding.advice, finding.keep_s)
         grouped.setdefault(kind, {}).setdefault(finding.text, []).append(axis)
     groups = []

@@ -1,0 +1,167 @@
+"""`calibration.json`: the whole result in SI units, and what exports read back from it.
+
+The layout is pinned by ``schema/calibration-1.schema.json``.
+"""
+
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from imucal.arrays import FloatArray, ReadOnlyArrays
+from imucal.calibration.parameters import Parameter, is_si
+from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
+from imucal.errors import ReadError
+from imucal.frozen import frozen_alone
+from imucal.report.json_file import JsonObject, Node, picked, plain
+
+__all__ = ["FILE_NAME", "SCHEMA", "Intrinsics", "load_intrinsics", "schema", "to_document"]
+
+#: Name and number of the layout, and of the file.
+SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
+
+
+def to_document(found: Calibration) -> JsonObject:
+    """Return a calibration as JSON values, SI; null for what is not known."""
+    temperature = found.temperature and dict(zip(("mean", "low", "high"), found.temperature, strict=True))
+    rest = "start_s end_s mean_accel mean_gyro up residual before sigma z used why"
+    turn = "start_s end_s angle_deg residual_deg before_deg p used why"
+    return {
+        "schema": SCHEMA,
+        "verdict": found.verdict,
+        "source": picked(found.source, "path format topics message_types"),
+        "gravity": picked(found.gravity, "value sigma origin"),
+        "frame": found.frame,
+        "accelerometer": _accelerometer(found.accelerometer),
+        "gyroscope": found.gyroscope and _gyroscope(found.gyroscope),
+        "temperature": plain(temperature),
+        "noise": {
+            sensor: {"origin": base.origin, "models": [model.text() for model in base.models]}
+            for sensor, base in found.noise.items()
+        },
+        "rests": [picked(each, rest) for each in found.rests],
+        "turns": [picked(each, turn) for each in found.turns],
+        "findings": [picked(each, "level code axis text advice") for each in found.findings],
+    }
+
+
+def _accelerometer(found: AccelerometerResult) -> JsonObject:
+    add = found.suggestion
+    return {
+        **picked(found, "model C M b diagonal_C diagonal_b covariance chi2 dof p"),
+        "parameters": {name: _parameter(each) for name, each in found.parameters.items()},
+        "excess": picked(found.excess, "tau kappa walk_share"),
+        "suggestion": picked(add, "down text parameter ratio"),
+    }
+
+
+def _gyroscope(found: GyroscopeResult) -> JsonObject:
+    return {
+        **picked(found, "scaled C M b G covariance_C chi2 dof p widening"),
+        "parameters": {name: _parameter(each) for name, each in found.parameters.items()},
+    }
+
+
+def _parameter(found: Parameter) -> JsonObject:
+    return picked(found, "value low high unit status")
+
+
+def schema() -> JsonObject:
+    """Return the JSON Schema of `calibration.json`."""
+    text = files("imucal.calibration").joinpath("schema", "calibration-1.schema.json").read_text("utf-8")
+    document: JsonObject = json.loads(text)
+    return document
+
+
+@frozen_alone
+class Intrinsics(ReadOnlyArrays):
+    """What other programs need of a calibration: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
+
+    Attributes
+    ----------
+    source, topics, kind
+        Name of the log, its topics and its format.
+    C_a, b_a, diagonal_C, diagonal_b
+        Accelerometer, and its best fit without misalignment; shapes (3, 3) and (3,).
+    C_g, b_g, G
+        Gyroscope; None without one. C_g is None if no turn could be used.
+    gravity
+        In m/s².
+    means
+        Raw means of the rests that were used, shape (m, 3).
+    weak
+        Parameters that the log does not determine, or only weakly.
+    """
+
+    source: str
+    topics: tuple[str, ...]
+    kind: str
+    C_a: FloatArray
+    b_a: FloatArray
+    diagonal_C: FloatArray
+    diagonal_b: FloatArray
+    C_g: FloatArray | None
+    b_g: FloatArray | None
+    G: FloatArray | None
+    gravity: float
+    means: FloatArray
+    weak: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, found: Calibration) -> "Intrinsics":
+        """Return those of a calibration."""
+        return _intrinsics(Node(plain(to_document(found)), "calibration"))
+
+    @property
+    def si(self) -> bool:
+        """Whether the raw samples are in m/s² and rad/s, and not counts."""
+        return all(is_si(np.asarray(np.linalg.inv(C))) for C in (self.C_a, self.C_g) if C is not None)
+
+
+def load_intrinsics(path: Path) -> Intrinsics:
+    """Read the intrinsics of a ``calibration.json`` or its folder.
+
+    Raises
+    ------
+    ReadError
+        If it is missing, or is not a calibration of the schema this version knows.
+    """
+    file = path / FILE_NAME if path.is_dir() else path
+    try:
+        root = Node(json.loads(file.read_bytes()), str(file))
+    except (OSError, ValueError) as error:
+        raise ReadError(f"{file}: can't be read ({error}); run 'imucal calibrate' again") from error
+    root["schema"].text(SCHEMA)
+    return _intrinsics(root)
+
+
+def _intrinsics(root: Node) -> Intrinsics:
+    accel, source = root["accelerometer"], root["source"]
+    sensors = {"accel": accel}
+    C_g = b_g = G = None
+    if (gyro := root["gyroscope"]).value is not None:
+        sensors["gyro"] = gyro
+        C_g = gyro["C"].matrix(3) if gyro["scaled"].value else None
+        b_g, G = gyro["b"].array(like=3), gyro["G"].matrix(3)
+    weak = [
+        f"{sensor} {name.replace('_', ' ')}"
+        for sensor, node in sensors.items()
+        for name in node["parameters"].table()
+        if node["parameters"][name]["status"].text() in ("weak", "not-observable")
+    ]
+    return Intrinsics(
+        source=source["path"].text().rstrip("/").rsplit("/", 1)[-1],
+        topics=source["topics"].texts(),
+        kind=source["format"].text(),
+        C_a=accel["C"].matrix(3),
+        b_a=accel["b"].array(like=3),
+        diagonal_C=accel["diagonal_C"].matrix(3),
+        diagonal_b=accel["diagonal_b"].array(like=3),
+        C_g=C_g,
+        b_g=b_g,
+        G=G,
+        gravity=root["gravity"]["value"].number(),
+        means=np.array([rest["mean_accel"].array(like=3) for rest in root["rests"] if rest["used"].value]),
+        weak=tuple(weak),
+    )

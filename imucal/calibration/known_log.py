@@ -1,0 +1,241 @@
+"""Logs of rests and turns of known truth, and the precision that such a log gives."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
+from imucal.calibration.accelerometer import describe_direction
+from imucal.calibration.gravity import earth_rate, gravity_at
+from imucal.calibration.gyro_rest import estimate_gyro_rest
+from imucal.calibration.mean_covariance import mean_covariance
+from imucal.calibration.parameters import Parameter, accelerometer_parameters, gyroscope_parameters
+from imucal.calibration.slow_noise import estimate_accelerometer, walk_covariance
+from imucal.calibration.turn_data import prepare_turns, rotations
+from imucal.calibration.turns import GyroNoise, direction_covariance, fit_turns
+from imucal.clock import Clock
+from imucal.errors import ArgumentError
+from imucal.frozen import frozen_alone
+from imucal.noise import NoiseModel
+from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
+
+__all__ = ["FEWEST", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"]
+
+#: Fewest rests of a log, and of a plan, which fits nine parameters.
+FEWEST, _FEWEST_PLANNED = 6, 9
+#: Deviations of the errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
+_SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
+#: A hand tilts an attitude by this, in rad; length of a turn in s, and how far it also yaws, in rad.
+_TILT, _TURN_S, _YAW = 0.08, 2.0, 0.6
+_FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, -1, 0.0]])
+
+
+@frozen_alone
+class ImuErrors(ReadOnlyArrays):
+    """Known errors: raw_a = M_a f + b_a, raw_g = M_g w + b_g + G f, in SI.
+
+    The biases are averages over the log, noise included.
+    """
+
+    M_a: FloatArray
+    b_a: FloatArray
+    M_g: FloatArray
+    b_g: FloatArray
+    G: FloatArray
+
+
+@frozen_alone
+class _Motion(ReadOnlyArrays):
+    """True specific force and rate, each (n, 3); of the rests spans in samples, (m, 2), and up, (m, 3)."""
+
+    f: FloatArray
+    w: FloatArray
+    spans: IntArray
+    up: FloatArray
+
+
+@frozen_alone
+class RestsPlan:
+    """What a log of rests will tell: attitudes in words, and each parameter with its expected interval."""
+
+    rest_s: float
+    rate_hz: float
+    duration_s: float
+    attitudes: tuple[str, ...]
+    accelerometer: Mapping[str, Parameter]
+    gyroscope: Mapping[str, Parameter]
+
+
+def simulate_rests(
+    models: tuple[NoiseModel, NoiseModel],
+    count: int,
+    *,
+    rest_s: float = 5.0,
+    rate_hz: float = 100.0,
+    seed: int = 0,
+    lsb: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Recording, ImuErrors]:
+    """Return a log of rests with smooth turns between, and the errors of its IMU, which the seed draws.
+
+    Parameters
+    ----------
+    models, lsb
+        Noise of each axis of the gyroscope and of the accelerometer, and their resolution, in SI.
+    count, rest_s
+        Rests and the length of each, in s; a turn takes 2 s.
+    rate_hz, seed
+        Sampling rate, in Hz; the same seed gives the same log.
+
+    Raises
+    ------
+    ArgumentError
+        If there are fewer than 6 rests, or a rest has fewer than 16 samples.
+    """
+    rng = np.random.default_rng(seed)
+    motion = _motion(_up(count, rng), rng, rest_s=rest_s, rate_hz=rate_hz)
+    n = len(motion.f)
+    M_a = np.eye(3) + np.diag(rng.normal(0, _SCALE, 3)) + np.tril(rng.normal(0, _MISALIGNED, (3, 3)), -1)
+    M_g = np.eye(3) + rng.normal(0, _SCALE, (3, 3))
+    G = rng.normal(0, _G, (3, 3))
+    e_g, e_a = (
+        np.column_stack([model.simulate(n, rate_hz=rate_hz, rng=rng) for _ in AXES]) for model in models
+    )
+    e_g += rng.normal(0, _BIAS_G, 3)
+    e_a += rng.normal(0, _BIAS_A, 3)
+    raw = {
+        Sensor.GYROSCOPE: motion.w @ M_g.T + motion.f @ G.T + e_g,
+        Sensor.ACCELEROMETER: motion.f @ M_a.T + e_a,
+    }
+    clock = Clock.even(n, rate_hz, source="simulated")
+    series = tuple(
+        AxisSeries(sensor=sensor, axis=axis, samples=_rounded(samples[:, k], step), clock=clock)
+        for (sensor, samples), step in zip(raw.items(), lsb, strict=True)
+        for k, axis in enumerate(AXES)
+    )
+    errors = ImuErrors(M_a=M_a, b_a=e_a.mean(axis=0), M_g=M_g, b_g=e_g.mean(axis=0), G=G)
+    return Recording(source=Source(path="simulated", format="simulated"), series=series), errors
+
+
+def plan_rests(
+    models: Mapping[str, NoiseModel],
+    count: int,
+    *,
+    rest_s: float = 5.0,
+    rate_hz: float = 100.0,
+    latitude: float | None = None,
+) -> RestsPlan:
+    """Return the attitudes of a log with so many rests, and the intervals to expect.
+
+    The sensor is taken as perfect and its noise as known. Nonlinearity and warm-up widen the intervals.
+
+    Parameters
+    ----------
+    models
+        Noise by axis name, such as ``accel_x``; six axes, or the accelerometer's three.
+    count, rest_s, rate_hz
+        Rests, length of each in s, and sampling rate in Hz.
+    latitude
+        Of the place, in degrees.
+
+    Raises
+    ------
+    ArgumentError
+        If there are fewer than 9 rests, or the accelerometer has no model.
+    """
+    if count < _FEWEST_PLANNED:
+        raise ArgumentError(f"{count} rests do not determine misalignment; plan {_FEWEST_PLANNED} or more")
+    own = {
+        sensor: tuple(models[name] for axis in AXES if (name := f"{sensor.short}_{axis}") in models)
+        for sensor in Sensor
+    }
+    if len(own[Sensor.ACCELEROMETER]) != len(AXES):
+        raise ArgumentError("a calibration needs the noise of the accelerometer's three axes")
+    rng = np.random.default_rng(0)
+    motion = _motion(_up(count, rng), rng, rest_s=rest_s, rate_hz=rate_hz)
+    up, n, spans, place = motion.up, len(motion.f), motion.spans, gravity_at(latitude=latitude)
+    base = {
+        sensor: np.array([mean_covariance(m, spans, rate_hz=rate_hz, samples=n) for m in of_sensor])
+        for sensor, of_sensor in own.items()
+    }
+    walk = walk_covariance(spans, rate_hz=rate_hz, samples=n)
+    means = up * place.value
+    estimate = estimate_accelerometer(
+        means, base[Sensor.ACCELEROMETER], walk,
+        gravity=place.value, gravity_sigma=place.sigma, checked=True,
+    )  # fmt: skip
+    gyroscope: Mapping[str, Parameter] = {}
+    if len(own[Sensor.GYROSCOPE]) == len(AXES):
+        none = np.zeros_like(means)
+        rest = estimate_gyro_rest(
+            none, means, base[Sensor.GYROSCOPE], walk,
+            scale=np.eye(3), earth=earth_rate(latitude), gravity=place.value, checked=True,
+        )  # fmt: skip
+        turns = prepare_turns(motion.w, spans, none, up, np.arange(count - 1), rate_hz=rate_hz)
+        noise = GyroNoise(models=own[Sensor.GYROSCOPE], tau=np.zeros(3), rest_spans=spans, samples=n)
+        directions = direction_covariance(estimate.fit, means, estimate.covariances)
+        gyroscope = gyroscope_parameters(rest, fit_turns(turns, noise, directions))
+    return RestsPlan(
+        rest_s=rest_s,
+        rate_hz=rate_hz,
+        duration_s=n / rate_hz,
+        attitudes=tuple(describe_direction(-one) for one in _ideal(count)),
+        accelerometer=accelerometer_parameters(estimate),
+        gyroscope=gyroscope,
+    )
+
+
+def _ideal(count: int) -> FloatArray:
+    """Return up directions: six faces, twelve edges, eight corners, then again, shape (count, 3)."""
+    grid = np.stack(np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1], [-1.0, 0, 1]), axis=-1).reshape(-1, 3)
+    size = np.abs(grid).sum(axis=1)
+    every = np.vstack([_FACES, grid[size == 2], grid[size == 3]])
+    found = every[np.arange(count) % len(every)]
+    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+
+def _up(count: int, rng: np.random.Generator) -> FloatArray:
+    if count < FEWEST:
+        raise ArgumentError(f"{count} rests can't be calibrated; simulate {FEWEST} or more")
+    found = _ideal(count) + rng.normal(0, _TILT, (count, 3))
+    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+
+def _motion(up: FloatArray, rng: np.random.Generator, *, rest_s: float, rate_hz: float) -> _Motion:
+    """Return rests with these up directions and turns between, which also yaw."""
+    rest, turn = round(rest_s * rate_hz), max(8, round(_TURN_S * rate_hz))
+    if rest < 16:
+        raise ArgumentError(
+            f"a rest of {rest_s:g} s has {rest} samples at {rate_hz:g} Hz, expected 16 or more"
+        )
+    bell = 1 - np.cos(2 * math.pi * (np.arange(turn) + 0.5) / turn)
+    bell *= rate_hz / bell.sum()
+    done = np.concatenate([[0.0], np.cumsum(bell)[:-1]]) / rate_hz
+    v = up[0]
+    rates, directions, at_rest = [np.zeros((rest, 3))], [np.tile(v, (rest, 1))], [v]
+    for target in up[1:]:
+        axis = np.cross(v, target)
+        sine = float(np.linalg.norm(axis))
+        # Opposite directions have no common plane; any axis across does.
+        if sine < 1e-6:
+            axis = np.cross(v, [0.6, 0.0, 0.8])
+        axis /= np.linalg.norm(axis)
+        angle = math.atan2(sine, float(v @ target))
+        # Turning about the vertical changes no direction; steps are finite, so the end is near the target.
+        path = rotations(axis * (angle * done)[:, None]) @ v
+        w = -axis * (angle * bell)[:, None] + (rng.normal(0, _YAW) * bell)[:, None] * path
+        rates += [w, np.zeros((rest, 3))]
+        carried = np.empty((turn, 3))
+        for k, step in enumerate(rotations(-w / rate_hz)):
+            carried[k] = v
+            v = step @ v
+        directions += [carried, np.tile(v, (rest, 1))]
+        at_rest.append(v)
+    first = np.arange(len(up)) * (rest + turn)
+    gravity = gravity_at().value
+    spans = np.column_stack([first, first + rest])
+    return _Motion(f=gravity * np.vstack(directions), w=np.vstack(rates), spans=spans, up=np.array(at_rest))
+
+
+def _rounded(samples: FloatArray, step: float) -> FloatArray:
+    return np.asarray(np.round(samples / step) * step) if step else samples

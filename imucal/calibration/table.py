@@ -1,0 +1,209 @@
+"""The table of a calibration: the result in a few lines of text, for the terminal, notebooks and the page."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import zip_longest
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imucal.calibration.parameters import Parameter
+from imucal.calibration.poses import attitudes
+from imucal.calibration.result import Calibration
+from imucal.frozen import frozen
+from imucal.report.markup import Markup, render
+from imucal.units import G0, duration
+
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = ["Row", "frame_of", "headline", "html_of", "readable", "remarks", "rows", "table", "text_of"]
+
+#: Unit of a parameter -> unit that people read, and its factor.
+_UNITS = {
+    "m/s^2": ("mm/s²", 1e3),
+    "rad/s": ("deg/s", math.degrees(1.0)),
+    "(rad/s)/(m/s^2)": ("deg/s/g", math.degrees(G0)),
+    "raw/(m/s^2)": ("per m/s²", 1.0),
+    "raw/(rad/s)": ("per rad/s", 1.0),
+}
+#: Columns of the left half of a wide table, and of the name of a parameter.
+_HALF, _NAME = 39, 16
+#: Two blocks side by side need this many columns.
+_WIDE = 80
+#: Statuses that the table shows.
+_SHOWN = ("weak",)
+
+
+@frozen
+class Row:
+    """One line of the table: a name, the value with its unit, half of its 95 % interval, and a remark."""
+
+    name: str
+    value: str
+    half: str
+    remark: str = ""
+
+    def text(self) -> str:
+        """Return the line, such as ``scale x          -0.133 % ± 0.011``."""
+        half = f" ± {self.half}" if self.half else ""
+        remark = f"  ({self.remark})" if self.remark else ""
+        return f"{self.name:<{_NAME}} {self.value}{half}{remark}"
+
+
+def rows(found: Calibration) -> tuple[tuple[str, tuple[Row, ...]], ...]:
+    """Return the rows of each sensor, with its name."""
+    accel = [_row(name, each) for name, each in _in_order(found.accelerometer.parameters)]
+    blocks = [("accelerometer", tuple(accel))]
+    if found.gyroscope is not None:
+        every = found.gyroscope.parameters
+        shown = {name: each for name, each in every.items() if not name.startswith("g_sens")}
+        gyro = [_row(name, each) for name, each in _in_order(shown)]
+        sensitivity = [each for name, each in every.items() if name.startswith("g_sens")]
+        blocks.append(("gyroscope", (*gyro, _sensitivity(sensitivity))))
+    return tuple(blocks)
+
+
+def readable(value: float, unit: str) -> tuple[float, str]:
+    """Return a value of a parameter in the unit that people read."""
+    name, factor = _UNITS.get(unit, (unit, 1.0))
+    return value * factor, name
+
+
+def headline(found: Calibration) -> str:
+    """Return ``poses.mcap: 8 min 32 s, 46 rests (1.1 to 45.9 s) in 18 attitudes, 45 turns``."""
+    used = [rest for rest in found.rests if rest.used]
+    lengths = [rest.end_s - rest.start_s for rest in found.rests]
+    first, last = found.rests[0].start_s, found.rests[-1].end_s
+    count = attitudes(np.array([rest.up for rest in used]))
+    rests = f"{len(found.rests)} rests ({min(lengths):.1f} to {max(lengths):.1f} s) in {count} attitudes"
+    turns = f", {len(found.turns)} turns" if found.turns else ""
+    return f"{found.source.name}: {duration(round(last - first))}, {rests}{turns}"
+
+
+def remarks(found: Calibration) -> Iterator[str]:
+    """Yield the errors of |f| and of the turns before and after, and the rest that would help most."""
+    used = [rest for rest in found.rests if rest.used]
+    after = _rms(rest.residual for rest in used)
+    if found.accelerometer.parameters["bias_x"].unit == "raw":
+        yield f"|f| at rest: {_mm(after)} rms from gravity after calibration."
+    else:
+        before = max(abs(rest.before) for rest in used)
+        yield f"|f| at rest: error up to {_mm(before)} before, {_mm(after)} rms after."
+    turns = [turn for turn in found.turns if turn.used]
+    both = [
+        _rms(math.hypot(*each) for turn in turns if (each := getattr(turn, name)) is not None)
+        for name in ("before_deg", "residual_deg")
+    ]
+    if turns:
+        yield f"Turns: {both[0]:.2g} deg rms before, {both[1]:.2g} after."
+    add = found.accelerometer.suggestion
+    name = add.parameter.replace("_", " ")
+    percent = f"{100 - 100 * add.ratio:.0f} %"
+    yield f"One more rest with {add.text} reduces the largest uncertainty ({name}) by {percent}."
+
+
+def table(found: Calibration, columns: int = _WIDE) -> str:
+    """Return the table of both sensors: side by side from 80 columns on, otherwise below each other."""
+    wide = columns >= _WIDE
+    each = _HALF if wide else columns
+    blocks = [[f"{name.upper()} (± 95 %)", *_fitted(own, each)] for name, own in rows(found)]
+    if not wide or len(blocks) == 1:
+        return "\n\n".join("\n".join(block) for block in blocks)
+    pairs = zip_longest(*blocks, fillvalue="")
+    return "\n".join(f"{left:<{_HALF}} {right}".rstrip() for left, right in pairs)
+
+
+def text_of(found: Calibration) -> str:
+    """Return the result in at most twelve lines."""
+    lines = [f"Calibration of {headline(found)}: {found.verdict}"]
+    for name, own in rows(found):
+        for kind in ("scale", "misalignment", "bias", "g-sensitivity"):
+            of_kind = [row for row in own if row.name.startswith(kind)]
+            values = ", ".join(f"{row.value} ± {row.half}" if row.half else row.value for row in of_kind)
+            lines += [f"{name} {kind}: {values}"] if of_kind else []
+    codes = ", ".join(dict.fromkeys(f"{finding.level} {finding.code}" for finding in found.findings))
+    return "\n".join([*lines, f"findings: {codes or 'none'}"])
+
+
+def html_of(found: Calibration) -> Markup:
+    """Return the table as notebooks show it."""
+    body = [
+        (f"{name} {row.name}", (row.value, row.half, row.remark)) for name, own in rows(found) for row in own
+    ]
+    caption = f"Calibration of {headline(found)}"
+    return render("notebook.html", caption=caption, titles=("", "value", "± 95 %", ""), rows=body)
+
+
+def frame_of(found: Calibration) -> "pl.DataFrame":
+    """Return every parameter with its interval, in the units of `Parameter`."""
+    import polars as pl
+
+    sensors = {"accelerometer": found.accelerometer.parameters}
+    if found.gyroscope is not None:
+        sensors["gyroscope"] = found.gyroscope.parameters
+    names = ("value", "low", "high", "unit", "status")
+    return pl.DataFrame(
+        [
+            {"sensor": sensor, "parameter": name, **{key: getattr(one, key) for key in names}}
+            for sensor, every in sensors.items()
+            for name, one in every.items()
+        ]
+    )
+
+
+def _in_order(parameters: Mapping[str, Parameter]) -> list[tuple[str, Parameter]]:
+    kinds = ("scale", "misalignment", "bias")
+    return [(name, each) for kind in kinds for name, each in parameters.items() if name.startswith(kind)]
+
+
+def _row(name: str, found: Parameter) -> Row:
+    title = name.replace("_", " ")
+    if found.value is None or found.half_width is None:
+        return Row(name=title, value="not observable", half="")
+    (number, unit), (width, _) = readable(found.value, found.unit), readable(found.half_width, found.unit)
+    value, half = _rounded(number, width)
+    remark = found.status if found.status in _SHOWN else ""
+    return Row(name=title, value=f"{value} {unit}", half=half, remark=remark)
+
+
+def _sensitivity(found: list[Parameter]) -> Row:
+    """Return the largest entry of G, or its bound if G is not significant."""
+    name = "g-sensitivity"
+    known = [each for each in found if each.value is not None]
+    if not known:
+        return Row(name=name, value="not observable", half="")
+    unit, factor = _UNITS.get(known[0].unit, (known[0].unit, 1.0))
+    if known[0].status == "not-significant":
+        most = max(abs(end) for each in known for end in (each.low, each.high) if end is not None)
+        return Row(name=name, value=f"none, < {most * factor:.2g} {unit}", half="")
+    worst = max(known, key=lambda each: abs(each.value or 0.0))
+    value, half = _rounded(abs(worst.value or 0.0) * factor, (worst.half_width or 0.0) * factor)
+    return Row(name=name, value=f"up to {value} {unit}", half=half)
+
+
+def _rounded(value: float, half: float) -> tuple[str, str]:
+    """Return both with two digits of the half-width."""
+    if not (math.isfinite(half) and half > 0):
+        return f"{value:.6g}", f"{half:.2g}"
+    places = max(0, 1 - math.floor(math.log10(half)))
+    return f"{value:.{places}f}", f"{half:.{places}f}"
+
+
+def _fitted(own: Iterable[Row], columns: int) -> Iterator[str]:
+    """Yield the rows, with the value on a line of its own where the row is too long."""
+    for row in own:
+        if len(line := row.text()) <= columns:
+            yield line
+        else:
+            yield row.name
+            yield f"  {line[_NAME + 1 :]}"
+
+
+def _rms(values: Iterable[float]) -> float:
+    known = list(values)
+    return math.sqrt(sum(value**2 for value in known) / len(known)) if known else 0.0
+
+
+def _mm(size: float) -> str:
+    return f"{1e3 * size:.3g} mm/s²"

@@ -1,0 +1,149 @@
+"""``imucal calibrate``: bias, scale, misalignment and g-sensitivity from a log of rests and turns."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imucal.cli._declared import declared, flag, is_set, option
+from imucal.cli._printing import as_typed, can_print, echo, print_findings, progress, say, width, wrapped
+from imucal.cli._report_input import REPORT, read_report
+from imucal.cli.fit import report_folder
+from imucal.cli.parameters import DURATION, LOG, PATH, LogRequest, Number
+from imucal.cli.simulate import log_to_write
+from imucal.errors import DataError
+from imucal.printable import printable_json
+from imucal.recording import AXES, Sensor
+
+if TYPE_CHECKING:
+    from imucal.calibration import Calibration
+    from imucal.recording import Recording
+    from imucal.report.result import Report
+
+
+@declared
+def command(
+    *,
+    request: LogRequest = LOG,
+    noise: Path | None = option(f"--noise REPORT  Noise of a long log at rest: {REPORT}.", PATH),
+    latitude: float | None = option("--latitude DEG  Of the place; gives gravity.", Number(-90, 90)),
+    height: float | None = option("--height M  Of the place above the sea.", Number(-500, 9000)),
+    gravity: float | None = option("--gravity G  Gravity in m/s^2, if you know it.", Number(9.7, 9.9)),
+    rest_at_least: float = option("--rest-at-least TIME=1s  Shortest rest.", DURATION),
+    in_hand: bool = flag("--in-hand  Accept the tremor of a hand as rest."),
+    no_gyro: bool = flag("--no-gyro  Calibrate the accelerometer only."),
+    out: Path | None = option("-o --out DIR  Folder of the result. [default: NAME-calibration]", PATH),
+    apply_to: Path | None = option(
+        "--apply FILE  Also write the corrected log: .csv, .mcap or .bag.", PATH, callback=log_to_write
+    ),
+    no_files: bool = flag("--no-files  Write no folder."),
+    no_html: bool = flag("--no-html  Write no page and no pictures."),
+    opened: bool = flag("--open  Show the page in the browser when it is written."),
+    as_json: bool = flag("--json  Print calibration.json on standard output."),
+    _force: bool = option("--force  Write the result although a finding is an error.", is_flag=True),
+) -> None:
+    """Calibrate an IMU from a log of rests in many attitudes.
+
+    Put the IMU down, leave it alone for 5 s, turn it and put it down again: each face once, then
+    six edges; about two minutes in all. Gravity is the reference: no turntable and no levelled
+    surface are needed. The table shows scale error, misalignment, bias and g-sensitivity with
+    95 % intervals. The folder contains calibration.json, calibration.html and three pictures.
+    Raw counts are welcome: --accel-scale 1 --gyro-scale 1.
+
+    Examples::
+      imucal calibrate poses.mcap --noise still-imucal --latitude 47.4
+      imucal calibrate poses.csv --gravity 9.8072 -o calibration
+      imucal calibrate poses.bag --apply corrected.mcap
+      imucal export calibration --to openvins -o imu.yaml
+
+    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 it can't be calibrated
+    (with --strict: or a warning was found), 5 the result can't be written.
+    """
+    from imucal.calibration import calibrate
+    from imucal.calibration.document import to_document
+    from imucal.calibration.writer import check_folder
+    from imucal.report.json_file import dumps
+
+    folder = out or report_folder(request.logs[0], "calibration")
+    if not no_files:
+        check_folder(folder)
+    report = read_report(noise) if noise else None
+    recording = request.read()
+    with progress("calibrating"), _with_options():
+        found = calibrate(
+            recording, report, latitude, height, gravity,
+            rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro,
+        )  # fmt: skip
+    if as_json:
+        click.echo(printable_json(dumps(to_document(found))), nl=False)
+    else:
+        _print_table(found)
+    print_findings(found.findings)
+    if found.verdict != "not usable" or is_set("force"):
+        if not no_files:
+            _write_folder(found, folder, report, html=not no_html, opened=opened)
+        if apply_to:
+            _write_corrected(found.apply(recording), apply_to)
+    _end(found.verdict, recording.source.path, [f.code for f in found.findings if f.level != "info"])
+
+
+@contextmanager
+def _with_options() -> Iterator[None]:
+    """Add the option to type to the message of a log in g."""
+    try:
+        yield
+    except DataError as error:
+        hint = "; try --accel-unit g" if str(error).endswith("its unit is g") else ""
+        raise DataError(f"{error}{hint}") from error
+
+
+def _print_table(found: "Calibration") -> None:
+    from imucal.calibration.table import headline, remarks, table
+
+    lines = [*wrapped(headline(found)), "", table(found, width()), ""]
+    text = "\n".join([*lines, *(line for remark in remarks(found) for line in wrapped(remark))])
+    echo(text if can_print(text) else text.replace("±", "+-").replace("²", "^2").replace("°", " deg"))
+
+
+def _write_folder(
+    found: "Calibration", folder: Path, noise: "Report | None", *, html: bool, opened: bool
+) -> None:
+    from imucal.calibration.writer import PAGE_NAME, write_calibration
+
+    files = write_calibration(found, folder, noise=noise, html=html)
+    names = [path.name for path in files if path.suffix != ".png"]
+    names += [f"{len(files) - len(names)} pictures"] * html
+    say(f"Wrote {folder}: {', '.join(names)}")
+    say(f"Next: imucal export {as_typed(folder)} --to kalibr (or openvins, px4, python, …)")
+    if opened and html:
+        click.launch(str(folder / PAGE_NAME))
+
+
+def _write_corrected(corrected: "Recording", path: Path) -> None:
+    from imucal.simulation import write_log
+
+    clocks = {(series.clock.segments, series.clock.start_ns, series.rate_hz) for series in corrected.series}
+    if len(corrected.series) != len(Sensor) * len(AXES) or len(clocks) != 1:
+        msg = (
+            f"{path}: a corrected log needs a gyroscope and an accelerometer with the same stamps; "
+            "apply the calibration in Python: imucal.calibrate(recording).apply(recording)"
+        )
+        raise DataError(msg)
+    write_log(corrected, path)
+    say(f"Wrote {path}: the corrected log")
+
+
+def _end(verdict: str, where: str, codes: list[str]) -> None:
+    """End with exit code 4 if the result is not usable, or by --strict if there is a warning."""
+    listed = ", ".join(dict.fromkeys(codes))
+    if verdict == "not usable" and not is_set("force"):
+        error = DataError(f"{where}: {listed} found; nothing was written; correct the log, or --force")
+    elif codes and is_set("strict"):
+        error = DataError(f"{where}: {listed} found, and --strict allows no warning")
+    else:
+        return
+    # The result is on standard output already.
+    error.told = True
+    raise error

@@ -1,0 +1,266 @@
+"""`imucal calibrate`: table, files, JSON and its schema, the corrected log, and what it refuses."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+import imucal
+from imucal.calibration.document import Intrinsics, load_intrinsics, schema
+from imucal.noise import NoiseModel
+from imucal.recording import Recording, Sensor
+from imucal.simulation import write_log
+from tests.calibration.simulated import FACES, GRAVITY, Log, Truth, attitudes, log
+from tests.cli.reports import write_report
+from tests.cli.run import run, run_process
+
+NOISE = NoiseModel.parse("N=2e-3 + B=5e-4"), NoiseModel.parse("N=1.5e-4 + B=2e-5")
+PLACE = ("--gravity", str(GRAVITY))
+
+
+def drawn(seed: int = 8200, up: np.ndarray | None = None) -> Log:
+    rng = np.random.default_rng(seed)
+    return log(Truth.draw(rng), NOISE, attitudes(18, rng) if up is None else up, rng, rest_s=3.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a log of 18 rests, and its calibration."""
+    place = tmp_path_factory.mktemp("calibrate")
+    write_log(drawn().recording(), place / "poses.csv")
+    done = run("calibrate", "poses.csv", *PLACE, "-q", cwd=place)
+    assert (done.returncode, done.stderr) == (0, "")
+    return place
+
+
+def test_the_table_shows_every_parameter(folder: Path) -> None:
+    """At 80 columns side by side; findings, files and the next command on standard error."""
+    done = run("calibrate", "poses.csv", *PLACE, "-o", "again", cwd=folder, COLUMNS="80")
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("poses.csv: 1 min 28 s, 18 rests (2.7 to 2.7 s) in 18 attitudes, 17 turns")
+    assert lines[2].split() == ["ACCELEROMETER", "(±", "95", "%)", "GYROSCOPE", "(±", "95", "%)"]
+    for name in ("scale x", "misalignment zy", "bias z", "g-sensitivity", "|f| at rest: error up to"):
+        assert name in done.stdout
+    assert max(map(len, lines)) <= 80
+    said = done.stderr.splitlines()
+    assert said[-2].startswith("Wrote again: calibration.json")
+    assert said[-1] == "Next: imucal export again --to kalibr (or openvins, px4, python, …)"
+
+
+def test_a_narrow_terminal_and_a_pipe_show_the_same_numbers(folder: Path) -> None:
+    """40 columns: nothing is lost, nothing is wider; without Unicode ± is +-."""
+    arguments = ("calibrate", "poses.csv", *PLACE, "--no-files", "-q")
+    wide, narrow = (run(*arguments, cwd=folder, COLUMNS=columns).stdout for columns in ("200", "40"))
+    assert max(map(len, narrow.splitlines())) <= 40
+    assert [word for word in wide.split() if word not in narrow.split()] == []
+    plain = run_process(*arguments, cwd=folder, PYTHONIOENCODING="ascii").stdout
+    assert "+- 95 %" in plain
+
+
+def test_json_fits_its_schema_and_is_the_python_result(folder: Path) -> None:
+    """The file, standard output and `imucal.calibrate` agree; the schema refuses a wrong document."""
+    jsonschema.Draft202012Validator.check_schema(schema())
+    written = json.loads((folder / "poses-calibration" / "calibration.json").read_text(encoding="utf-8"))
+    jsonschema.validate(written, schema())
+    printed = run("calibrate", "poses.csv", *PLACE, "--no-files", "--json", "-q", cwd=folder)
+    assert json.loads(printed.stdout) == written
+    found = imucal.calibrate(imucal.read(folder / "poses.csv"), gravity=GRAVITY)
+    np.testing.assert_array_equal(written["accelerometer"]["C"], found.accelerometer.C)
+    assert found.gyroscope is not None
+    np.testing.assert_array_equal(written["gyroscope"]["G"], found.gyroscope.G)
+    assert written["accelerometer"]["parameters"]["scale_x"]["unit"] == "%"
+    for key, value in (("schema", "imucal/calibration/2"), ("rests", [{}]), ("verdict", "fine")):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**written, key: value}, schema())
+    # What exports read back is the same to the last digit.
+    first, second = Intrinsics.of(found), load_intrinsics(folder / "poses-calibration")
+    for name in ("C_a", "b_a", "diagonal_C", "C_g", "b_g", "G", "means"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert first.si
+
+
+def test_a_diagonal_and_an_accelerometer_alone_fit_the_schema(tmp_path: Path) -> None:
+    """Unknown values are null."""
+    write_log(drawn(8201, FACES).recording(), tmp_path / "faces.csv")
+    done = run("calibrate", "faces.csv", *PLACE, "--no-gyro", "--json", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    jsonschema.validate(document, schema())
+    assert document["gyroscope"] is None
+    assert document["accelerometer"]["model"] == "diagonal"
+    assert document["accelerometer"]["parameters"]["misalignment_zx"]["value"] is None
+    assert "[not-observable] accel: Of the accelerometer, misalignment yx" in done.stderr
+    table = run("calibrate", "faces.csv", *PLACE, "--no-gyro", "--no-files", "-q", cwd=tmp_path).stdout
+    assert "misalignment zx  not observable" in table
+    assert "GYROSCOPE" not in table
+
+
+def test_a_noise_report_is_used_and_kept(folder: Path) -> None:
+    """Its models are in the document and its copy is in the folder, until a run without it."""
+    write_report(folder)
+    done = run("calibrate", "poses.csv", *PLACE, "--noise", "still-imucal", "-o", "with", cwd=folder)
+    assert done.returncode == 0
+    document = json.loads((folder / "with" / "calibration.json").read_text(encoding="utf-8"))
+    assert document["noise"]["accel"]["origin"] == "report"
+    assert imucal.load_report(folder / "with" / "noise.json").axes
+    assert run("calibrate", "poses.csv", *PLACE, "-o", "with", cwd=folder).returncode == 0
+    assert not (folder / "with" / "noise.json").exists()
+
+
+@pytest.mark.parametrize("name", ["corrected.csv", "corrected.mcap"])
+def test_the_corrected_log_is_read_again(name: str, folder: Path) -> None:
+    """Gravity at every rest, no rate; its own calibration finds nothing."""
+    done = run("calibrate", "poses.csv", *PLACE, "--no-files", "--apply", name, "-q", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    again = imucal.calibrate(imucal.read(folder / name), gravity=GRAVITY)
+    assert max(abs(rest.before) for rest in again.rests) < 5e-3
+    assert again.gyroscope is not None
+    for parameters in (again.accelerometer.parameters, again.gyroscope.parameters):
+        for axis in "xyz":
+            assert abs(parameters[f"scale_{axis}"].value or 1.0) < 0.02
+            assert abs(parameters[f"bias_{axis}"].value or 1.0) < 1e-3
+    refused = run("calibrate", "poses.csv", *PLACE, "--no-files", "--apply", name, cwd=folder)
+    assert refused.returncode == 5
+    assert f"{name}: exists already" in refused.stderr
+
+
+def test_a_corrected_log_needs_both_sensors(tmp_path: Path) -> None:
+    """The message shows the call in Python."""
+    one = drawn().recording()
+    write_accelerometer(one, tmp_path / "accel.csv")
+    arguments = ("accel.csv", "--rate", "100", "--accel-unit", "m/s^2", *PLACE, "-q")
+    done = run("calibrate", *arguments, "--apply", "x.csv", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "imucal.calibrate(recording).apply(recording)" in done.stderr
+
+
+def write_accelerometer(recording: Recording, path: Path, factor: float = 1.0) -> None:
+    """Write a table with the accelerometer alone."""
+    own = [s.samples * factor for s in recording.series if s.sensor is Sensor.ACCELEROMETER]
+    np.savetxt(path, np.column_stack(own), delimiter=",", header="ax,ay,az", comments="", fmt="%.8g")
+
+
+def changed(one: Log, kind: str) -> Recording:
+    """Return a log with something wrong."""
+    accelerometer, gyroscope = one.accelerometer.copy(), one.gyroscope.copy()
+    if kind == "clipped":
+        accelerometer[:, 2] = np.minimum(accelerometer[:, 2], 9.0)
+    elif kind == "swapped":
+        gyroscope = gyroscope[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
+    elif kind == "mirrored":
+        gyroscope = gyroscope * [-1.0, 1.0, 1.0]
+    elif kind == "dead":
+        accelerometer[:, 1] = 0.0
+    return replace(one, accelerometer=accelerometer, gyroscope=gyroscope).recording()
+
+
+@pytest.mark.parametrize(
+    ("kind", "up", "said"),
+    [
+        ("never moved", FACES[:1], "found 1 of at least 6 rests in 3 s; put the IMU down on each face"),
+        ("too few", FACES[:4], "found 4 of at least 6 rests"),
+        ("one attitude", np.tile(FACES[0], (8, 1)), "have the same attitude within 10°"),
+        ("clipped", None, "accel_z is clipped at 9 in "),
+        ("dead", None, "accel_y never changes; check the driver and the cable"),
+        ("swapped", None, "turns-unexplained found; nothing was written; correct the log, or --force"),
+        ("mirrored", None, "turns-unexplained found; nothing was written"),
+    ],
+)
+def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
+    kind: str, up: np.ndarray | None, said: str, tmp_path: Path
+) -> None:
+    """The message names the log, the reason and what to do; nothing is written."""
+    if kind == "one attitude" and up is not None:
+        # A small tilt between the rests separates them.
+        up = up + np.random.default_rng(2).normal(0, 0.04, up.shape)
+        up /= np.linalg.norm(up, axis=1)[:, None]
+    write_log(changed(drawn(8202, up), kind), tmp_path / "log.csv")
+    done = run("calibrate", "log.csv", *PLACE, cwd=tmp_path)
+    assert done.returncode == 4, done.stdout + done.stderr
+    assert said in done.stderr
+    assert "Error: log.csv: " in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+    # A finding breaks into lines at the width of the terminal.
+    text = " ".join(done.stderr.split())
+    if kind == "swapped":
+        assert "X, y, z of the gyroscope are y, -x, z of the accelerometer" in text
+    if kind == "mirrored":
+        assert "X, y, z of the gyroscope are -x, y, z of the accelerometer" in text
+
+
+def test_swapped_axes_are_calibrated_after_reordering(tmp_path: Path) -> None:
+    """Or without the gyroscope, or by force."""
+    write_log(changed(drawn(), "swapped"), tmp_path / "log.csv")
+    for option in ("--no-gyro", "--force"):
+        done = run("calibrate", "log.csv", *PLACE, option, "-o", "out", "-q", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / "out" / "calibration.json").exists()
+
+
+def test_a_log_in_g_is_refused_with_the_option_that_helps(tmp_path: Path) -> None:
+    """The option of the message is typed, and the result is that of the log in m/s²."""
+    one = drawn().recording()
+    write_accelerometer(one, tmp_path / "g.csv", 1 / 9.80665)
+    arguments = ("calibrate", "g.csv", "--rate", "100", *PLACE, "-o", "out")
+    done = run(*arguments, "--accel-unit", "m/s^2", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "its unit is g; try --accel-unit g\n" in done.stderr
+    option = done.stderr.strip().rpartition("try ")[2].split()
+    right = run(*arguments, *option, cwd=tmp_path)
+    assert right.returncode == 0, right.stderr
+    found = load_intrinsics(tmp_path / "out")
+    expected = imucal.calibrate(one, gravity=GRAVITY, gyro=False)
+    np.testing.assert_allclose(found.C_a, expected.accelerometer.C, atol=1e-5)
+    assert found.C_g is None
+
+
+def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
+    """--strict ends with 4 after the table; wrong options with 2, a folder of another kind with 5."""
+    done = run("calibrate", "poses.csv", "--strict", "--no-files", cwd=folder)
+    assert done.returncode == 4
+    assert "gravity-unknown found, and --strict allows no warning" in done.stderr
+    assert "scale x" in done.stdout
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.tex").write_text("words", encoding="utf-8")
+    log_path = str(folder / "poses.csv")
+    for arguments, code, said in (
+        ((log_path, "--latitude", "95"), 2, "--latitude"),
+        ((log_path, "--gravity", "1"), 2, "--gravity"),
+        ((log_path, "--apply", "x.txt"), 2, "'x.txt' ends in '.txt'"),
+        ((log_path, "--rest-at-least", "long"), 2, "is not a duration"),
+        ((log_path, "--noise", "nowhere"), 3, "nowhere: no such file"),
+        (("nowhere.csv",), 3, "nowhere.csv: can't be opened"),
+        ((log_path, "-o", "thesis"), 5, "thesis: holds thesis.tex but no calibration"),
+        ((log_path, "-o", "thesis/thesis.tex/x"), 5, "Not a directory"),
+    ):
+        done = run("calibrate", *arguments, cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        assert said in done.stderr
+
+
+def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
+    """One file, standard output, all of them; formats that need another kind of folder are refused."""
+    place = str(folder / "poses-calibration")
+    one = run("export", place, "--to", "OpenVINS", "-o", "imu.yaml", cwd=tmp_path)
+    assert (one.returncode, one.stdout) == (0, "imu.yaml\n")
+    assert "run imucal calibrate with --noise REPORT" in one.stderr
+    printed = run("export", f"{place}/calibration.json", "--to", "openvins", "-o", "-", "-q", cwd=tmp_path)
+    assert printed.stdout == (tmp_path / "imu.yaml").read_text(encoding="utf-8")
+    every = run("export", place, "--to", "all", "-o", "configs", cwd=tmp_path)
+    assert every.returncode == 0
+    assert len(every.stdout.splitlines()) == len(list((tmp_path / "configs").iterdir())) == 13
+    (tmp_path / "mine.yaml").write_text("mine", encoding="utf-8")
+    write_report(tmp_path, "still")
+    for arguments, code, said in (
+        ((place, "--to", "rovio"), 2, "no format 'rovio' of a calibration; there are kalibr, openvins"),
+        ((place, "--to", "kalbir"), 2, "did you mean kalibr?"),
+        ((place, "--to", "c", "--to", "yaml", "-o", "-"), 2, "standard output takes one format"),
+        (("still", "--to", "imu-tk"), 2, "imu-tk is about a calibration, but still is none"),
+        ((place, "--to", "kalibr", "-o", "mine.yaml"), 5, "was not written by imucal"),
+    ):
+        done = run("export", *arguments, cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        assert said in done.stderr
