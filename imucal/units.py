@@ -154,7 +154,7 @@ DATASHEET_UNITS: dict[str, float] = {
     "deg/sqrt(h)": 60 / _DEGREE,
     "m/s/sqrt(h)": 60.0,
     "deg/h": _HOUR / _DEGREE,
-    "mg": 1e3 / G0,
+    "ug": 1e6 / G0,
     "deg/h/sqrt(h)": _HOUR / _DEGREE * 60,
     "m/s^2/sqrt(h)": 60.0,
     "deg/h^2": _HOUR**2 / _DEGREE,

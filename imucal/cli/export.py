@@ -210,6 +210,10 @@ def _folder(path: Path) -> Path:
 
 def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
     """Yield what the numbers are, which may be bounds, and which half of them the files lack."""
+    if warned := dict.fromkeys(
+        f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect"}
+    ):
+        yield from (f"warning: {text} Every exported number of it depends on that." for text in warned)
     if numbers == "covered":
         yield (
             "White noise and walk of a filter cover the fitted spectrum, so they are larger than N and K; "

@@ -31,7 +31,7 @@ def command(
             "model": option('--model TEXT=auto  Terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
             "method": option("--method=mle  Estimator.", click.Choice(METHODS)),
             "level": option("--level=0.95  Confidence level of every interval.", LEVEL),
-            "criterion": option("--ic=chance  What chooses the model.", click.Choice(CRITERIA)),
+            "criterion": option("--criterion --ic=chance  What chooses the model.", click.Choice(CRITERIA)),
             "weights": option("--weights=full  Weights of gmwm.", click.Choice(WEIGHTS)),
             "segments": option(
                 "--segments N=8  Parts whose noise is compared; 1 for none.", click.IntRange(1, MOST_SEGMENTS)
@@ -135,12 +135,16 @@ def _next_step(report: "Report", folder: Path) -> str:
     """Return what to do next: name the unit, record for longer, or export."""
     from imucal.report.exports.config_numbers import vague_axes
 
+    export = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
     reading = report.settings.get("reading")
     if option := unit_option(report.all_findings, reading if isinstance(reading, Mapping) else {}):
         return f"Next: run again with {option}, because the unit looks wrong"
+    if given := [f.axis for f in report.all_findings if f.code == "unit-given"]:
+        options = " and ".join(f"--{axis}-unit" for axis in given)
+        return f"Next: run again without {options} if the log's own unit is right; if not, {export}"
     if axes := vague_axes(report):
         return f"Next: record for longer; N of {', '.join(axes)} is not known to a factor of 10"
-    return f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
+    return f"Next: {export}"
 
 
 def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:

@@ -41,7 +41,7 @@ _NOTABLE = 0.02
 
 
 def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
-    """Return the series with its spikes replaced, and how many there were.
+    """Return the series with its spikes replaced, and findings about them and about heavy tails.
 
     The very same series is returned where there are none. Noise that replaces spikes is drawn from
     a fixed seed, so that the same log gives the same result.
@@ -49,7 +49,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
     if not count:
-        return series, ()
+        return series, _tail_finding(series, heavy_tails(series.samples))
     samples = series.samples.copy()
     noise = np.random.default_rng(952).standard_normal(count)
     share, largest = count / series.n, float(np.abs(samples[spike] - baseline[spike]).max())
@@ -57,7 +57,8 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     # Of a sensor that stands still on one value the deviation is next to nothing.
     times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
     name = "spike was" if count == 1 else "spikes were"
-    rest, louder = heavy_tails(samples), float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
+    rest = heavy_tails(samples, ~(spike[1:] | spike[:-1]))
+    louder = float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
     text = (
         f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
         f"{largest:.3g} {pretty(series.unit)}, {times} standard deviations."
@@ -73,7 +74,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
             f"replaced: with `--no-clean` it is about {100 * louder:.2g} % larger."
         )
     found = Finding(level, "spikes", text, advice, axis=series.name)
-    return replace(series, samples=samples), (found,)
+    return replace(series, samples=samples), (found, *_tail_finding(series, rest))
 
 
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
@@ -234,7 +235,7 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
     return medians
 
 
-def tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
+def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
     """Return a warning if outliers that are part of the noise make N uncertain; `factor` as `heavy_tails`."""
     if factor < _UNCERTAIN:
         return ()
@@ -246,14 +247,15 @@ def tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
     return (Finding("warning", "heavy-tails", text, advice, axis=series.name),)
 
 
-def heavy_tails(samples: FloatArray) -> float:
+def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
     The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis
-    k; that of its steps is k/2. Excess within four standard errors counts as none.
+    k; that of its steps is k/2. Excess within four standard errors counts as none. Only steps between
+    `neighbours` count, shape (n-1,); all by default.
     """
     if samples.size < 2:
         return 1.0
-    excess = 2 * excess_kurtosis(samples)
+    excess = 2 * excess_kurtosis(samples, neighbours)
     chance = 8 * float(np.sqrt(24 / (samples.size - 1)))
     return float(np.sqrt(1 + excess / 2)) if excess > chance else 1.0

@@ -22,7 +22,7 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.markup import Markup, both_units, render
-from imucal.report.numbers import Quantity, level_unit
+from imucal.report.numbers import Quantity
 from imucal.units import DatasheetUnit
 
 if TYPE_CHECKING:
@@ -40,9 +40,8 @@ _LEAST_P = 1e-4
 
 
 def sheet_unit(term: FleetTerm) -> DatasheetUnit:
-    """Return the unit that data sheets print a term in: µg in place of mg where the median is small."""
-    unit = TERMS[term.symbol].datasheet_unit(term.sensor)
-    return level_unit(term.sensor, term.population.median.value) if unit.name == "mg" else unit
+    """Return the unit that data sheets print a term in."""
+    return TERMS[term.symbol].datasheet_unit(term.sensor)
 
 
 def _both(say: Callable[[Quantity], str], plain: Quantity, sheet: DatasheetUnit) -> Markup:

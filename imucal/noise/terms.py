@@ -90,7 +90,7 @@ class BiasInstability(PowerLawTerm):
     law = PowerLaw.FLICKER
     names = ("bias instability", "bias instability")
     units = ("rad/s", "m/s^2")
-    datasheet = ("deg/h", "mg")
+    datasheet = ("deg/h", "ug")
     divisors: ClassVar[dict[str, float]] = {"": 1.0}
     slope = 0.0
     read_at = (None, math.sqrt(2 * math.log(2) / math.pi))
@@ -190,7 +190,7 @@ class GaussMarkov(NoiseTerm):
     abbreviations = ("AR1",)
     names = ("Gauss-Markov", "Gauss-Markov")
     units = ("rad/s", "m/s^2")
-    datasheet = ("deg/h", "mg")
+    datasheet = ("deg/h", "ug")
     divisors: ClassVar[dict[str, float]] = {"": 1.0}
     fitted_by = frozenset({"mle", "gmwm"})
     repeatable = True

@@ -1,8 +1,10 @@
-"""`report.json`: SI units, keys in a stable order, NaN as null; written, and read back into the same report.
+"""`report.json` and `signal.json`: SI units, keys in a stable order, NaN as null; written and read back.
 
-The layout is pinned by ``schema/report-1.schema.json``; a change that an old reader would misunderstand
-raises the number in `SCHEMA`. A value of the document knows its place: ``node["fit"]["method"].text()``
-raises `ReadError` with the place, what was found and what was expected, so no caller needs to check types.
+The layout is pinned by ``schema/report-2.schema.json``; a change that an old reader would misunderstand
+raises the number in `SCHEMA`. Version 1 had the raw signal and the findings of an axis in its entry.
+
+A value of the document knows its place: ``node["fit"]["method"].text()`` raises `ReadError` with the place,
+what was found and what was expected, so no caller needs to check types.
 """
 
 import json
@@ -46,7 +48,12 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Overview, Report
 
 #: Name and number of the layout.
-SCHEMA = "imucal/report/1"
+SCHEMA = "imucal/report/2"
+_READABLE = ("imucal/report/1", SCHEMA)
+#: The same of the file with the raw signals, which pictures need and scripts do not.
+SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
+#: Digits of spectra and signals: a picture needs fewer, and the files are half as large.
+_DIGITS = 8
 #: Most signs of a wrong value that a message shows.
 _SHOWN = 40
 
@@ -276,7 +283,18 @@ def _layout(make: type[A], keys: str, **read: Reader) -> Layout[A]:
 
 
 def _axis(node: Node) -> AxisReport:
-    return _AXIS.read(node, fit=_fit(node["fit"], node["curve"], Sensor(node["sensor"].text(*Sensor))))
+    fit, table = _fit(node["fit"], node["curve"], Sensor(node["sensor"].text(*Sensor))), node.table()
+    overview = _OVERVIEW.read(node["overview"]) if "overview" in table else Overview.none()
+    findings = _list_of(_FINDING.read)(node["findings"]) if "findings" in table else ()
+    return _AXIS.read(node, fit=fit, overview=overview, findings=findings)
+
+
+def _goodness(node: Node) -> Goodness:
+    table = node.table()
+    if "statistic" in table:
+        # The name in version 1.
+        node = Node({**table, "misfit_score": table["statistic"]}, node.file, node.place)
+    return _GOODNESS.read(node)
 
 
 def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
@@ -361,7 +379,7 @@ def _bins(node: Node) -> Bins:
 
 _layout(Quantity, "value low high unit")
 _layout(Interval, "value low high", low=_OR_NAN, high=_OR_INFINITE)
-_layout(Finding, "level code axis text advice keep_s")
+_FINDING = _layout(Finding, "level code axis text advice keep_s")
 _layout(ReadRange, "from_s duration_s start_ns end_ns")
 _layout(LogFileInfo, "path size_bytes blake2b etag?")
 _SOURCE = _layout(
@@ -370,15 +388,15 @@ _SOURCE = _layout(
     decisions=_list_of(lambda node: (node["choice"].text(), node["reason"].text())),
 )
 _layout(Gap, "start_s duration_s missing")
-_layout(Overview, "time_s low~time_s high~time_s")
+_OVERVIEW = _layout(Overview, "time_s low~time_s high~time_s")
 _SPECTRUM = _layout(Spectrum, "sides= frequency_hz=frequency psd~frequency_hz count~frequency_hz model_psd=")
 _layout(Line, "frequency_hz amplitude", amplitude=_OR_NAN)
 _layout(Response, "kind cutoff_hz")
 _layout(Candidate, "model=structure delta", delta=_OR_NAN)
-_layout(
+_GOODNESS = _layout(
     Goodness,
-    "statistic p_value chi2_per_bin band_hz tau_s lines",
-    **dict.fromkeys(("statistic", "p_value", "chi2_per_bin"), _OR_NAN),
+    "misfit_score=statistic p_value chi2_per_bin band_hz tau_s lines",
+    **dict.fromkeys(("misfit_score", "p_value", "chi2_per_bin"), _OR_NAN),
 )
 _HOMOGENEITY = _layout(
     TermHomogeneity, "symbol statistic dof p_value spread factor highest_s lowest_s", symbol=_one_of(*TERMS)
@@ -410,8 +428,9 @@ _BINS = _layout(
 _FIT = _layout(
     NoiseFit,
     "method model= expression=model rate_hz level criterion goodness terms=estimates parameters covariance "
-    "response candidates segments? settings findings bins?",
+    "response candidates segments? settings bins?",
     expression=_model,
+    goodness=_goodness,
     rate_hz=Node.positive,
     level=_level,
     terms=_estimates,
@@ -420,8 +439,7 @@ _FIT = _layout(
 )
 _AXIS = _layout(
     AxisReport,
-    "name sensor axis unit samples rate_hz duration_s mean std gaps curve= minimum= spectrum overview fit "
-    "findings",
+    "name sensor axis unit samples rate_hz duration_s mean std gaps curve= minimum= spectrum fit",
     rate_hz=Node.positive,
     mean=_OR_NAN,
     std=_OR_NAN,
@@ -432,14 +450,48 @@ _PAIR = _layout(FilterNumbers, "horizon_s step_s white walk basis ratios")
 
 def to_document(report: Report) -> JsonObject:
     """Return the whole report as JSON values, keys in a stable order."""
-    pairs = list(_pair_entries(report)) if report.verdict.usable else []
-    axes = [_axis_entry(report, axis) for axis in report.axes]
-    return _object({**_header(report), "filter_numbers": pairs, "axes": axes, "findings": report.findings})
+    return _object(
+        {
+            **_header(report),
+            "summary": _summary(report),
+            "findings": list(dict.fromkeys(report.all_findings)),
+            "filter_numbers": list(_pair_entries(report)) if report.verdict.usable else [],
+            "axes": [_axis_entry(report, axis) for axis in report.axes],
+        }
+    )
 
 
 def axis_document(report: Report, axis: AxisReport) -> JsonObject:
-    """Return the document of one axis: the header of the report and the axis's own entry."""
-    return _object({**_header(report), **_axis_entry(report, axis)})
+    """Return the document of one axis: the header of the report, what concerns the axis, and its entry."""
+    about = {None, axis.sensor.short, axis.name}
+    findings = [f for f in dict.fromkeys(report.all_findings) if f.axis in about]
+    return _object({**_header(report), "findings": findings, **_axis_entry(report, axis)})
+
+
+def signal_document(report: Report) -> JsonObject:
+    """Return the raw signals of a report, as its pictures show them."""
+    axes = {
+        axis.name: {field.name: _rounded(getattr(axis.overview, field.name)) for field in fields(Overview)}
+        for axis in report.axes
+    }
+    return _object({"schema": SIGNAL_SCHEMA, "version": report.version, "axes": axes})
+
+
+def _summary(report: Report) -> JsonObject:
+    """Return the numbers of the axes that can be used, by axis and term."""
+    return {
+        axis.name: {
+            term.key: {"status": term.status, **picked(term, "value low high"), "unit": unit}
+            for term in axis.fit.estimates
+            for unit in (TERMS[term.symbol].unit(axis.sensor),)
+        }
+        for axis in report.axes
+        if axis.name in report.verdict.axes
+    }
+
+
+def _rounded(values: FloatArray) -> FloatArray:
+    return np.array([float(f"{value:.{_DIGITS}g}") for value in values.tolist()])
 
 
 def _object(document: Mapping[str, object]) -> JsonObject:
@@ -479,7 +531,9 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
     The file holds deviations. Squaring them first does it, because the square root of a squared float is
     that float, while the converse does not hold.
     """
-    curve, spectrum = replace(axis.fit.curve, avar=axis.fit.curve.adev**2), axis.spectrum
+    curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
+    spectrum = axis.spectrum
+    spectrum = replace(spectrum, frequency=_rounded(spectrum.frequency), psd=_rounded(spectrum.psd))
     bins = axis.fit.bins if report.settings.get("bins") is True else None
     fit = replace(axis.fit, curve=curve, bins=bins)
     floor, unit = numbers.minimum(fit), TERMS["B"].datasheet_unit(axis.sensor)
@@ -496,7 +550,7 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
             "datasheet": floor.scaled(unit.factor, unit.name),
         },
         spectrum=_SPECTRUM.write(
-            spectrum, sides=2, model_psd=fit.model.psd(spectrum.frequency, rate_hz=fit.rate_hz)
+            spectrum, sides=2, model_psd=_rounded(fit.model.psd(spectrum.frequency, rate_hz=fit.rate_hz))
         ),
         fit=_fit_entry(fit, axis.sensor),
     )
@@ -577,7 +631,7 @@ def schema() -> JsonObject:
     """Return the JSON Schema of `report.json`, as the package ships it."""
     from importlib.resources import files
 
-    text = files("imucal.report").joinpath("schema", "report-1.schema.json").read_text(encoding="utf-8")
+    text = files("imucal.report").joinpath("schema", "report-2.schema.json").read_text(encoding="utf-8")
     document: JsonObject = json.loads(text)
     return document
 
@@ -586,33 +640,61 @@ def schema() -> JsonObject:
 def load(path: str | Path) -> Report:
     """Read a report back; `path` is a ``report.json`` or the report's folder.
 
+    The raw signals are those of ``signal.json`` in the same folder; without it they are empty.
+
     Raises
     ------
     ReadError
-        If the file is missing, is not JSON, or is not a report of the schema this version knows.
+        If the file is missing, is not JSON, or is not a report of a schema that this version knows.
     """
     path = Path(path)
     file = path / "report.json" if path.is_dir() else path
+    report = from_document(_parsed(file, "the report.json that imucal writes"), file=str(file))
+    signal = file.with_name(SIGNAL_FILE)
+    return _with_signals(report, signal) if signal.exists() else report
+
+
+def _parsed(file: Path, expected: str) -> object:
     try:
-        document = json.loads(file.read_bytes(), parse_constant=_refuse_constant)
+        return json.loads(file.read_bytes(), parse_constant=_refuse_constant)
     except FileNotFoundError:
         wrong = "no such file"
     except OSError as error:
         wrong = f"can't be read ({error.strerror})"
     except (ValueError, RecursionError) as error:
         wrong = f"not JSON ({error})"
-    else:
-        return from_document(document, file=str(file))
-    raise ReadError(f"{file}: {wrong}, expected the report.json that imucal writes")
+    raise ReadError(f"{file}: {wrong}, expected {expected}")
 
 
 def from_document(document: object, *, file: str = "report") -> Report:
-    """Return the report of a JSON document; a ReadError, which names `file`, of another schema."""
+    """Return the report of a JSON document; a ReadError, which names `file`, of another schema.
+
+    The raw signals of its axes are empty, because they are in a file of their own.
+    """
     root = Node(document, file)
     found = root.table().get("schema")
-    if found != SCHEMA:
+    if found not in _READABLE:
         root.fail(f"the schema is {json.dumps(found)}", f'"{SCHEMA}"')
-    return _REPORT.read(root)
+    report = _REPORT.read(root)
+    names = {axis.name for axis in report.axes}
+    axes = []
+    for axis in report.axes:
+        own = (*axis.findings, *(finding for finding in report.findings if finding.axis == axis.name))
+        axes.append(replace(axis, findings=tuple(dict.fromkeys(own))))
+    others = tuple(finding for finding in report.findings if finding.axis not in names)
+    return replace(report, axes=tuple(axes), findings=others)
+
+
+def _with_signals(report: Report, file: Path) -> Report:
+    """Return the report with the raw signals of ``signal.json``."""
+    root = Node(_parsed(file, "the signal.json that imucal writes"), str(file))
+    root["schema"].text(SIGNAL_SCHEMA)
+    signals = root["axes"].table()
+    axes = [
+        replace(axis, overview=_OVERVIEW.read(root["axes"][axis.name])) if axis.name in signals else axis
+        for axis in report.axes
+    ]
+    return replace(report, axes=tuple(axes))
 
 
 def _refuse_constant(name: str) -> NoReturn:

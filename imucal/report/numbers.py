@@ -18,15 +18,14 @@ from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction import DriftPoint
 from imucal.recording import Sensor
-from imucal.units import DatasheetUnit, pretty
+from imucal.units import DATASHEET_UNITS, DatasheetUnit, pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
 _ASYMMETRY = 1.25
 #: A number that takes more characters is written with an exponent.
 _LONGEST = 10
-#: Less than this of degrees, metres or metres per second is told in thousandths, and mg are told in µg where
-#: the floor of every axis is less.
+#: Less than this of degrees, metres or metres per second is told in thousandths.
 _SMALL = 0.1
 
 
@@ -142,9 +141,7 @@ class SheetUnits:
 
     def estimate(self, estimate: Estimate, sensor: Sensor | None) -> Quantity:
         """Return an estimate's coefficient."""
-        found = datasheet(estimate, sensor)
-        # Micro-g for milli-g where the sensor's levels are told in it.
-        return found.scaled(1e3, "ug") if found.unit == "mg" and self.level.name == "ug" else found
+        return datasheet(estimate, sensor)
 
     def minimum(self, fit: NoiseFit) -> Quantity:
         """Return the lowest point of an axis's curve."""
@@ -152,24 +149,14 @@ class SheetUnits:
 
 
 def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
-    """Return the units of one sensor's fits: deg/h and deg/√h, or mg and m/s/√h.
+    """Return the units of one sensor's fits: deg/h and deg/√h, or µg and m/s/√h.
 
-    Where all floors of an accelerometer are small, it is µg. Where nobody knows the sensor, the unit is that
-    of the samples, whatever it is.
+    If the sensor is not known, the unit is that of the samples, whatever it is.
     """
     sensor = fits[0].sensor
     if sensor is None:
         return SheetUnits(level=DatasheetUnit("", 1.0), density=DatasheetUnit("", 1.0))
-    floors = [fit.curve.minimum[0] for fit in fits]
-    return SheetUnits(level=level_unit(sensor, max(floors)), density=TERMS["N"].datasheet_unit(sensor))
-
-
-def level_unit(sensor: Sensor, size: float) -> DatasheetUnit:
-    """Return the unit of a sensor's levels, the largest of which is `size`, in U."""
-    unit = TERMS["B"].datasheet_unit(sensor)
-    if unit.name == "mg" and size * unit.factor < _SMALL:
-        return DatasheetUnit("ug", 1e3 * unit.factor)
-    return unit
+    return SheetUnits(level=TERMS["B"].datasheet_unit(sensor), density=TERMS["N"].datasheet_unit(sensor))
 
 
 def alternatives(estimate: Estimate) -> str:
@@ -205,8 +192,8 @@ def decimals(quantity: Quantity) -> int:
 
 
 def power_of_ten(quantity: Quantity) -> int:
-    """Return 0 for sizes people read as they are (0.01 … 99999), else the exponent of the size."""
-    if not (math.isfinite(quantity.size) and quantity.size > 0):
+    """Return the exponent of the size; 0 for 0.01 to 99999, and in data-sheet units, which have no powers."""
+    if quantity.unit in DATASHEET_UNITS or not (math.isfinite(quantity.size) and quantity.size > 0):
         return 0
     exponent = math.floor(math.log10(quantity.size))
     return 0 if -2 <= exponent <= 4 else exponent
@@ -215,11 +202,12 @@ def power_of_ten(quantity: Quantity) -> int:
 def engineering_exponent(quantities: Iterable[Quantity]) -> int:
     """Return one power of ten, a multiple of three, that suits the largest value of `quantities`.
 
-    Bounds decide only where there is no value: what the data don't show may be bounded far above.
+    Bounds decide only where there is no value: what the data don't show may be bounded far above. It is 0 in
+    data-sheet units: 0.0059 m/s/√h is read more easily than 5.9 in a unit of 1e-3 m/s/√h.
     """
     known = [q for q in quantities if math.isfinite(q.size) and q.size > 0]
     sizes = [q.size for q in known if q.value is not None] or [q.size for q in known]
-    if not sizes:
+    if not sizes or known[0].unit in DATASHEET_UNITS:
         return 0
     size = math.log10(max(sizes))
     # Half a decade of grace: 0.54e-3 reads better than 540e-6, and 120e-6 better than 0.12e-3.
@@ -319,8 +307,16 @@ def rounded_up(bound: float, digits: int) -> str:
     return _fixed(raised, places)
 
 
+def _in_powers(value: float, places: int) -> str:
+    """Return a number such as ``1.45e-9``, with as many digits as `places` has, but two to five."""
+    exponent = math.floor(math.log10(abs(value)))
+    mantissa, power = f"{value:.{min(max(places + exponent, 1), 4)}e}".split("e")
+    whole, _, part = mantissa.partition(".")
+    return f"{whole}.{part.rstrip('0') or '0'}e{int(power)}"
+
+
 def _fixed(value: float, places: int) -> str:
     text = f"{round(value, places):.{max(places, 0)}f}"
     if len(text) > _LONGEST:
-        return f"{value:.1e}".replace("e+", "e").replace("e0", "e").replace("e-0", "e-") if value else "0"
+        return _in_powers(value, places) if value else "0"
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text

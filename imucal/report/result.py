@@ -35,6 +35,12 @@ class Overview(ReadOnlyArrays):
     high: FloatArray
 
     @classmethod
+    def none(cls) -> "Overview":
+        """Return the overview of no samples, or of a report that was read without its signal file."""
+        empty = np.zeros(0)
+        return cls(time_s=empty, low=empty, high=empty)
+
+    @classmethod
     def of(cls, series: AxisSeries, *, stretches: int = 1000) -> "Overview":
         """Return the lowest and highest sample of each of at most `stretches` equal stretches of time.
 
@@ -43,8 +49,7 @@ class Overview(ReadOnlyArrays):
         clock = series.clock
         size = clock.grid_size
         if not size:
-            empty = np.zeros(0)
-            return cls(time_s=empty, low=empty, high=empty)
+            return cls.none()
         count = min(stretches, size)
         edges = np.linspace(0, size, count + 1).round().astype(np.int64)
         low, high = np.full(count, np.inf), np.full(count, -np.inf)

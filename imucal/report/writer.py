@@ -24,7 +24,14 @@ from imucal.errors import WriteError
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report.json_file import SCHEMA, axis_document, dumps, to_document
+from imucal.report.json_file import (
+    SCHEMA,
+    SIGNAL_FILE,
+    axis_document,
+    dumps,
+    signal_document,
+    to_document,
+)
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
@@ -34,7 +41,7 @@ _REPORT, _BEGUN = "report.json", "begun.json"
 #: What stands in the place of a report that is on its way.
 _INCOMPLETE = "its files were being replaced; write the report again"
 #: Files this module writes, in any version and with any settings.
-_OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?(-paper)?\.(json|png|svg|pdf)")
+_OURS = re.compile(r"report\.(json|html)|signal\.json|(gyro|accel)(_[xyz])?(-paper)?\.(json|png|svg|pdf)")
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
 #: Of a foreign folder's files, the message names so many.
 _NAMED = 3
@@ -108,7 +115,7 @@ def check_folder(out: Path) -> None:
 def _names(report: Report, pictures: Sequence[str], *, html: bool) -> tuple[str, ...]:
     """Return the files of a report in the order in which they take their places."""
     stems = [*(axis.name for axis in report.axes), *(sensor.short for sensor in Sensor)]
-    names = [_REPORT, *(["report.html"] if html else [])]
+    names = [_REPORT, *(["report.html"] if html else []), SIGNAL_FILE]
     for stem in stems:
         names += [f"{stem}.json"] if stem in {axis.name for axis in report.axes} else []
         names += [name for name in pictures if name.rpartition(".")[0] in {stem, f"{stem}-paper"}]
@@ -138,12 +145,13 @@ def _write_all(
             written.add("report.html")
         report = replace(report, findings=report.findings + failed)
         failures += failed
+    _write(scratch / SIGNAL_FILE, dumps(signal_document(report)).encode())
     _write(scratch / _REPORT, dumps(to_document(report)).encode())
     for axis in report.axes:
         _write(scratch / f"{axis.name}.json", dumps(axis_document(report, axis)).encode())
     for failure in failures:
         tell(failure)
-    return written | {_REPORT, *(f"{axis.name}.json" for axis in report.axes)}
+    return written | {_REPORT, SIGNAL_FILE, *(f"{axis.name}.json" for axis in report.axes)}
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from imucal.arrays import release
 from imucal.findings import Finding
 from imucal.processes import findings_or_why_not, side_by_side, try_side_work
 from imucal.recording import AxisSeries, Recording
-from imucal.screening.motion import check_motion, check_tremor, check_turned
+from imucal.screening.motion import check_motion, check_shaken, check_tremor, check_turned
 from imucal.screening.values import (
     check_accelerometer_unit,
     check_duplicates,
@@ -41,7 +41,7 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
     check_filled,
 )
 #: Was the IMU at rest; the first that says no is enough.
-_REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_turned, check_motion)
+_REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_shaken, check_turned, check_motion)
 #: Checks of one axis that holds data.
 _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_saturated, check_lsb)
 

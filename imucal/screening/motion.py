@@ -8,7 +8,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor
-from imucal.screening.values import gravity
+from imucal.screening.values import gravity, shaken
 from imucal.screening.windows import Profile, amount, name_list, span, time, usual_variance
 
 #: Disturbances closer than this are one, in s.
@@ -52,6 +52,22 @@ class Disturbance:
     def words(self) -> str:
         loudest = f"{self.factor:.0f} times the noise" if self.factor >= 2 else "a shift of the level"
         return f"{span(self.start_s, self.end_s)} ({name_list(list(self.axes))}; {loudest})"
+
+
+def check_shaken(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return an error if an accelerometer without gravity moves: linear acceleration of a moving device.
+
+    It may move all the time, so that no quiet part is there to compare with.
+    """
+    if not (found := shaken(profiles)):
+        return ()
+    axis, deviation = found
+    text = (
+        f"The IMU was not at rest: {axis} has a standard deviation of "
+        f"{amount(deviation, Sensor.ACCELEROMETER)}, and the accelerometer shows no gravity."
+    )
+    advice = "This looks like linear acceleration of a moving device. Record the raw acceleration at rest."
+    return (Finding("error", "motion", text, advice),)
 
 
 def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:

@@ -234,12 +234,14 @@ def _correlation(one: Profile, two: Profile) -> float:
 _GRAVITY = (0.8 * G0, 1.2 * G0)
 #: Below this, in m/s², there is no gravity in the figures, whatever their unit.
 _NO_GRAVITY = 0.3
+#: Mean vector, in m/s², that is no gravity, and a standard deviation that no accelerometer has at rest.
+_WEIGHTLESS, _SHAKEN = 0.3 * G0, 0.3
 #: N above this, in rad/s/sqrt(Hz), is no gyroscope: poor ones have 1e-3.
 _NOISY = 4e-3
 #: Mean rate above this, in rad/s, is no bias: 20 deg/s is the worst that data sheets allow.
 _BIASED = 0.4
-#: LSB that gyroscopes have, in deg/s: 131, 65.5, 32.8, 16.4 counts and 4.375 … 70 mdeg/s.
-_GYRO_LSB = (1 / 131, 1 / 65.5, 1 / 32.8, 1 / 16.4, 250 / 32768, 1000 / 32768, 2000 / 32768,
+#: LSB that gyroscopes have, in deg/s: 131, 65.5, 32.8, 16.4 and 16 counts and 4.375 … 70 mdeg/s.
+_GYRO_LSB = (1 / 131, 1 / 65.5, 1 / 32.8, 1 / 16.4, 1 / 16, 250 / 32768, 1000 / 32768, 2000 / 32768,
              0.004375, 0.00875, 0.0175, 0.035, 0.07)  # fmt: skip
 #: How closely an LSB must agree with one of these.
 _AGREE = 2e-3
@@ -250,6 +252,19 @@ def gravity(profiles: Sequence[Profile]) -> float | None:
     if len(profiles) != 3 or len({p.windows.size for p in profiles}) != 1 or not profiles[0].windows.size:
         return None
     return float(np.median(np.sqrt(sum(p.windows.mean**2 for p in profiles))))
+
+
+def shaken(profiles: Sequence[Profile]) -> tuple[str, float] | None:
+    """Return the most restless axis of an accelerometer that moves and shows no gravity, and its deviation.
+
+    The deviation is in m/s². None for an accelerometer at rest, with gravity, or without all three axes.
+    """
+    accel = _of(Sensor.ACCELEROMETER, profiles)
+    if len(accel) < 3 or float(np.linalg.norm([p.windows.mean.mean() for p in accel])) > _WEIGHTLESS:
+        return None
+    deviations = {p.name: float(np.sqrt(p.windows.variance.mean() + p.windows.mean.var())) for p in accel}
+    worst = max(deviations, key=lambda name: deviations[name])
+    return (worst, deviations[worst]) if sorted(deviations.values())[1] > _SHAKEN else None
 
 
 def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
@@ -283,7 +298,7 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
     """Return a finding when the length of gravity is not that of m/s²."""
     accel = _of(Sensor.ACCELEROMETER, profiles)
     length = gravity(accel)
-    if length is None or swapped(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
+    if length is None or swapped(profiles) or shaken(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
         return ()
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."

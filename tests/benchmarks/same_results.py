@@ -39,13 +39,19 @@ def said(findings: list[dict[str, Any]]) -> set[tuple[str, str, str]]:
     return {(finding["level"], finding["code"], finding["axis"] or "") for finding in findings}
 
 
+def every(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return all findings; in version 1 of report.json those of an axis are in its entry."""
+    found: list[dict[str, Any]] = report["findings"]
+    return found + [f for axis in report["axes"] for f in axis.get("findings", ())]
+
+
 def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, list[str]]:
     """Return the largest move, in widths, and what differs in words."""
     lines = []
     largest = 0.0
     axes = {axis["name"]: axis for axis in after["axes"]}
-    if said(before["findings"]) != said(after["findings"]):
-        lines.append(f"findings {sorted(said(before['findings']) ^ said(after['findings']))}")
+    if said(every(before)) != said(every(after)):
+        lines.append(f"findings {sorted(said(every(before)) ^ said(every(after)))}")
     for old in before["axes"]:
         new = axes.pop(old["name"], None)
         if new is None:
@@ -54,8 +60,6 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, l
         if old["fit"]["model"] != new["fit"]["model"]:
             lines.append(f"{old['name']}: {old['fit']['model']} became {new['fit']['model']}")
             continue
-        if said(old["findings"]) != said(new["findings"]):
-            lines.append(f"{old['name']}: findings {sorted(said(old['findings']) ^ said(new['findings']))}")
         for key, move in moves(old["fit"]["terms"], new["fit"]["terms"]).items():
             largest = max(largest, move)
             if move > _MOST:

@@ -29,9 +29,9 @@ def test_a_folder_is_one_line_and_a_second_run_says_that_it_replaces(tmp_path: P
     """Instead of a line a file."""
     _write(tmp_path / "log.csv", 40)
     first = run("fit", "log.csv", "-o", "out", *_QUICK, cwd=tmp_path)
-    assert "Wrote out: report.json, 4 pictures, 2 JSON files\n" in first.stderr
+    assert "Wrote out: report.json, 4 pictures, 3 JSON files\n" in first.stderr
     again = run("fit", "log.csv", "-o", "out", *_QUICK, "--figure", "paper", cwd=tmp_path)
-    assert "Replaced the report in out: report.json, 8 pictures, 2 JSON files\n" in again.stderr
+    assert "Replaced the report in out: report.json, 8 pictures, 3 JSON files\n" in again.stderr
     picture = (tmp_path / "out" / "gyro-paper.svg").read_text(encoding="utf-8")
     # 3.5 inches of 72 points.
     assert 'width="252pt"' in picture

@@ -31,7 +31,7 @@ def test_results_and_talk_go_to_different_streams(
     assert done.stdout.startswith(("Good for N; ", "Look first: "))
     assert done.stdout.splitlines()[1:3] == ["", "GYROSCOPE                                ACCELEROMETER"]
     assert "report.json" not in done.stdout
-    assert "Wrote too_short-imucal: report.json, report.html, 8 pictures, 6 JSON files\n" in done.stderr
+    assert "Wrote too_short-imucal: report.json, report.html, 8 pictures, 7 JSON files\n" in done.stderr
     assert "imucal export too_short-imucal" in done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "\x1b" not in done.stdout + done.stderr
@@ -42,7 +42,7 @@ def test_the_report_folder_holds_everything(whole: tuple[subprocess.CompletedPro
     _, folder = whole
     axes = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
     expected = {f"{axis}.{kind}" for axis in axes for kind in ("png", "json")}
-    expected |= {"gyro.png", "accel.png", "report.json", "report.html"}
+    expected |= {"gyro.png", "accel.png", "report.json", "report.html", "signal.json"}
     assert {path.name for path in (folder / "too_short-imucal").iterdir()} == expected
 
 
@@ -157,6 +157,6 @@ def test_json_on_standard_output_is_the_report_however_many_axes_are_fitted_at_a
     assert one.stderr == two.stderr == ""
     assert run(*command[:-1], cwd=tmp_path).stdout == one.stdout
     document = json.loads(one.stdout)
-    assert document["schema"] == "imucal/report/1"
+    assert document["schema"] == "imucal/report/2"
     assert len(document["axes"]) == 6
     assert list(tmp_path.iterdir()) == []

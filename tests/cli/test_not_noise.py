@@ -156,7 +156,7 @@ def test_a_strict_run_says_what_it_found(tmp_path: Path) -> None:
     done = run("fit", "log.csv", *QUICK, "-q", "--strict", cwd=tmp_path)
     assert done.returncode == 4
     (line,) = done.stderr.splitlines()
-    assert line == "Error: log.csv: touch, spikes found, and --strict allows no warning"
+    assert line == "Error: log.csv: touch found, and --strict allows no warning"
 
 
 def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:
     assert "imucal export" not in done.stderr
     again = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
     assert again.returncode == 0
-    assert "Next: run again" not in again.stderr
+    assert "Next: run again with" not in again.stderr.replace("run again without", "")
 
 
 def test_white_noise_that_is_hardly_known_is_not_exported(tmp_path: Path) -> None:
@@ -193,3 +193,32 @@ def test_white_noise_that_is_hardly_known_is_not_exported(tmp_path: Path) -> Non
     assert "imucal export" not in done.stderr
     done = run("export", "walk", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)
     assert done.returncode == 4
+
+
+def test_a_given_unit_that_contradicts_the_log_is_repeated(tmp_path: Path) -> None:
+    """`fit` suggests the command without it, and `export` repeats the warning."""
+    write(tmp_path / "log.csv", lambda _: None)
+    command = (
+        "fit",
+        "log.csv",
+        "--model",
+        "N",
+        "--segments",
+        "1",
+        "--format",
+        "svg",
+        "--no-html",
+        "-o",
+        "out",
+    )
+    done = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.startswith("Look first: a unit other than the log's own on gyro")
+    said = " ".join(done.stderr.split())
+    assert "Next: run again without --gyro-unit if the log's own unit is right; if not, imucal export" in said
+    exported = run("export", "out", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)
+    assert exported.returncode == 0
+    assert "warning: The unit of the gyroscope is deg/s as given; the log says rad/s" in exported.stderr
+    assert "it warns of: unit-given" in (tmp_path / "x.yaml").read_text(encoding="utf-8")
+    again = run(*command, cwd=tmp_path)
+    assert "Next: imucal export out" in again.stderr

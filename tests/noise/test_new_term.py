@@ -36,7 +36,7 @@ class Sinusoid(NoiseTerm):
     symbol = "S"
     names = ("sinusoid", "sinusoid")
     units = ("rad/s", "m/s^2")
-    datasheet = ("deg/h", "mg")
+    datasheet = ("deg/h", "ug")
     divisors: ClassVar[dict[str, float]] = {"": 1.0}
     stroke = Stroke("#555555", "#aaaaaa", (1, 1))
     words = Words("lobes at odd halves of its period", "a cycle of the surroundings", "line, tone")
@@ -63,7 +63,7 @@ class SecondOrder(NoiseTerm):
     symbol = "SGM"
     names = ("second-order Gauss-Markov", "second-order Gauss-Markov")
     units = ("rad/s", "m/s^2")
-    datasheet = ("deg/h", "mg")
+    datasheet = ("deg/h", "ug")
     stroke = Stroke("#222222", "#dddddd", (4, 1))
     words = Words("a hump", "a bias that forgets smoothly", "AR2")
     repeatable = True
@@ -205,6 +205,6 @@ def test_what_is_forgotten_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch
     """Those added here stand in no docs and no schema; one without units is told so as well."""
     said = missing("S")
     assert any("README.md has no row for S" in sentence for sentence in said), said
-    assert any("report-1.schema.json does not list S" in sentence for sentence in said), said
+    assert any("report-2.schema.json does not list S" in sentence for sentence in said), said
     monkeypatch.delattr(Sinusoid, "units")
     assert any(sentence.startswith("Sinusoid lacks `units`") for sentence in missing("S"))

@@ -120,7 +120,7 @@ def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
 )
 def test_knows_the_folders_that_imucal_writes(file: str, said: str, tmp_path: Path) -> None:
     """Whoever gives one in place of a log is told so, and what takes it."""
-    (tmp_path / file).write_text('{"schema": "imucal/report/1"}', encoding="utf-8")
+    (tmp_path / file).write_text('{"schema": "imucal/report/2"}', encoding="utf-8")
     with pytest.raises(ReadError, match=f"{tmp_path}: {said}"):
         read(tmp_path)
     if file == "report.json":

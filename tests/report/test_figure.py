@@ -113,8 +113,8 @@ def test_a_term_out_of_view_is_still_named() -> None:
     """So small that its line lies below the plot: the number stands there all the same."""
     axis = axis_report(Sensor.GYROSCOPE, "x", "N=1e-3 + B=1e-8 + K=1e-12")
     words = _words(axis_figure(replace(small_report(), axes=(axis,)), axis))
-    assert "K (1.24 ± 0.18) ×10⁻⁵ deg/h/√h (below)" in words
-    assert "B (2.06 ± 0.08) ×10⁻³ deg/h (below)" in words
+    assert "K 0.0000124 ± 0.0000018 deg/h/√h (below)" in words
+    assert "B 0.00206 ± 0.00008 deg/h (below)" in words
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def test_each_part_has_its_panel() -> None:
     assert len(bias_figure(_parts("N=1e-3 + B=5e-4")).axes) == 1
 
 
-@pytest.mark.parametrize(("factor", "unit", "size"), [(1e-4, "µg", 1e6), (1.0, "mg", 1e3)])
+@pytest.mark.parametrize(("factor", "unit", "size"), [(1e-4, "µg", 1e6), (1.0, "µg", 1e6)])
 def test_it_draws_what_was_found(factor: float, unit: str, size: float) -> None:
     """In data-sheet units, less the mean."""
     parts = _parts(f"N={factor:g} + B={factor / 2:g}", sensor="accelerometer", level=9.81)

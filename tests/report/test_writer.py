@@ -23,7 +23,7 @@ from imucal.report import json_file, writer
 from imucal.report.writer import write_report
 from tests.report.synthetic import consumer_report, small_report
 
-_FILES = ["gyro_x.json", "report.json"]
+_FILES = ["gyro_x.json", "report.json", "signal.json"]
 
 
 @pytest.fixture
@@ -60,6 +60,7 @@ def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
     assert [path.name for path in files] == [
         "report.json",
         "report.html",
+        "signal.json",
         "gyro_z.json",
         "gyro_z.png",
         "accel_x.json",
@@ -71,15 +72,16 @@ def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
     assert all(path.stat().st_size > 1000 for path in files)
     assert _names(tmp_path / "deep") == ["out"]
     assert json_file.load(tmp_path / "deep" / "out").axes[0].name == "gyro_z"
-    assert json.loads(files[2].read_bytes())["name"] == "gyro_z"
+    assert json.loads(files[3].read_bytes())["name"] == "gyro_z"
 
 
 @pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
 def test_pictures_come_in_every_format(tmp_path: Path, form: str, start: bytes) -> None:
     """SVG and PDF on request; each file is of its kind."""
     files = write_report(small_report(), tmp_path / "out", formats=(form,), html=False)
-    assert [path.name for path in files] == ["report.json", "gyro_x.json", f"gyro_x.{form}", f"gyro.{form}"]
-    assert all(path.read_bytes().startswith(start) for path in files[2:])
+    pictures = [f"gyro_x.{form}", f"gyro.{form}"]
+    assert [path.name for path in files] == ["report.json", "signal.json", "gyro_x.json", *pictures]
+    assert all(path.read_bytes().startswith(start) for path in files[3:])
 
 
 def test_the_same_report_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -100,7 +102,7 @@ def test_files_have_the_rights_of_the_umask(tmp_path: Path) -> None:
 def test_an_old_report_is_replaced_and_other_files_are_kept(old: Path) -> None:
     """Stale pictures go, notes stay."""
     write_report(small_report(), old, formats=(), html=False)
-    assert _names(old) == ["gyro_x.json", "notes.txt", "report.json"]
+    assert _names(old) == ["gyro_x.json", "notes.txt", "report.json", "signal.json"]
     assert json_file.load(old).version == "0.1.0"
 
 
@@ -228,7 +230,7 @@ def test_ctrl_c_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, *, e
     assert _contents(old.parent) == before
 
 
-@pytest.mark.parametrize("moved", [0, 1, 2, 3])
+@pytest.mark.parametrize("moved", [0, 1, 2, 3, 4])
 def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> None:
     """No handler runs on SIGKILL: report.json is old, new, or says so, and the next run succeeds."""
     before = _contents(old)
@@ -236,7 +238,7 @@ def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> 
     content = (old / "gyro_x.json").read_bytes()
     assert json.loads(content)["version"] == "0.1.0" or content == before[f"{old.name}/gyro_x.json"]
     report = json.loads((old / "report.json").read_bytes())
-    if moved in {1, 2}:
+    if moved in {1, 2, 3}:
         assert report["incomplete"] == "its files were being replaced; write the report again"
         with pytest.raises(ReadError, match="found schema, incomplete, expected the key 'version'"):
             json_file.load(old)
@@ -246,7 +248,7 @@ def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> 
     assert [p.name for p in old.iterdir() if p.name.startswith(".imucal-")]
     _age_scratch(old)
     write_report(small_report(), old, formats=(), html=False)
-    assert _names(old) == ["gyro_x.json", "notes.txt", "report.json"]
+    assert _names(old) == ["gyro_x.json", "notes.txt", "report.json", "signal.json"]
 
 
 @pytest.mark.parametrize("existing", [False, True])
@@ -259,7 +261,7 @@ def test_two_runs_into_one_folder_leave_one_report(tmp_path: Path, *, existing: 
     reports = [replace(consumer_report(), version=version) for version in versions]
     with ThreadPoolExecutor(len(reports)) as pool:
         done = [pool.submit(write_report, one, out, formats=(), html=False) for one in reports]
-    assert {len(one.result()) for one in done} == {7}
+    assert {len(one.result()) for one in done} == {8}
     found = {json.loads(path.read_bytes())["version"] for path in out.iterdir()}
     assert len(found) == 1
     assert found <= set(versions)
@@ -289,7 +291,7 @@ def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.Mon
     move = Path.replace
 
     def failing(self: Path, target: Path) -> Path:
-        if self.name == "gyro_x.json":
+        if self.name == "signal.json":
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return move(self, target)
 
@@ -297,7 +299,7 @@ def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.Mon
     with pytest.raises(WriteError) as caught:
         write_report(small_report(), old, formats=(), html=False)
     assert str(caught.value) == (
-        f"{old}: only 0 of 2 files were replaced: Input/output error; report.json says that the report is "
+        f"{old}: only 0 of 3 files were replaced: Input/output error; report.json says that the report is "
         "incomplete; write it again"
     )
 

@@ -94,6 +94,19 @@ def held(gyro: FloatArray, accel: FloatArray) -> Tables:
     return gyro + shake, accel
 
 
+def carried_without_gravity(gyro: FloatArray, accel: FloatArray) -> Tables:
+    from scipy.signal import butter, sosfilt
+
+    rng = np.random.default_rng(6)
+    steps = sosfilt(butter(2, 3, fs=100, output="sos"), 4 * rng.normal(size=(3, N)))
+    accel[2] -= G0
+    return gyro, accel + steps
+
+
+def in_sixteenths(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return np.round(np.degrees(gyro) * 16) / 16, accel
+
+
 def tilted(gyro: FloatArray, accel: FloatArray) -> Tables:
     accel[0, 12_000:] += 0.02
     return gyro, accel
@@ -217,6 +230,9 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (held, "error", "motion", None,
      ("The IMU was not at rest: between 0.5 and 10 Hz gyro_y moves by 0.00982 rad/s (0.562 deg/s) rms, "
      "as in a hand or on a running machine.")),
+    (carried_without_gravity, "error", "motion", None,
+     ("The IMU was not at rest: accel_x has a standard deviation of 1.05 m/s^2 (107 mg), and the "
+     "accelerometer shows no gravity.")),
     (tilted, "warning", "step", "accel_x",
      "The level jumps by +0.0196 m/s² at 120.0 s and stays there."),
     (warming, "warning", "warm-up", "gyro_z",
@@ -243,6 +259,8 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (in_deg, "warning", "unit-suspect", "gyro",
      ("The gyroscope may not be in rad/s: its noise, 0.0086 rad/s/sqrt(Hz), is more than gyroscopes have; "
      "in deg/s it would be 0.00015 rad/s/sqrt(Hz).")),
+    (in_sixteenths, "warning", "unit-suspect", "gyro",
+     "The gyroscope may not be in rad/s: its steps of 0.0625 are a usual LSB in deg/s."),
     (in_deg_of_131, "warning", "unit-suspect", "gyro",
      "The gyroscope may not be in rad/s: its steps of 0.0076336 are a usual LSB in deg/s."),
     (as_counts, "warning", "unit-suspect", "gyro",

@@ -27,7 +27,7 @@ from imucal.fitting.homogeneity import (
     widened_covariance,
 )
 from imucal.fitting.noise_fit import MISFIT, Goodness, NoiseFit, Segments
-from imucal.fitting.robust import heavy_tails, resolution_effect, step_size, tail_finding
+from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
@@ -78,8 +78,12 @@ def fit_mle(
     structure = settings.structure
     view = spectral_view(series, settings, temperature)
     band = view.band
-    tails = heavy_tails(series.samples)
-    problem = Problem(ordinates=view.ordinates, level=settings.level, tau0=series.tau0, widening={"N": tails})
+    problem = Problem(
+        ordinates=view.ordinates,
+        level=settings.level,
+        tau0=series.tau0,
+        widening={"N": heavy_tails(series.samples)},
+    )
     choice = _choice(problem, band, settings)
     if structure is None:
         fitted, own, estimates = hull_estimates(problem, choice)
@@ -136,7 +140,7 @@ def fit_mle(
     if structure is None:
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
-    findings += [*resolution_effect(series, white.value or 0.0), *tail_finding(series, tails)]
+    findings += resolution_effect(series, white.value or 0.0)
     if settings.verify:
         findings += findings_or_why_not(
             lambda: verify_findings(series, model, names, covariance),
