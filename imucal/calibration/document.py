@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from imucal.arrays import FloatArray, ReadOnlyArrays
-from imucal.calibration.parameters import Parameter, is_si
+from imucal.calibration.parameters import Parameter, inverse, is_si
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
 from imucal.errors import ReadError
 from imucal.frozen import frozen_alone
@@ -116,7 +116,7 @@ class Intrinsics(ReadOnlyArrays):
     @property
     def si(self) -> bool:
         """Whether the raw samples are in m/s² and rad/s, and not counts."""
-        return all(is_si(np.asarray(np.linalg.inv(C))) for C in (self.C_a, self.C_g) if C is not None)
+        return all(is_si(inverse(C)) for C in (self.C_a, self.C_g) if C is not None)
 
 
 def load_intrinsics(path: Path) -> Intrinsics:
