@@ -90,7 +90,7 @@ def calibrate(
         raise DataError(f"{where}no accelerometer; calibration needs gravity as its reference")
     try:
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
-        require_rests(spans, accelerometer)
+        require_rests(spans, accelerometer, gyroscope)
         found = _Sensor.of(accelerometer, spans, noise)
         require_attitudes(found.rests.means)
         require_range(accelerometer, found.rests)

@@ -3,16 +3,17 @@
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
-from imucal.calibration.poses import RestMeans, Triad, attitudes, step_of
+from imucal.calibration.poses import RestMeans, Triad, attitudes, find_rests, step_of
 from imucal.errors import DataError
 from imucal.recording import AXES
 
 __all__ = [
-    "ADVICE", "FEWEST", "order_of", "require_attitudes", "require_range", "require_rests", "unusable_turns",
+    "ADVICE", "FEWEST", "order_of", "require_attitudes", "require_range", "require_rests",
+    "unusable_turns",
 ]  # fmt: skip
 
-#: Fewest rests for any result.
-FEWEST = 6
+#: Fewest rests for any result, and the shortest that are worth a try, in s.
+FEWEST, _SHORTEST_S = 6, 0.4
 #: Lengths of gravity that belong to a log in g.
 _IN_G = 0.85, 1.15
 #: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
@@ -25,10 +26,22 @@ _REPEATED, _FAR = 3, 20
 ADVICE = "put the IMU down on each face and on six edges, 5 s each: about 2 minutes"
 
 
-def require_rests(spans_s: FloatArray, data: Triad) -> None:
-    """Raise a DataError if there are fewer than 6 rests, spans of shape (m, 2)."""
-    if len(spans_s) < FEWEST:
-        raise DataError(f"found {len(spans_s)} of at least {FEWEST} rests in {data.end_s:.0f} s; {ADVICE}")
+def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | None) -> None:
+    """Raise a DataError if there are fewer than 6 rests, spans of shape (m, 2).
+
+    The message reports the rests that are shorter, or that a hand's tremor hides, if these are enough.
+    """
+    if len(spans_s) >= FEWEST:
+        return
+    short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
+    held = len(find_rests(accelerometer, gyroscope, in_hand=True)) if gyroscope is not None else 0
+    hint = ""
+    if short >= FEWEST:
+        hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
+    elif held >= FEWEST:
+        hint = f"; {held} rests have the tremor of a hand"
+    whole = f"{accelerometer.end_s:.0f} s"
+    raise DataError(f"found {len(spans_s)} of at least {FEWEST} rests in {whole}; {ADVICE}{hint}")
 
 
 def require_attitudes(means: FloatArray) -> None:
