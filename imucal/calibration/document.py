@@ -1,4 +1,4 @@
-"""`calibration.json`: the whole result in SI units, and what exports read back from it.
+"""`calibration.json`: the whole result in SI units, and the part that exports read back.
 
 The layout is pinned by ``schema/calibration-1.schema.json``.
 """
@@ -23,7 +23,7 @@ SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
 
 
 def to_document(found: Calibration) -> JsonObject:
-    """Return a calibration as JSON values, SI; null for what is not known."""
+    """Return a calibration as JSON values, SI; null for unknown values."""
     temperature = found.temperature and dict(zip(("mean", "low", "high"), found.temperature, strict=True))
     rest = "start_s end_s mean_accel mean_gyro up residual before sigma z used why"
     turn = "start_s end_s angle_deg residual_deg before_deg p used why"

@@ -43,7 +43,7 @@ _AXES = "XYZ"
 
 @frozen
 class CalibrationTarget:
-    """One program: its name, title, file and formula, and what makes the text under the comment.
+    """One program: name, title, file, formulas, and the function that writes the text under the comment.
 
     `sign` starts a comment, or is ``json``. `noise` is whether the file has noise numbers too. `uses` are the
     parts that it has a place for: ``G`` for g-sensitivity, ``gyro`` for scale and misalignment of the
@@ -139,7 +139,7 @@ def write_target(target: CalibrationTarget, text: str, path: Path) -> Path:
 
 
 def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
-    """Yield the lines at the head of a file: source, formulas, and what the program has no place for."""
+    """Yield the lines at the head of a file: source, formulas, and parts that the program lacks."""
     yield f"{target.title}, written by imucal {__version__}"
     yield f"calibrated from {one_line(found.source)}, {len(found.means)} rests"
     yield "f = C_a (raw - b_a), w = C_g (raw - b_g - G f)"

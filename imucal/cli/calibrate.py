@@ -9,12 +9,23 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._declared import declared, flag, is_set, option
-from imucal.cli._printing import as_typed, can_print, echo, print_findings, progress, say, width, wrapped
+from imucal.cli._printing import (
+    as_typed,
+    can_print,
+    echo,
+    print_findings,
+    progress,
+    refuse,
+    say,
+    width,
+    wrapped,
+)
 from imucal.cli._report_input import REPORT, read_report
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, LOG, PATH, LogRequest, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import DataError
+from imucal.grading import remedy
 from imucal.printable import printable_json
 from imucal.recording import AXES, Sensor
 
@@ -70,7 +81,7 @@ def command(
     folder = out or report_folder(request.logs[0], "calibration")
     if not no_files:
         check_folder(folder)
-    report = read_report(noise) if noise else None
+    report = _noise_report(noise) if noise else None
     recording = request.read()
     with progress("calibrating"), _with_options():
         found = calibrate(
@@ -88,6 +99,13 @@ def command(
         if apply_to:
             _write_corrected(found.apply(recording), apply_to)
     _end(found.verdict, recording.source.path, [f.code for f in found.findings if f.level != "info"])
+
+
+def _noise_report(path: Path) -> "Report":
+    """Load the report of the noise; refuse one that is not of noise at rest, unless forced."""
+    report = read_report(path)
+    refuse(report.verdict, str(path), "nothing was calibrated", remedy=remedy(report.all_findings))
+    return report
 
 
 #: How a message of the library ends -> the option that helps.
