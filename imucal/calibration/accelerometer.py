@@ -16,7 +16,7 @@ from imucal.errors import DataError
 from imucal.frozen import frozen, frozen_alone
 
 __all__ = [
-    "LOWER", "PARAMETERS", "AccelerometerFit", "Observability", "Status", "Suggestion", "derivatives",
+    "LOWER", "PARAMETERS", "AccelerometerFit", "Status", "Suggestion", "derivatives",
     "fit_accelerometer", "observability", "relative_size", "residual_covariance", "suggest_rest",
 ]  # fmt: skip
 
@@ -47,14 +47,6 @@ Status: TypeAlias = Literal["estimated", "weak", "not-observable"]
 
 
 @frozen_alone
-class Observability(ReadOnlyArrays):
-    """Singular values of the whitened Jacobian, shape (p,), and the status of each parameter."""
-
-    singular_values: FloatArray
-    statuses: tuple[Status, ...]
-
-
-@frozen_alone
 class AccelerometerFit(ReadOnlyArrays):
     """A calibrated accelerometer: f = C (raw - b).
 
@@ -72,6 +64,8 @@ class AccelerometerFit(ReadOnlyArrays):
         Derivatives of the residuals, shape (m, 9), and their covariance, shape (m, m).
     chi2, dof
         Weighted sum of squares and its degrees of freedom.
+    statuses
+        Of each parameter; see `observability`.
     """
 
     C: FloatArray
@@ -84,7 +78,7 @@ class AccelerometerFit(ReadOnlyArrays):
     residual_covariance: FloatArray
     chi2: float
     dof: int
-    observability: Observability
+    statuses: tuple[Status, ...]
 
     @property
     def model(self) -> Model:
@@ -156,12 +150,12 @@ def fit_accelerometer(
     if model != "diagonal" and len(means) >= len(PARAMETERS):
         begin = start or _ellipsoid(means, gravity) or extremes
         fit = _gauss_newton(means, noise, (gravity, gravity_sigma), begin, np.ones(9, dtype=np.bool_))
-        if "not-observable" not in fit.observability.statuses:
+        if "not-observable" not in fit.statuses:
             return fit
     if model == "full":
         raise ValueError("these rests do not determine all nine parameters")
     fit = _gauss_newton(means, noise, (gravity, gravity_sigma), extremes, _DIAGONAL)
-    statuses = np.array(fit.observability.statuses)[_DIAGONAL]
+    statuses = np.array(fit.statuses)[_DIAGONAL]
     if unknown := np.array(PARAMETERS)[_DIAGONAL][statuses == "not-observable"].tolist():
         raise _undetermined(means, ", ".join(unknown).replace("_", " "))
     return fit
@@ -261,7 +255,7 @@ def _gauss_newton(
         chi2=float(rw @ rw),
         dof=len(means) - int(free.sum()),
         # An unknown gravity must not make the scales look weak: it is reported by itself.
-        observability=observability(J * relative_size(C, gravity[0]), S0, free),
+        statuses=observability(J * relative_size(C, gravity[0]), S0, free),
     )
 
 
@@ -270,7 +264,7 @@ def relative_size(C: FloatArray, gravity: float) -> FloatArray:
     return np.concatenate([np.diag(C)[LOWER[1]], gravity / np.diag(C)])
 
 
-def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> Observability:
+def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status, ...]:
     """Return which parameters the residuals determine.
 
     A parameter is ``not-observable`` if it is not free or has a part in a direction whose singular value is
@@ -294,7 +288,7 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> Observabilit
     statuses: list[Status] = ["not-observable"] * free.size
     for at, is_unseen, is_weak in zip(np.flatnonzero(free), unseen, mostly_weak, strict=True):
         statuses[at] = "not-observable" if is_unseen else "weak" if is_weak else "estimated"
-    return Observability(singular_values=values, statuses=tuple(statuses))
+    return tuple(statuses)
 
 
 @frozen

@@ -11,16 +11,23 @@ from imucal.calibration.checks import Facts, findings_of
 from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base
-from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters
+from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse
 from imucal.calibration.poses import (
     RestMeans,
     Triad,
-    attitudes,
     find_rests,
     half_differences,
     moved_rests,
-    step_of,
     triad,
+)
+from imucal.calibration.requirements import (
+    ADVICE,
+    FEWEST,
+    order_of,
+    require_attitudes,
+    require_range,
+    require_rests,
+    unusable_turns,
 )
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest, at_other_times
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
@@ -30,24 +37,13 @@ from imucal.clock import seconds_of
 from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
-from imucal.recording import AXES, Recording, Sensor
+from imucal.recording import Recording, Sensor
 from imucal.report.result import Report
 
 __all__ = ["calibrate"]
 
-#: Fewest rests for any result.
-_FEWEST = 6
 #: At most this share of the rests is excluded as moved.
 _MOST_MOVED = 1 / 3
-#: Lengths of gravity that belong to a log in g.
-_IN_G = 0.85, 1.15
-#: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
-_NOISY = 3
-#: A longer turn is not used, in s.
-_LONGEST_TURN_S = 60.0
-#: A clipped axis repeats its extreme this often, and the extreme is this many steps from the level at rest.
-_REPEATED, _FAR = 3, 20
-_ADVICE = "put the IMU down on each face and on six edges, 5 s each: about 2 minutes"
 
 
 def calibrate(
@@ -94,10 +90,10 @@ def calibrate(
         raise DataError(f"{where}no accelerometer; calibration needs gravity as its reference")
     try:
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
-        _require_rests(spans, accelerometer)
+        require_rests(spans, accelerometer, gyroscope)
         found = _Sensor.of(accelerometer, spans, noise)
-        _require_attitudes(found.rests.means)
-        _require_range(accelerometer, found.rests)
+        require_attitudes(found.rests.means)
+        require_range(accelerometer, found.rests)
         turning = _Sensor.of(gyroscope, spans, noise) if gyroscope is not None else None
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         used = ~_worst(z)
@@ -169,40 +165,6 @@ class _Sensor:
         return walk_covariance(self.rests.spans, rate_hz=self.data.rate_hz, samples=len(self.data.samples))
 
 
-def _require_rests(spans_s: FloatArray, data: Triad) -> None:
-    if len(spans_s) < _FEWEST:
-        raise DataError(f"found {len(spans_s)} of at least {_FEWEST} rests in {data.end_s:.0f} s; {_ADVICE}")
-
-
-def _require_attitudes(means: FloatArray) -> None:
-    """Raise a DataError if all means of an accelerometer in SI units have one direction."""
-    norm = np.linalg.norm(means, axis=1)
-    # Raw counts may have an offset that hides the direction; then the fit notices.
-    if np.all((norm > 5) & (norm < 15)) and attitudes(means / norm[:, None]) == 1:
-        raise DataError(f"all {len(means)} rests have the same attitude within 10°; {_ADVICE}")
-
-
-def _require_range(data: Triad, rests: RestMeans) -> None:
-    """Raise a DataError if the samples are in g, or an axis is clipped at rest."""
-    norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
-    if _IN_G[0] < norm < _IN_G[1]:
-        msg = f"the accelerometer reads {norm:.3g} at rest and not 9.81 m/s²: its unit is g"
-        raise DataError(msg)
-    for axis, column in enumerate(data.samples.T):
-        parts = [column[first:end] for first, end in rests.spans]
-        extremes = np.nanmin(column), np.nanmax(column)
-        constant = np.array([np.ptp(part) == 0 and part[0] in extremes for part in parts])
-        # With coarse steps other rests are constant too.
-        if constant.any() and np.median([np.ptp(part) for part in parts]) > _NOISY * step_of(column):
-            value = float(parts[int(np.argmax(constant))][0])
-            share = f"{int(constant.sum())} of {len(parts)} rests"
-            msg = (
-                f"accel_{AXES[axis]} is clipped at {value:.4g} in {share}; "
-                "choose a larger range of the accelerometer"
-            )
-            raise DataError(msg)
-
-
 def _worst(z: FloatArray) -> BoolArray:
     """Return which rests to exclude as moved, at most a third."""
     moved = moved_rests(z)
@@ -213,8 +175,8 @@ def _worst(z: FloatArray) -> BoolArray:
 
 
 def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
-    if len(sensor.rests.means) < _FEWEST:
-        raise DataError(f"only {len(sensor.rests.means)} rests did not move; {_ADVICE}")
+    if len(sensor.rests.means) < FEWEST:
+        raise DataError(f"only {len(sensor.rests.means)} rests did not move; {ADVICE}")
     return estimate_accelerometer(
         sensor.rests.means,
         sensor.covariance,
@@ -237,7 +199,6 @@ def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Grav
     )
     return AccelerometerResult(
         C=C,
-        M=np.asarray(np.linalg.inv(C), dtype=np.float64),
         b=estimate.theta[6:],
         covariance=estimate.covariance,
         parameters=accelerometer_parameters(estimate),
@@ -262,7 +223,7 @@ def _gyroscope(
     """Return the gyroscope, its turns, and why they could not be explained."""
     found, turning = sensors
     data, rests, fit = turning.data, turning.rests, estimate.fit
-    reasons = _unusable(data, rests)
+    reasons = unusable_turns(data, rests)
     which = np.flatnonzero([not why for why in reasons])
     trouble, start = "", None
     if which.size:
@@ -271,7 +232,7 @@ def _gyroscope(
                 data.samples, rests.spans, rests.means, fit.up, which, rate_hz=data.rate_hz
             )
             start = start_of(arrays)
-            if turned := _order_of(start):
+            if turned := order_of(start):
                 trouble = (
                     f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
                     "axes, in the log or when it is read"
@@ -286,7 +247,7 @@ def _gyroscope(
         fit.f,
         covariance,
         walk,
-        scale=np.asarray(np.eye(3) if start is None else np.linalg.inv(start), dtype=np.float64),
+        scale=np.eye(3) if start is None else inverse(start),
         earth=earth,
         gravity=place.value,
         checked=turning.base.checked,
@@ -314,26 +275,15 @@ def _gyroscope(
             rest_spans=rests.spans,
             samples=len(data.samples),
         )
-        raw_means = (fit.f @ np.linalg.inv(fit.C).T) + fit.b
+        raw_means = (fit.f @ inverse(fit.C).T) + fit.b
         turns = fit_turns(arrays, noise, direction_covariance(fit, raw_means, estimate.covariances))
     return _gyroscope_result(rest, turns), _turns(spans_s, fit.up, reasons, which, turns), trouble
-
-
-def _order_of(start: FloatArray) -> str:
-    """Return such as ``y, -x, z`` for a start with permuted or mirrored axes; empty for the usual order."""
-    signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
-    if np.array_equal(signed, np.eye(3)):
-        return ""
-    # Column k of C maps the gyroscope's axis k to the frame.
-    places = np.argmax(np.abs(signed), axis=0)
-    return ", ".join(f"{'-' if signed[i, k] < 0 else ''}{AXES[i]}" for k, i in enumerate(places))
 
 
 def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None) -> GyroscopeResult:
     C = np.eye(3) if turns is None else turns.C
     return GyroscopeResult(
         C=C,
-        M=np.asarray(np.linalg.inv(C), dtype=np.float64),
         b=rest.b,
         G=rest.G,
         covariance_C=turns.covariance if turns else np.zeros((9, 9)),
@@ -345,30 +295,6 @@ def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None) -> GyroscopeResult
         scaled=turns is not None,
         rest=rest,
     )
-
-
-def _unusable(data: Triad, rests: RestMeans) -> list[str]:
-    """Return why each turn between rests cannot be used; an empty text if it can."""
-    level = np.median(rests.means, axis=0)
-    finite = [column[np.isfinite(column)] for column in data.samples.T]
-    extremes = [(low, high) for low, high in ((c.min(), c.max()) for c in finite)]
-    far = [_FAR * step_of(column) for column in finite]
-    reasons = []
-    for first, end in zip(rests.spans[:-1, 1], rests.spans[1:, 0], strict=True):
-        part = data.samples[first:end]
-        clipped = any(
-            abs(value - level[axis]) > far[axis] and _repeats(part[:, axis] == value)
-            for axis in range(3)
-            for value in extremes[axis]
-        )
-        gap = not np.isfinite(part).all()
-        long = len(part) > _LONGEST_TURN_S * data.rate_hz
-        reasons.append("gap" if gap else "clipped" if clipped else "long" if long else "")
-    return reasons
-
-
-def _repeats(equal: BoolArray) -> bool:
-    return bool(np.convolve(equal, np.ones(_REPEATED), "valid").max(initial=0) >= _REPEATED)
 
 
 def _turns(

@@ -187,7 +187,8 @@ _TURNS = {
 def _turns(facts: Facts) -> Iterator[Finding]:
     if facts.trouble:
         text = f"{facts.trouble[0].upper()}{facts.trouble[1:]}."
-        yield Finding("error", "turns-unexplained", text, axis="gyro")
+        advice = "Calibrate without the gyroscope, or read both sensors with the same axes."
+        yield Finding("error", "turns-unexplained", text, advice, axis="gyro")
     for why, finding in _TURNS.items():
         own = [turn for turn in facts.turns if turn.why == why]
         if own:

@@ -1,4 +1,4 @@
-"""`calibration.json`: the whole result in SI units, and what exports read back from it.
+"""`calibration.json`: the whole result in SI units, and the part that exports read back.
 
 The layout is pinned by ``schema/calibration-1.schema.json``.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from imucal.arrays import FloatArray, ReadOnlyArrays
-from imucal.calibration.parameters import Parameter, is_si
+from imucal.calibration.parameters import Parameter, inverse, is_si
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
 from imucal.errors import ReadError
 from imucal.frozen import frozen_alone
@@ -23,7 +23,7 @@ SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
 
 
 def to_document(found: Calibration) -> JsonObject:
-    """Return a calibration as JSON values, SI; null for what is not known."""
+    """Return a calibration as JSON values, SI; null for unknown values."""
     temperature = found.temperature and dict(zip(("mean", "low", "high"), found.temperature, strict=True))
     rest = "start_s end_s mean_accel mean_gyro up residual before sigma z used why"
     turn = "start_s end_s angle_deg residual_deg before_deg p used why"
@@ -116,7 +116,7 @@ class Intrinsics(ReadOnlyArrays):
     @property
     def si(self) -> bool:
         """Whether the raw samples are in m/s² and rad/s, and not counts."""
-        return all(is_si(np.asarray(np.linalg.inv(C))) for C in (self.C_a, self.C_g) if C is not None)
+        return all(is_si(inverse(C)) for C in (self.C_a, self.C_g) if C is not None)
 
 
 def load_intrinsics(path: Path) -> Intrinsics:

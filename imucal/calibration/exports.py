@@ -7,8 +7,10 @@ gyroparams).
 """
 
 import json
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from decimal import Decimal
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -18,6 +20,7 @@ from imucal._version import __version__
 from imucal.arrays import FloatArray
 from imucal.atomic import replacing
 from imucal.calibration.document import Intrinsics
+from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
 from imucal.errors import DataError
 from imucal.frozen import frozen
@@ -40,7 +43,7 @@ _AXES = "XYZ"
 
 @frozen
 class CalibrationTarget:
-    """One program: its name, title, file and formula, and what makes the text under the comment.
+    """One program: name, title, file, formulas, and the function that writes the text under the comment.
 
     `sign` starts a comment, or is ``json``. `noise` is whether the file has noise numbers too. `uses` are the
     parts that it has a place for: ``G`` for g-sensitivity, ``gyro`` for scale and misalignment of the
@@ -55,6 +58,16 @@ class CalibrationTarget:
     sign: str = "#"
     noise: bool = False
     uses: tuple[str, ...] = ("misalignment", "gyro")
+
+
+def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
+    """Yield the programs of ``exports.toml`` by their names."""
+    text = files("imucal.calibration").joinpath("exports.toml").read_text("utf-8")
+    for name, own in tomllib.loads(text).items():
+        values: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in own.items()
+        }
+        yield name, CalibrationTarget(name=name, body=_BODIES[name], **values)
 
 
 def find_calibration_target(name: str) -> CalibrationTarget:
@@ -126,7 +139,7 @@ def write_target(target: CalibrationTarget, text: str, path: Path) -> Path:
 
 
 def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
-    """Yield the lines at the head of a file: source, formulas, and what the program has no place for."""
+    """Yield the lines at the head of a file: source, formulas, and parts that the program lacks."""
     yield f"{target.title}, written by imucal {__version__}"
     yield f"calibrated from {one_line(found.source)}, {len(found.means)} rests"
     yield "f = C_a (raw - b_a), w = C_g (raw - b_g - G f)"
@@ -166,17 +179,13 @@ def _gyro(found: Intrinsics) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _split(C: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return L and Q of C⁻¹ = L Q: lower triangular with a positive diagonal, and a rotation."""
-    Q, R = np.linalg.qr(np.linalg.inv(C).T)
+    Q, R = np.linalg.qr(inverse(C).T)
     signs = np.sign(np.diag(R))
     return np.asarray(R.T * signs), np.asarray((Q * signs).T)
 
 
 def _list(values: FloatArray, opened: str = "[]") -> str:
     return f"{opened[0]}{', '.join(map(repr, (values.ravel() + 0.0).tolist()))}{opened[1]}"
-
-
-def _inverse(C: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(C), dtype=np.float64)
 
 
 def _yaml(names: Sequence[tuple[str, FloatArray]], indent: str) -> str:
@@ -191,14 +200,14 @@ def _kalibr(found: Intrinsics) -> str:
     C, _, G = _gyro(found)
     L, Q = _split(C)
     gyro = [("M", L), ("C_gyro_i", Q), ("A", G @ Q.T)]
-    accel = _yaml([("M", _inverse(found.C_a))], "  ")
+    accel = _yaml([("M", inverse(found.C_a))], "  ")
     return f"model: scale-misalignment\naccelerometers:\n{accel}gyroscopes:\n{_yaml(gyro, '  ')}"
 
 
 def _openvins(found: Intrinsics) -> str:
     C, _, G = _gyro(found)
     L, Q = _split(C)
-    accel = [("Ta", _inverse(found.C_a)), ("R_IMUtoACC", np.eye(3))]
+    accel = [("Ta", inverse(found.C_a)), ("R_IMUtoACC", np.eye(3))]
     return _yaml([("Tw", L), ("R_IMUtoGYRO", Q), *accel, ("Tg", G)], "  ")
 
 
@@ -282,7 +291,7 @@ def _imu_tk(found: Intrinsics) -> str:
     C, b, _ = _gyro(found)
     # imu_tk's frame has z along the accelerometer's z axis: an upper triangular matrix.
     upper = np.linalg.cholesky(found.C_a.T @ found.C_a).T
-    turned = upper @ np.linalg.inv(found.C_a) @ C
+    turned = upper @ inverse(found.C_a) @ C
     parts = []
     for name, M, offset in (("acc", upper, found.b_a), ("gyro", turned, b)):
         scale = np.diag(np.diag(M))
@@ -296,7 +305,7 @@ def _matlab(found: Intrinsics) -> str:
     C, b, G = _gyro(found)
     lines = []
     for name, M, offset in (("accel", found.C_a, found.b_a), ("gyro", C, b)):
-        rows = "; ".join(", ".join(map(repr, row)) for row in (100 * np.linalg.inv(M)).tolist())
+        rows = "; ".join(", ".join(map(repr, row)) for row in (100 * inverse(M)).tolist())
         lines += [f"{name}.ConstantBias = {_list(offset)};", f"{name}.AxesMisalignment = [{rows}];"]
     lines.append(f"gyro.AccelerationBias = {_list(np.diag(G))};")
     return "\n".join([*lines, "imu.Accelerometer = accel;", "imu.Gyroscope = gyro;"])
@@ -358,135 +367,10 @@ def _python(found: Intrinsics) -> str:
     )
 
 
-_ALL = ("misalignment", "gyro", "G")
+_BODIES: dict[str, Callable[[Intrinsics], str]] = {
+    "kalibr": _kalibr, "openvins": _openvins, "px4": _px4, "ardupilot": _ardupilot, "dlio": _dlio,
+    "imu-calib": _imu_calib, "basalt": _basalt, "fusion": _fusion, "imu-tk": _imu_tk, "matlab": _matlab,
+    "yaml": _own_yaml, "c": _c, "python": _python,
+}  # fmt: skip
 #: Name of a program -> how its file is written.
-CALIBRATION_TARGETS: dict[str, CalibrationTarget] = {
-    target.name: target
-    for target in (
-        CalibrationTarget(
-            name="kalibr",
-            title="Kalibr imu.yaml with intrinsics",
-            file_name="imu.yaml",
-            formulas=("raw_a = M a + b, raw_g = M C_gyro_i w + A C_gyro_i a + b",),
-            body=_kalibr,
-            noise=True,
-            uses=_ALL,
-        ),
-        CalibrationTarget(
-            name="openvins",
-            title="OpenVINS kalibr_imu_chain.yaml with intrinsics",
-            file_name="kalibr_imu_chain.yaml",
-            formulas=(
-                "a = R_IMUtoACC^T Ta^-1 (raw_a - b_a), w = R_IMUtoGYRO^T Tw^-1 (raw_g - b_g - Tg a)",
-                "Tw is lower triangular: OpenVINS ignores the upper half of a full one; Tg is not Kalibr's A",
-            ),
-            body=_openvins,
-            noise=True,
-            uses=_ALL,
-        ),
-        CalibrationTarget(
-            name="px4",
-            title="PX4 sensor calibration",
-            file_name="px4_calibration.params",
-            formulas=(
-                "corrected = (raw - OFF) * SCALE, before the rotation of the board",
-                "set CAL_ACC0_ID and CAL_GYRO0_ID to the device",
-            ),
-            body=_px4,
-            noise=True,
-            uses=(),
-        ),
-        CalibrationTarget(
-            name="ardupilot",
-            title="ArduPilot sensor calibration",
-            file_name="ardupilot_calibration.parm",
-            formulas=("corrected = (raw - OFFS) * SCAL, before the rotation of the board",),
-            body=_ardupilot,
-            noise=True,
-            uses=(),
-        ),
-        CalibrationTarget(
-            name="dlio",
-            title="DLIO dlio.yaml, its IMU part",
-            file_name="dlio_imu.yaml",
-            formulas=("corrected = sm raw - bias (accelerometer), raw - bias (gyroscope)",),
-            body=_dlio,
-            uses=("misalignment",),
-        ),
-        CalibrationTarget(
-            name="imu-calib",
-            title="imu_calib (ROS) imu_calib.yaml",
-            file_name="imu_calib.yaml",
-            formulas=("corrected = SM raw - bias; the node estimates the gyroscope's bias at start",),
-            body=_imu_calib,
-            uses=("misalignment",),
-        ),
-        CalibrationTarget(
-            name="basalt",
-            title="Basalt calibration.json, its IMU part",
-            file_name="basalt_imu.json",
-            formulas=(
-                "corrected = (I + S) raw - bias; S of the accelerometer is lower triangular, by columns",
-            ),
-            body=_basalt,
-            sign="json",
-            noise=True,
-        ),
-        CalibrationTarget(
-            name="fusion",
-            title="x-io Fusion, C",
-            file_name="fusion_calibration.h",
-            formulas=("corrected = misalignment ((raw - offset) * sensitivity), in g and deg/s",),
-            body=_fusion,
-            sign="//",
-        ),
-        CalibrationTarget(
-            name="imu-tk",
-            title="imu_tk calibration files",
-            file_name="imu_tk.calib",
-            formulas=(
-                "corrected = T K (raw - B); blocks: T, K, B",
-                "frame: z along the accelerometer's z axis, so T of the accelerometer is upper triangular",
-            ),
-            body=_imu_tk,
-        ),
-        CalibrationTarget(
-            name="matlab",
-            title="MATLAB accelparams and gyroparams of imuSensor",
-            file_name="imu_params.m",
-            formulas=(
-                "raw = AxesMisalignment/100 f + ConstantBias; AccelerationBias has the diagonal of G only",
-                "needs imu = imuSensor('accel-gyro', ...), gyro = gyroparams and accel = accelparams",
-            ),
-            body=_matlab,
-            sign="%",
-            noise=True,
-        ),
-        CalibrationTarget(
-            name="yaml",
-            title="IMU calibration for a program of your own",
-            file_name="imu_calibration.yaml",
-            formulas=("f = C_a (raw_a - b_a), w = C_g (raw_g - b_g - G f)",),
-            body=_own_yaml,
-            noise=True,
-            uses=_ALL,
-        ),
-        CalibrationTarget(
-            name="c",
-            title="IMU calibration, C",
-            file_name="imu_calibration.h",
-            formulas=("f in m/s^2, w in rad/s",),
-            body=_c,
-            sign="//",
-            uses=_ALL,
-        ),
-        CalibrationTarget(
-            name="python",
-            title="IMU calibration, Python",
-            file_name="imu_calibration.py",
-            formulas=("arrays of shape (3,) or (n, 3); f in m/s^2, w in rad/s",),
-            body=_python,
-            uses=_ALL,
-        ),
-    )
-}
+CALIBRATION_TARGETS: dict[str, CalibrationTarget] = dict(_targets())

@@ -22,7 +22,7 @@ __all__ = ["FIGURES", "picture"]
 _WIDTH, _HEIGHT, _HEAD, _FOOT = 10.0, 4.3, 0.8, 0.8
 #: Half-width of a 95 % interval in deviations.
 _Z95 = 1.959964
-#: Colours of values before and after the calibration, and of what is not used.
+#: Colours of values before and after the calibration, and of unused ones.
 _BEFORE, _AFTER, _UNUSED = drawing.FADED, drawing.MODEL.light, drawing.LEFT_OUT
 
 

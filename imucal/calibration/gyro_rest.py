@@ -40,8 +40,8 @@ class GyroRest(ReadOnlyArrays):
         rests do not determine it.
     G_apparent
         G with the vertical part of the earth's rotation, which a correction in the earth's frame needs.
-    significant, p_G
-        Whether chi² of the nine entries has p < 0.01, and p.
+    significant
+        Whether chi² of the nine entries has p < 0.01.
     earth_share
         Standard deviation of the diagonal of G from an unknown earth rate, divided by its whole deviation.
     excess
@@ -60,7 +60,6 @@ class GyroRest(ReadOnlyArrays):
     G_covariance: FloatArray
     G_apparent: FloatArray
     significant: bool
-    p_G: float
     earth_share: float
     excess: tuple[Excess, ...]
     chi2: float
@@ -126,7 +125,6 @@ def estimate_gyro_rest(
         G_covariance=sensitivity.covariance,
         G_apparent=applied + turning,
         significant=significant,
-        p_G=sensitivity.p,
         earth_share=sensitivity.earth_share,
         excess=tuple(excess for _, excess in chosen),
         chi2=chi2,

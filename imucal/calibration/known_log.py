@@ -1,4 +1,4 @@
-"""Logs of rests and turns of known truth, and the precision that such a log gives."""
+"""Logs of rests and turns of known truth, and the precision to expect from one."""
 
 import math
 from collections.abc import Mapping
@@ -57,7 +57,7 @@ class _Motion(ReadOnlyArrays):
 
 @frozen_alone
 class RestsPlan:
-    """What a log of rests will tell: attitudes in words, and each parameter with its expected interval."""
+    """A planned log: attitudes in words, and each parameter with its expected interval."""
 
     rest_s: float
     rate_hz: float
@@ -125,7 +125,7 @@ def plan_rests(
     rate_hz: float = 100.0,
     latitude: float | None = None,
 ) -> RestsPlan:
-    """Return the attitudes of a log with so many rests, and the intervals to expect.
+    """Return the attitudes of a log with `count` rests, and the intervals to expect.
 
     The sensor is taken as perfect and its noise as known. Nonlinearity and warm-up widen the intervals.
 

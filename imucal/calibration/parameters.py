@@ -11,7 +11,7 @@ from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.calibration.turns import TurnsFit
 from imucal.frozen import frozen
 
-__all__ = ["Parameter", "accelerometer_parameters", "gyroscope_parameters", "is_si"]
+__all__ = ["Parameter", "accelerometer_parameters", "gyroscope_parameters", "inverse", "is_si"]
 
 #: Scales within this factor of 1 are scale errors; others belong to raw counts or another unit.
 _SI = 1.5
@@ -50,7 +50,7 @@ def accelerometer_parameters(found: AccelerometerEstimate) -> Mapping[str, Param
     """Return the nine parameters of an accelerometer by the names in `PARAMETERS`."""
     C = np.zeros((3, 3))
     C[LOWER] = found.theta[:6]
-    values, rows, units = _seen(_inverse(C), list(zip(*LOWER, strict=True)), "m/s^2")
+    values, rows, units = _seen(inverse(C), list(zip(*LOWER, strict=True)), "m/s^2")
     full = np.zeros((9, 9))
     full[:6, :6] = rows
     full[6:, 6:] = np.eye(3)
@@ -60,7 +60,7 @@ def accelerometer_parameters(found: AccelerometerEstimate) -> Mapping[str, Param
     return {
         name: _parameter(value, interval, unit, status)
         for name, value, interval, unit, status in zip(
-            PARAMETERS, values, intervals, units, found.fit.observability.statuses, strict=True
+            PARAMETERS, values, intervals, units, found.fit.statuses, strict=True
         )
     }
 
@@ -74,8 +74,8 @@ def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str,
     statuses: tuple[Status, ...] = ("not-observable",) * 9
     values, halves, units = np.zeros(9), np.zeros(9), ["%" if i == j else "deg" for i, j in _NINE]
     if turns is not None:
-        statuses = turns.observability.statuses
-        values, rows, units = _seen(_inverse(turns.C), _NINE, "rad/s")
+        statuses = turns.statuses
+        values, rows, units = _seen(inverse(turns.C), _NINE, "rad/s")
         halves = turns.quantile * np.sqrt(np.einsum("ij,jk,ik->i", rows, turns.covariance, rows))
     intervals = values[:, None] + halves[:, None] * np.array([-1.0, 1.0])
     found = {
@@ -117,7 +117,8 @@ def _seen(
     return np.array(values), np.array(rows), units
 
 
-def _inverse(C: FloatArray) -> FloatArray:
+def inverse(C: FloatArray) -> FloatArray:
+    """Return M = C⁻¹, shape (3, 3)."""
     return np.asarray(np.linalg.inv(C), dtype=np.float64)
 
 

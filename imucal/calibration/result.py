@@ -11,7 +11,7 @@ from imucal.calibration.accelerometer import Model, Suggestion
 from imucal.calibration.gravity import Gravity
 from imucal.calibration.gyro_rest import GyroRest
 from imucal.calibration.noise_source import NoiseBase
-from imucal.calibration.parameters import Parameter
+from imucal.calibration.parameters import Parameter, inverse
 from imucal.calibration.poses import Triad, triad
 from imucal.calibration.slow_noise import Excess
 from imucal.calibration.turn_data import Turn
@@ -57,7 +57,6 @@ class AccelerometerResult(ReadOnlyArrays):
     """
 
     C: FloatArray
-    M: FloatArray
     b: FloatArray
     covariance: FloatArray
     parameters: Mapping[str, Parameter]
@@ -70,6 +69,11 @@ class AccelerometerResult(ReadOnlyArrays):
     p: float
     suggestion: Suggestion
 
+    @property
+    def M(self) -> FloatArray:  # noqa: N802 - the symbol of the model
+        """The inverse of C, shape (3, 3)."""
+        return inverse(self.C)
+
 
 @frozen_alone
 class GyroscopeResult(ReadOnlyArrays):
@@ -81,7 +85,6 @@ class GyroscopeResult(ReadOnlyArrays):
     """
 
     C: FloatArray
-    M: FloatArray
     b: FloatArray
     G: FloatArray
     covariance_C: FloatArray
@@ -92,6 +95,11 @@ class GyroscopeResult(ReadOnlyArrays):
     widening: float
     scaled: bool
     rest: GyroRest
+
+    @property
+    def M(self) -> FloatArray:  # noqa: N802 - the symbol of the model
+        """The inverse of C, shape (3, 3)."""
+        return inverse(self.C)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -180,7 +180,7 @@ class AccelerometerEstimate(ReadOnlyArrays):
     Attributes
     ----------
     fit
-        The fit at the most likely slow noise; its `free` and `observability` apply.
+        The fit at the most likely slow noise; its `free` and `statuses` apply.
     mixture
         Distribution of the free parameters, p of nine.
     excess

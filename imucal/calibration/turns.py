@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtrc, stdtrit
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from imucal.calibration.accelerometer import LOWER, AccelerometerFit, Observability, observability
+from imucal.calibration.accelerometer import LOWER, AccelerometerFit, Status, observability
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.turn_data import TurnData, rotations, start_of
 from imucal.frozen import frozen_alone
@@ -56,8 +56,6 @@ class TurnsFit(ReadOnlyArrays):
         Half-width of a 95 % interval in deviations.
     residual, before
         Angle between the carried and the measured direction with C and with the start, shape (t, 2), in rad.
-    angle
-        Angle between the directions of gravity before and after, shape (t,), in rad.
     p
         p-value of each turn's studentised residual when it was judged, shape (t,).
     used
@@ -71,14 +69,13 @@ class TurnsFit(ReadOnlyArrays):
     quantile: float
     residual: FloatArray
     before: FloatArray
-    angle: FloatArray
     p: FloatArray
     used: BoolArray
     chi2: float
     dof: int
     p_fit: float
     widening: float
-    observability: Observability
+    statuses: tuple[Status, ...]
 
 
 @frozen_alone
@@ -132,28 +129,24 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
         used[worst] = False
     everything = _carry(data, C)
     seen = observability(carried.J * np.repeat(np.diag(C), 3), S, np.ones(9, dtype=np.bool_))
-    rank = 9 - seen.statuses.count("not-observable")
+    rank = 9 - seen.count("not-observable")
     chi2, dof = float(rw @ rw), len(rw) - rank
     p_fit = float(chdtrc(dof, chi2)) if dof > 0 else math.nan
     misfit = p_fit < _MISFIT
     widening = math.sqrt(chi2 / dof) if misfit else 1.0
-    before, after = data.up[data.rests], data.up[data.rests + 1]
     return TurnsFit(
         C=C,
         covariance=covariance * widening**2,
         quantile=float(stdtrit(dof, 0.975)) if misfit else 1.959963985,
         residual=everything.residual,
         before=_carry(data, start).residual,
-        angle=np.arctan2(
-            np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ti,ti->t", before, after)
-        ),
         p=p,
         used=used,
         chi2=chi2,
         dof=dof,
         p_fit=p_fit,
         widening=widening,
-        observability=seen,
+        statuses=seen,
     )
 
 

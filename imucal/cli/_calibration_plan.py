@@ -19,7 +19,7 @@ _KINDS = {"scale": "scale", "misalignment": "misalignment", "bias": "bias", "g_s
 def plan_calibration(
     report: Report, rests: int, rest_s: float, latitude: float | None, *, as_json: bool
 ) -> None:
-    """Print the plan of a log with so many rests, as a table or as JSON."""
+    """Print the plan of a log with `rests` rests, as a table or as JSON."""
     rate = report.axes[0].rate_hz
     found = plan_rests(report_models(report), rests, rest_s=rest_s, rate_hz=rate, latitude=latitude)
     if as_json:

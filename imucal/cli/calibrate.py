@@ -1,5 +1,6 @@
 """``imucal calibrate``: bias, scale, misalignment and g-sensitivity from a log of rests and turns."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,12 +9,23 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._declared import declared, flag, is_set, option
-from imucal.cli._printing import as_typed, can_print, echo, print_findings, progress, say, width, wrapped
+from imucal.cli._printing import (
+    as_typed,
+    can_print,
+    echo,
+    print_findings,
+    progress,
+    refuse,
+    say,
+    width,
+    wrapped,
+)
 from imucal.cli._report_input import REPORT, read_report
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, LOG, PATH, LogRequest, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import DataError
+from imucal.grading import remedy
 from imucal.printable import printable_json
 from imucal.recording import AXES, Sensor
 
@@ -69,7 +81,7 @@ def command(
     folder = out or report_folder(request.logs[0], "calibration")
     if not no_files:
         check_folder(folder)
-    report = read_report(noise) if noise else None
+    report = _noise_report(noise) if noise else None
     recording = request.read()
     with progress("calibrating"), _with_options():
         found = calibrate(
@@ -89,14 +101,29 @@ def command(
     _end(found.verdict, recording.source.path, [f.code for f in found.findings if f.level != "info"])
 
 
+def _noise_report(path: Path) -> "Report":
+    """Load the report of the noise; refuse one that is not of noise at rest, unless forced."""
+    report = read_report(path)
+    refuse(report.verdict, str(path), "nothing was calibrated", remedy=remedy(report.all_findings))
+    return report
+
+
+#: How a message of the library ends -> the option that helps.
+_OPTIONS = {
+    r"its unit is g$": "--accel-unit g",
+    r"rests last 0\.4 s or longer$": "--rest-at-least 0.4s",
+    r"the tremor of a hand$": "--in-hand",
+}
+
+
 @contextmanager
 def _with_options() -> Iterator[None]:
-    """Add the option to type to the message of a log in g."""
+    """Add the option to type to the message of a log that can't be calibrated."""
     try:
         yield
     except DataError as error:
-        hint = "; try --accel-unit g" if str(error).endswith("its unit is g") else ""
-        raise DataError(f"{error}{hint}") from error
+        hints = [f"; try {option}" for end, option in _OPTIONS.items() if re.search(end, str(error))]
+        raise DataError(f"{error}{''.join(hints)}") from error
 
 
 def _print_table(found: "Calibration") -> None:
@@ -139,7 +166,8 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
     """End with exit code 4 if the result is not usable, or by --strict if there is a warning."""
     listed = ", ".join(dict.fromkeys(codes))
     if verdict == "not usable" and not is_set("force"):
-        error = DataError(f"{where}: {listed} found; nothing was written; correct the log, or --force")
+        advice = "try --no-gyro for the accelerometer alone, or --force"
+        error = DataError(f"{where}: {listed} found; nothing was written; {advice}")
     elif codes and is_set("strict"):
         error = DataError(f"{where}: {listed} found, and --strict allows no warning")
     else:

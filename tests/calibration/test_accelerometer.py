@@ -80,10 +80,8 @@ def test_six_faces_give_a_diagonal_model(truth: Truth) -> None:
         hits.append((np.abs(error) < 1.96 * np.sqrt(np.diag(fit.covariance)))[fit.free])
     assert np.mean(hits) > 0.9
     fit = fit_accelerometer(exact(FACES, truth), noise(6), gravity=GRAVITY)
-    assert [s for p, s in zip(PARAMETERS, fit.observability.statuses, strict=True) if "mis" in p] == [
-        "not-observable"
-    ] * 3
-    assert fit.observability.statuses[0] == "estimated"
+    assert [s for p, s in zip(PARAMETERS, fit.statuses, strict=True) if "mis" in p] == ["not-observable"] * 3
+    assert fit.statuses[0] == "estimated"
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
@@ -107,7 +105,7 @@ def test_nearly_repeated_faces_are_weak(truth: Truth) -> None:
     means = exact(up / np.linalg.norm(up, axis=1)[:, None], truth)
     fit = fit_accelerometer(means, noise(18), gravity=GRAVITY)
     assert fit.model == "full"
-    statuses = dict(zip(PARAMETERS, fit.observability.statuses, strict=True))
+    statuses = dict(zip(PARAMETERS, fit.statuses, strict=True))
     assert {statuses[p] for p in PARAMETERS if "mis" in p} == {"weak"}
     assert statuses["bias_x"] == "estimated"
 
@@ -120,7 +118,7 @@ def test_unknown_gravity_widens_scales_only(truth: Truth) -> None:
     wide, narrow = (np.sqrt(np.diag(fit.covariance)) for fit in (unknown, known))
     np.testing.assert_allclose(wide[[0, 2, 5]], 0.015 / GRAVITY, rtol=0.05)
     np.testing.assert_allclose(wide[6:], narrow[6:], rtol=0.05)
-    assert unknown.observability.statuses == known.observability.statuses
+    assert unknown.statuses == known.statuses
 
 
 def test_the_suggested_rest_helps_as_much_as_it_says(truth: Truth) -> None:

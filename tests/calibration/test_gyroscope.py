@@ -179,7 +179,7 @@ def test_a_single_turn_leaves_most_unobservable() -> None:
     """Two residuals cannot determine nine parameters."""
     one = chain(7600)
     fit = fit_turns(one.data.keeping(np.arange(11) == 3), one.noise, one.directions)
-    assert fit.observability.statuses.count("not-observable") >= 7
+    assert fit.statuses.count("not-observable") >= 7
     assert np.abs(fit.C - np.eye(3)).max() < 0.1
 
 

@@ -165,7 +165,11 @@ def changed(one: Log, kind: str) -> Recording:
         ("one attitude", np.tile(FACES[0], (8, 1)), "have the same attitude within 10°"),
         ("clipped", None, "accel_z is clipped at 9 in "),
         ("dead", None, "accel_y never changes; check the driver and the cable"),
-        ("swapped", None, "turns-unexplained found; nothing was written; correct the log, or --force"),
+        (
+            "swapped",
+            None,
+            "nothing was written; try --no-gyro for the accelerometer alone, or --force",
+        ),
         ("mirrored", None, "turns-unexplained found; nothing was written"),
     ],
 )
@@ -215,6 +219,58 @@ def test_a_log_in_g_is_refused_with_the_option_that_helps(tmp_path: Path) -> Non
     expected = imucal.calibrate(one, gravity=GRAVITY, gyro=False)
     np.testing.assert_allclose(found.C_a, expected.accelerometer.C, atol=1e-5)
     assert found.C_g is None
+
+
+def test_short_rests_are_refused_with_the_option_that_helps(tmp_path: Path) -> None:
+    """Rests of 1 s, less the margins; typed as the message shows, the log is calibrated."""
+    rng = np.random.default_rng(8210)
+    one = log(Truth.draw(rng), NOISE, attitudes(14, rng), rng, rest_s=1.0)
+    write_log(one.recording(), tmp_path / "short.csv")
+    done = run("calibrate", "short.csv", *PLACE, cwd=tmp_path)
+    assert done.returncode == 4
+    assert "14 rests last 0.4 s or longer; try --rest-at-least 0.4s\n" in done.stderr
+    option = done.stderr.strip().rpartition("try ")[2].split()
+    again = run("calibrate", "short.csv", *PLACE, *option, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert "info [short]: 14 rests of 14 last less than 2 s" in again.stderr
+
+
+def test_rests_in_a_hand_are_refused_with_the_option_that_helps(tmp_path: Path) -> None:
+    """A tremor of different size in each rest."""
+    rng = np.random.default_rng(8211)
+    one = log(Truth.draw(rng), NOISE, attitudes(14, rng), rng, rest_s=4.0)
+    gyroscope = one.gyroscope.copy()
+    for k, (first, end) in enumerate(one.spans):
+        size = 0.0005 if k < 5 else 0.005
+        gyroscope[first:end] += size * np.sin(np.arange(end - first) * 0.4)[:, None]
+    write_log(replace(one, gyroscope=gyroscope).recording(), tmp_path / "hand.csv")
+    done = run("calibrate", "hand.csv", *PLACE, cwd=tmp_path)
+    assert done.returncode == 4
+    assert "14 rests have the tremor of a hand; try --in-hand\n" in done.stderr
+    again = run("calibrate", "hand.csv", *PLACE, "--in-hand", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert "info [in-hand]" in again.stderr
+
+
+def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
+    """The table shows the scale of counts; PX4's file is refused, Kalibr's is not."""
+    one = drawn(8212)
+    counts = np.round(np.column_stack([4000 * one.gyroscope, 400 * one.accelerometer]) + 32768)
+    np.savetxt(tmp_path / "raw.csv", counts, delimiter=",", header="gx,gy,gz,ax,ay,az", comments="", fmt="%d")
+    raw = ("raw.csv", "--rate", "100", "--gyro-scale", "1", "--accel-scale", "1")
+    done = run("calibrate", *raw, *PLACE, "-o", "out", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "per m/s²" in done.stdout
+    found = load_intrinsics(tmp_path / "out")
+    expected = imucal.calibrate(one.recording(), gravity=GRAVITY)
+    np.testing.assert_allclose(400 * found.C_a, expected.accelerometer.C, atol=2e-3)
+    assert run("export", "out", "--to", "kalibr", "-o", "-", cwd=tmp_path).returncode == 0
+    refused = run("export", "out", "--to", "px4", "-o", "-", cwd=tmp_path)
+    assert refused.returncode == 4
+    assert "read it with --accel-scale and --gyro-scale" in refused.stderr
+    every = run("export", "out", "--to", "all", "-o", "every", cwd=tmp_path)
+    assert every.returncode == 0
+    assert "px4 is left out: raw.csv: an autopilot corrects samples in m/s²" in every.stderr
 
 
 def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:

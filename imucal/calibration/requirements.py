@@ -1,0 +1,107 @@
+"""What a log needs: rests, attitudes, range and unit; and which turns can be used."""
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.calibration.poses import RestMeans, Triad, attitudes, find_rests, step_of
+from imucal.errors import DataError
+from imucal.recording import AXES
+
+__all__ = [
+    "ADVICE", "FEWEST", "order_of", "require_attitudes", "require_range", "require_rests",
+    "unusable_turns",
+]  # fmt: skip
+
+#: Fewest rests for any result, and the shortest that are worth a try, in s.
+FEWEST, _SHORTEST_S = 6, 0.4
+#: Lengths of gravity that belong to a log in g.
+_IN_G = 0.85, 1.15
+#: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
+_NOISY = 3
+#: A longer turn is not used, in s.
+_LONGEST_TURN_S = 60.0
+#: A clipped axis repeats its extreme this often, and the extreme is this many steps from the level at rest.
+_REPEATED, _FAR = 3, 20
+#: What to do if there are too few rests or attitudes.
+ADVICE = "put the IMU down on each face and on six edges, 5 s each: about 2 minutes"
+
+
+def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | None) -> None:
+    """Raise a DataError if there are fewer than 6 rests, spans of shape (m, 2).
+
+    The message reports the rests that are shorter, or that a hand's tremor hides, if these are enough.
+    """
+    if len(spans_s) >= FEWEST:
+        return
+    short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
+    held = len(find_rests(accelerometer, gyroscope, in_hand=True)) if gyroscope is not None else 0
+    hint = ""
+    if short >= FEWEST:
+        hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
+    elif held >= FEWEST:
+        hint = f"; {held} rests have the tremor of a hand"
+    whole = f"{accelerometer.end_s:.0f} s"
+    raise DataError(f"found {len(spans_s)} of at least {FEWEST} rests in {whole}; {ADVICE}{hint}")
+
+
+def require_attitudes(means: FloatArray) -> None:
+    """Raise a DataError if all means of an accelerometer in SI units have one direction."""
+    norm = np.linalg.norm(means, axis=1)
+    # Raw counts may have an offset that hides the direction; then the fit notices.
+    if np.all((norm > 5) & (norm < 15)) and attitudes(means / norm[:, None]) == 1:
+        raise DataError(f"all {len(means)} rests have the same attitude within 10°; {ADVICE}")
+
+
+def require_range(data: Triad, rests: RestMeans) -> None:
+    """Raise a DataError if the samples are in g, or an axis is clipped at rest."""
+    norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
+    if _IN_G[0] < norm < _IN_G[1]:
+        msg = f"the accelerometer reads {norm:.3g} at rest and not 9.81 m/s²: its unit is g"
+        raise DataError(msg)
+    for axis, column in enumerate(data.samples.T):
+        parts = [column[first:end] for first, end in rests.spans]
+        extremes = np.nanmin(column), np.nanmax(column)
+        constant = np.array([np.ptp(part) == 0 and part[0] in extremes for part in parts])
+        # With coarse steps other rests are constant too.
+        if constant.any() and np.median([np.ptp(part) for part in parts]) > _NOISY * step_of(column):
+            value = float(parts[int(np.argmax(constant))][0])
+            share = f"{int(constant.sum())} of {len(parts)} rests"
+            msg = (
+                f"accel_{AXES[axis]} is clipped at {value:.4g} in {share}; "
+                "choose a larger range of the accelerometer"
+            )
+            raise DataError(msg)
+
+
+def order_of(start: FloatArray) -> str:
+    """Return such as ``y, -x, z`` for a start with permuted or mirrored axes; empty for the usual order."""
+    signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
+    if np.array_equal(signed, np.eye(3)):
+        return ""
+    # Column k of C maps the gyroscope's axis k to the frame.
+    places = np.argmax(np.abs(signed), axis=0)
+    return ", ".join(f"{'-' if signed[i, k] < 0 else ''}{AXES[i]}" for k, i in enumerate(places))
+
+
+def unusable_turns(data: Triad, rests: RestMeans) -> list[str]:
+    """Return why each turn between rests cannot be used; an empty text if it can."""
+    level = np.median(rests.means, axis=0)
+    finite = [column[np.isfinite(column)] for column in data.samples.T]
+    extremes = [(low, high) for low, high in ((c.min(), c.max()) for c in finite)]
+    far = [_FAR * step_of(column) for column in finite]
+    reasons = []
+    for first, end in zip(rests.spans[:-1, 1], rests.spans[1:, 0], strict=True):
+        part = data.samples[first:end]
+        clipped = any(
+            abs(value - level[axis]) > far[axis] and _repeats(part[:, axis] == value)
+            for axis in range(3)
+            for value in extremes[axis]
+        )
+        gap = not np.isfinite(part).all()
+        long = len(part) > _LONGEST_TURN_S * data.rate_hz
+        reasons.append("gap" if gap else "clipped" if clipped else "long" if long else "")
+    return reasons
+
+
+def _repeats(equal: BoolArray) -> bool:
+    return bool(np.convolve(equal, np.ones(_REPEATED), "valid").max(initial=0) >= _REPEATED)
