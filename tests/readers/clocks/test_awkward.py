@@ -109,7 +109,8 @@ def test_what_a_refusal_says_is_typed(tmp_path: Path) -> None:
     """On the command line the refusal names the option, and with it the log is read."""
     case = lossy(100.0, 0.7, n=3000)
     path = tmp_path / "log.csv"
-    path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
+    values = 1e-3 * values_of(case)
+    path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values.tolist()), encoding="utf-8")
     refused = run("adev", path.name, cwd=tmp_path)
     assert (refused.returncode, refused.stdout) == (3, "")
     assert "--rate HZ" in refused.stderr
