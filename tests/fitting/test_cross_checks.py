@@ -76,6 +76,7 @@ def test_terms_of_one_fit_only_are_passed_over(fit: NoiseFit) -> None:
     assert second_opinion(replace(fit, estimates=(extra, *fit.estimates)), fit) == ()
 
 
+@pytest.mark.slow
 def test_a_right_model_is_seldom_doubted() -> None:
     """Of 15 records of N + K, at most 2 have a finding (three in a thousand are expected a term)."""
     model, rng = NoiseModel.parse("N=0.1 + K=1e-2"), np.random.default_rng(32)

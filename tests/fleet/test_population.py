@@ -67,6 +67,7 @@ def _normal(x: np.ndarray, sd: float) -> np.ndarray:
     return np.exp(-0.5 * (x / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("omega", [0.0, 0.2])
 def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     """Differences over mu and tau, for a fleet of told, weakly told and bounded units."""
@@ -140,6 +141,7 @@ def test_intervals_cover() -> None:
     assert (held >= 16).all()
 
 
+@pytest.mark.slow
 def test_a_weak_term_is_pooled_without_bias() -> None:
     """Two thirds of the units only bound it; their likelihoods still tell the median and the spread."""
     rng = np.random.default_rng(4502)

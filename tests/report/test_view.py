@@ -50,6 +50,7 @@ def test_a_page_has_every_term_in_every_state(symbol: str, state: str) -> None:
         assert (f"{symbol}  " in printed) is present
 
 
+@pytest.mark.slow
 def test_random_reports_lose_no_page() -> None:
     """Forty here; the script beside this draws as many as wanted, with pictures."""
     rng = np.random.default_rng(2711)

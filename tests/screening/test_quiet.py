@@ -13,6 +13,7 @@ from imucal.recording import AxisSeries, Recording, Source
 from tests.screening.still import KINDS, recording, still, unrelated_temperature
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_of_any_kind_is_no_fault(kind: str) -> None:
     """A log of six axes: none warned of; of fourteen, one in seven may have an alarm by chance at most.

@@ -46,6 +46,7 @@ def test_given_windows_are_used() -> None:
     assert found["N"].high - found["N"].low < fit["N"].high - fit["N"].low
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "n"),
     [

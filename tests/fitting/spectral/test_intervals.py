@@ -12,6 +12,7 @@ REPEATS = 150
 SLACK = 3 * np.sqrt(0.95 * 0.05 / REPEATS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "model"),
     [

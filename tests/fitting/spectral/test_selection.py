@@ -52,6 +52,7 @@ def test_finds_the_true_structure(text: str, structure: str) -> None:
     assert hits >= 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("poles", "corner"), [(1, 0.3), (2, 0.17), (3, 0.05)])
 def test_finds_the_best_structure_behind_a_filter(poles: int, corner: float) -> None:
     """No choice is worse than the true structure, started from the truth."""
