@@ -37,7 +37,7 @@ from imucal.clock import seconds_of
 from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
-from imucal.recording import Recording, Sensor
+from imucal.recording import ReadRange, Recording, Sensor
 from imucal.report.result import Report
 
 __all__ = ["calibrate"]
@@ -96,7 +96,7 @@ def calibrate(
         require_range(accelerometer, found.rests)
         turning = _Sensor.of(gyroscope, spans, noise) if gyroscope is not None else None
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
-        used = ~_worst(z)
+        used = ~_excluded(z)
         estimate = _estimate(found.keeping(used), place)
     except DataError as error:
         raise DataError(where + str(error).removeprefix(where)) from error
@@ -125,7 +125,7 @@ def calibrate(
         bases=bases,
     )
     return Calibration(
-        source=recording.source,
+        source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,
         rests=_rests(facts, found, turning, result),
         turns=turns,
@@ -165,8 +165,8 @@ class _Sensor:
         return walk_covariance(self.rests.spans, rate_hz=self.data.rate_hz, samples=len(self.data.samples))
 
 
-def _worst(z: FloatArray) -> BoolArray:
-    """Return which rests to exclude as moved, at most a third."""
+def _excluded(z: FloatArray) -> BoolArray:
+    """Return which rests to exclude as moved: the worst ones, at most a third of all."""
     moved = moved_rests(z)
     size = np.abs(z).max(axis=1)
     order = np.argsort(-np.where(moved, size, 0.0))

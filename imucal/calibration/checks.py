@@ -11,9 +11,10 @@ from imucal.calibration.accelerometer import Suggestion
 from imucal.calibration.gravity import Gravity
 from imucal.calibration.noise_source import NoiseBase
 from imucal.calibration.parameters import Parameter
+from imucal.calibration.poses import moved_rests
 from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.calibration.turn_data import Turn
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.frozen import frozen_alone
 
 __all__ = ["Facts", "findings_of"]
@@ -68,6 +69,8 @@ def _rests(facts: Facts) -> Iterator[Finding]:
             f"{_count(moved.size, 'rest')} moved and {'is' if moved.size == 1 else 'are'} not used, at "
             f"{_times(facts.spans_s[moved, 0])}: the halves differ by up to {size:.1f} deviations."
         )
+        if more := int(moved_rests(facts.z).sum()) - moved.size:
+            text += f" {_count(more, 'more rest')} moved too, and {'is' if more == 1 else 'are'} used."
         yield Finding("warning", "rest-moved", text, "Put the IMU on a firm surface and let go of it.")
     if facts.in_hand:
         text = "Rates up to 0.03 rad/s counted as rest; a hand's tremor is part of the intervals."
@@ -93,7 +96,12 @@ def _noise(facts: Facts) -> Iterator[Finding]:
     if math.isnan(found.p):
         m, p = found.fit.jacobian.shape[0], int(found.fit.free.sum())
         text = f"{m} rests determine {p} parameters and leave nothing to check."
-        yield Finding("info", "unchecked", text, "Add three rests or more.", axis="accel")
+        # Without a report the intervals are wide enough for any slow noise.
+        level: Level = "info"
+        if any(base.checked for base in facts.bases.values()):
+            level = "warning"
+            text += " If the noise report does not fit this log, the intervals are too narrow."
+        yield Finding(level, "unchecked", text, "Add three rests or more.", axis="accel")
     elif found.p < _UNEXPLAINED:
         residual = found.fit.residual
         rms, times = 1e3 * math.sqrt(float(np.mean(residual**2))), math.sqrt(found.chi2 / found.dof)

@@ -92,6 +92,8 @@ class Intrinsics(ReadOnlyArrays):
         Raw means of the rests that were used, shape (m, 3).
     weak
         Parameters that the log does not determine, or only weakly.
+    warnings
+        Codes of the warnings and errors of the calibration.
     """
 
     source: str
@@ -107,6 +109,7 @@ class Intrinsics(ReadOnlyArrays):
     gravity: float
     means: FloatArray
     weak: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, found: Calibration) -> "Intrinsics":
@@ -164,4 +167,7 @@ def _intrinsics(root: Node) -> Intrinsics:
         gravity=root["gravity"]["value"].number(),
         means=np.array([rest["mean_accel"].array(like=3) for rest in root["rests"] if rest["used"].value]),
         weak=tuple(weak),
+        warnings=tuple(
+            dict.fromkeys(f["code"].text() for f in root["findings"] if f["level"].text() != "info")
+        ),
     )

@@ -148,6 +148,8 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
         yield "raw samples are counts (or another unit than m/s^2 and rad/s): give the program the same ones"
     if found.weak:
         yield f"not or weakly determined by the log: {', '.join(found.weak)}"
+    if found.warnings:
+        yield f"read the calibration before you use these numbers; it warns of: {', '.join(found.warnings)}"
     if "misalignment" not in target.uses:
         yield f"ignored misalignment: up to {_ignored(found):.3g} m/s^2 in the attitudes of the log"
     if found.b_g is None:
@@ -186,6 +188,13 @@ def _split(C: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _list(values: FloatArray, opened: str = "[]") -> str:
     return f"{opened[0]}{', '.join(map(repr, (values.ravel() + 0.0).tolist()))}{opened[1]}"
+
+
+def _rows(values: FloatArray, opened: str = "[]") -> str:
+    """Return a vector, or a matrix as a list of its rows."""
+    if values.ndim == 1:
+        return _list(values, opened)
+    return f"{opened[0]}{', '.join(_list(row, opened) for row in values)}{opened[1]}"
 
 
 def _yaml(names: Sequence[tuple[str, FloatArray]], indent: str) -> str:
@@ -318,9 +327,7 @@ def _matrices(found: Intrinsics) -> dict[str, FloatArray]:
 
 def _own_yaml(found: Intrinsics) -> str:
     lines = ["calibration:"]
-    for name, values in _matrices(found).items():
-        rows = _list(values) if values.ndim == 1 else "[" + ", ".join(map(_list, values)) + "]"
-        lines.append(f"  {name}: {rows}")
+    lines += [f"  {name}: {_rows(values)}" for name, values in _matrices(found).items()]
     return "\n".join(lines)
 
 
@@ -343,21 +350,16 @@ def _c(found: Intrinsics) -> str:
     lines = []
     for name, values in _matrices(found).items():
         sizes = "".join(f"[{size}]" for size in values.shape)
-        rows = (
-            _list(values, "{}") if values.ndim == 1 else "{" + ", ".join(_list(r, "{}") for r in values) + "}"
-        )
-        lines.append(f"static const double {name}{sizes} = {rows};")
+        lines.append(f"static const double {name}{sizes} = {_rows(values, '{}')};")
     return "\n".join(lines) + _C_CODE
 
 
 def _python(found: Intrinsics) -> str:
-    lines = ["import numpy as np", ""]
-    for name, values in _matrices(found).items():
-        rows = _list(values) if values.ndim == 1 else "[" + ", ".join(map(_list, values)) + "]"
-        lines.append(f"{name} = np.array({rows})")
     return "\n".join(
         [
-            *lines,
+            "import numpy as np",
+            "",
+            *(f"{name} = np.array({_rows(values)})" for name, values in _matrices(found).items()),
             "",
             "",
             "def correct(raw_a, raw_g):",

@@ -74,11 +74,12 @@ def headline(found: Calibration) -> str:
     """Return ``poses.mcap: 8 min 32 s, 46 rests (1.1 to 45.9 s) in 18 attitudes, 45 turns``."""
     used = [rest for rest in found.rests if rest.used]
     lengths = [rest.end_s - rest.start_s for rest in found.rests]
-    first, last = found.rests[0].start_s, found.rests[-1].end_s
+    length_s = found.source.read.duration_s if found.source.read else found.rests[-1].end_s
+    ends = [f"{length:.1f}" for length in (min(lengths), max(lengths))]
     count = attitudes(np.array([rest.up for rest in used]))
-    rests = f"{len(found.rests)} rests ({min(lengths):.1f} to {max(lengths):.1f} s) in {count} attitudes"
+    rests = f"{len(found.rests)} rests ({' to '.join(dict.fromkeys(ends))} s) in {count} attitudes"
     turns = f", {len(found.turns)} turns" if found.turns else ""
-    return f"{found.source.name}: {duration(round(last - first))}, {rests}{turns}"
+    return f"{found.source.name}: {duration(round(length_s))}, {rests}{turns}"
 
 
 def remarks(found: Calibration) -> Iterator[str]:

@@ -58,7 +58,6 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
     name = "spike was" if count == 1 else "spikes were"
     rest = heavy_tails(samples, ~(spike[1:] | spike[:-1]))
-    louder = float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
     text = (
         f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
         f"{largest:.3g} {pretty(series.unit)}, {times} standard deviations."
@@ -69,6 +68,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
         level = "warning"
         advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
     if rest > 1:
+        louder = float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
         text += (
             " The other samples still have more outliers than normal noise, so N depends on how many are "
             f"replaced: with `--no-clean` it is about {100 * louder:.2g} % larger."

@@ -1,5 +1,6 @@
 """calibrate: from a recording to the result, its findings, and its application."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -155,6 +156,28 @@ def test_a_rest_that_moved_is_excluded() -> None:
     assert [k for k, rest in enumerate(found.rests) if not rest.used] == [4]
     assert found.rests[4].why == "moved"
     assert "rest-moved" in codes(found)
+
+
+def test_rests_that_moved_and_are_used_all_the_same_are_counted() -> None:
+    """At most a third is excluded; the finding does not hide the others."""
+    _, one = drawn(8016)
+    moved = one.accelerometer.copy()
+    for first, end in one.spans[: len(one.spans) // 2]:
+        moved[first:end, int(np.argmin(np.abs(one.f[first])))] += np.linspace(0, 0.08, end - first)
+    found = calibrate(replace(one, accelerometer=moved).recording(), noise=MODELS)
+    used = sum(rest.used for rest in found.rests)
+    assert used == len(found.rests) - len(found.rests) // 3
+    (text,) = (finding.text for finding in found.findings if finding.code == "rest-moved")
+    assert re.search(r"\d+ more rests? moved too, and (is|are) used", text), text
+
+
+@pytest.mark.parametrize(("noise", "level"), [(MODELS, "warning"), (None, "info")])
+def test_nine_rests_with_a_report_are_a_warning(noise: dict[str, NoiseModel] | None, level: str) -> None:
+    """A wrong report can't be noticed; without one the intervals are wide."""
+    _, one = drawn(8017, 9)
+    found = calibrate(one.recording(), noise=noise, latitude=45.0)
+    levels = {finding.code: finding.level for finding in found.findings}
+    assert levels["unchecked"] == level
 
 
 def test_lost_and_clipped_turns_are_named() -> None:

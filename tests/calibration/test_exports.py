@@ -279,6 +279,9 @@ def test_what_a_program_has_no_place_for_is_in_the_comment() -> None:
     text = render_calibration(weak, "python")
     assert "not or weakly determined by the log: gyro scale x" in text
     assert "no turn could be used" in text
+    warned = replace(FOUND, warnings=("beyond-noise", "turn-wrong"))
+    assert "it warns of: beyond-noise, turn-wrong" in render_calibration(warned, "px4")
+    assert "it warns of" not in render_calibration(replace(FOUND, warnings=()), "px4")
     assert "no gyroscope" in render_calibration(replace(weak, b_g=None, G=None), "python")
 
 
