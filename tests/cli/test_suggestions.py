@@ -65,9 +65,12 @@ def drawn(seed: int) -> Log:
     return Log(np.column_stack([t, values]), length, disturbed, skip)
 
 
-def written(log: Log, path: Path) -> None:
-    head = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
-    np.savetxt(path, log.rows, delimiter=",", fmt="%.9g", header=head, comments="")
+def written(log: Log, path: Path, *, gyroscope: bool) -> None:
+    """Write the log; without the gyroscope it is fitted in half the time, and shows the same disturbances."""
+    head = ["t [s]", "gx [rad/s]", "gy [rad/s]", "gz [rad/s]", "ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]"]
+    columns = [*range(7)] if gyroscope else [0, 4, 5, 6]
+    header = ",".join(head[k] for k in columns)
+    np.savetxt(path, log.rows[:, columns], delimiter=",", fmt="%.9g", header=header, comments="")
 
 
 def suggestions(text: str) -> set[tuple[float, float]]:
@@ -82,7 +85,7 @@ def suggestions(text: str) -> set[tuple[float, float]]:
 def test_a_suggestion_works_and_holds_no_disturbance(seed: int, tmp_path: Path) -> None:
     """One part is suggested wherever there is one; typed, it gives code 0 and is not suggested again."""
     log = drawn(seed)
-    written(log, tmp_path / "log.csv")
+    written(log, tmp_path / "log.csv", gyroscope=seed < 60)
     typed = ("--skip", f"{log.skip_s}s") if log.skip_s else ()
     done = run("fit", "log.csv", *OPTIONS, *typed, cwd=tmp_path)
     found = suggestions(done.stderr)
