@@ -1,19 +1,31 @@
-"""The fenced code blocks of a Markdown page, run as a reader would run them."""
+"""The fenced code blocks of a Markdown page: run as a reader would run them, and compared with the output."""
 
 import contextlib
 import math
 import re
 import shlex
 import shutil
+import subprocess
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from tests.cli.reports import write_report
 from tests.cli.run import run
 
-__all__ = ["Kept", "code_blocks", "missing_lines", "run_block"]
+__all__ = ["Kept", "code_blocks", "fill_folder", "missing_lines", "renewed", "run_block", "run_page"]
+
+ROOT = Path(__file__).parents[1]
 
 #: A number within a word: not the 3 of accel3, nor the 2 of s^2.
 _NUMBER = re.compile(r"(?<![\w^.])\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+#: Commands that print a block and that the page does not show: `<!-- printed by: imucal …; imucal … -->`.
+_HIDDEN = re.compile(r"^<!-- printed by: (.*?) -->\n+```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+#: Numbers that are shown must be equal; of the eight digits in config files processors change the last.
+_EQUAL = 1e-6
 
 
 def code_blocks(page: Path) -> list[tuple[str, str]]:
@@ -59,31 +71,108 @@ def run_block(language: str, text: str, folder: Path, *, kept: Kept | None = Non
     return ""
 
 
-def missing_lines(shown: str, said: str) -> list[str]:
-    """Return the lines of a block that a run did not print, however they are wrapped.
+def fill_folder(folder: Path, page: Path) -> None:
+    """Make what a page begins with: the sample logs, a `log.mcap`, and a table without a header, `plain.csv`.
 
-    Numbers may differ by a tenth, as between versions; words may not.
+    The log has few samples, because its fit matters to no page.
     """
-    words = [_value(word) for word in said.split()]
-    return [line for line in shown.splitlines() if line.strip() and not _stands_in(line.split(), words)]
+    shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
+    short = ("--duration", "20s") if page.name == "README.md" else ("--rate", "10", "--duration", "6min")
+    model = ("N=1e-4 + B=3e-5", "--accel", "N=1e-3", "--seed", "1", "-o", "log.mcap")
+    assert run("simulate", *model, *short, cwd=folder).returncode == 0
+    rng = np.random.default_rng(1)
+    n = 4000
+    gravity = np.array([0, 0, 0, 0, 0, 9.81])
+    noise = rng.standard_normal((n, 6)) * [1e-3, 1e-3, 1e-3, 2e-2, 2e-2, 2e-2]
+    table = np.column_stack([np.arange(n) / 100.0, gravity + noise])
+    np.savetxt(folder / "plain.csv", table, delimiter=",", fmt="%.7g")
+    if page.name == "use-in-ci.md":
+        for name in ("golden-imucal", "still-imucal"):
+            write_report(folder, name)
 
 
-def _stands_in(line: list[str], words: list[tuple[str, tuple[float, ...]]]) -> bool:
-    wanted = [_value(word) for word in line]
-    return any(
-        all(map(_alike, wanted, words[start : start + len(wanted)]))
-        for start in range(len(words) - len(wanted) + 1)
-    )
+def run_page(page: Path, folder: Path, *, kept: Kept | None = None) -> Iterator[tuple[str, str]]:
+    """Run the blocks of a page in order; yield each printed block with all output and YAML files so far.
+
+    Blocks of the language `text` are printed, and in the README those of the language `yaml` too.
+    """
+    hidden = {
+        text: commands.split("; ") for commands, text in _HIDDEN.findall(page.read_text(encoding="utf-8"))
+    }
+    printed = {"text", "yaml"} if page.name == "README.md" else {"text"}
+    output = ""
+    for language, text in code_blocks(page):
+        for line in hidden.get(text, ()):
+            output += _run_hidden(line, folder)
+        output += run_block(language, text.replace("pip install . && ", ""), folder, kept=kept)
+        if language in printed:
+            files = "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.yaml")))
+            yield text, output + files
 
 
-def _value(word: str) -> tuple[str, tuple[float, ...]]:
-    """Return a word without its numbers, and those."""
-    return _NUMBER.sub("#", word), tuple(map(float, _NUMBER.findall(word)))
+def missing_lines(shown: str, output: str) -> list[str]:
+    """Return the lines of a block that are not in the output, however the output is wrapped."""
+    words = output.split()
+    return [line for line in shown.splitlines() if not all(map(partial(_is_in, words), line.split("…")))]
 
 
-def _alike(one: tuple[str, tuple[float, ...]], other: tuple[str, tuple[float, ...]]) -> bool:
-    near = all(math.isclose(a, b, rel_tol=0.1) for a, b in zip(one[1], other[1], strict=False))
-    return one[0] == other[0] and near
+def _is_in(words: list[str], part: str) -> bool:
+    return not part.strip() or next(_places(part, words), None) is not None
+
+
+def renewed(shown: str, output: str) -> str:
+    """Return a block with the numbers of the output; a line whose words are not in the output stays."""
+    words = output.split()
+    return "\n".join(_with_numbers(line, words) for line in shown.split("\n"))
+
+
+def _places(line: str, words: list[str]) -> Iterator[int]:
+    """Yield where the words of a line are in the output, with equal numbers."""
+    wanted = line.split()
+    for start in _same_words(wanted, words):
+        own, other = _numbers(wanted), _numbers(words[start : start + len(wanted)])
+        if len(own) == len(other) and np.allclose(own, other, rtol=_EQUAL, atol=0):
+            yield start
+
+
+def _with_numbers(line: str, words: list[str]) -> str:
+    """Return a line with the numbers of the place in the output that is most like it."""
+    wanted = line.split()
+    own = _numbers(wanted)
+    places = {start: _numbers(words[start : start + len(wanted)]) for start in _same_words(wanted, words)}
+    likeness = {start: _distance(own, other) for start, other in places.items() if len(other) == len(own)}
+    if not own or not likeness:
+        return line
+    start = min(likeness, key=lambda place: likeness[place])
+    found = iter(_NUMBER.findall(" ".join(words[start : start + len(wanted)])))
+    return _NUMBER.sub(lambda _: next(found), line)
+
+
+def _distance(own: list[float], other: list[float]) -> float:
+    return sum(abs(math.log((a + 1e-9) / (b + 1e-9))) for a, b in zip(own, other, strict=True))
+
+
+def _same_words(wanted: list[str], words: list[str]) -> Iterator[int]:
+    """Yield where the output has the wanted words, whatever their numbers."""
+    if not wanted:
+        return
+    plain, all_plain = [_NUMBER.sub("#", word) for word in wanted], [_NUMBER.sub("#", word) for word in words]
+    for start in range(len(words) - len(wanted) + 1):
+        if all_plain[start : start + len(plain)] == plain:
+            yield start
+
+
+def _numbers(words: list[str]) -> list[float]:
+    return [float(number) for number in _NUMBER.findall(" ".join(words))]
+
+
+def _run_hidden(line: str, folder: Path) -> str:
+    """Run a command that may fail; other programs than imucal run in a shell."""
+    if line.startswith("imucal "):
+        done = run(*shlex.split(line)[1:], cwd=folder)
+        return done.stdout + done.stderr
+    subprocess.run(line, shell=True, cwd=folder, check=True)  # noqa: S602 - our own page
+    return ""
 
 
 def _run(line: str, folder: Path) -> str:

@@ -44,7 +44,7 @@ def test_a_server_without_ranges_gives_all(web: WebServer) -> None:
     """Once."""
     body = (SAMPLE_LOGS / "tactical.bag").read_bytes()
     contents = describe(web.add("/tactical.bag", body, ranges=False))
-    assert contents.topics[0].count == 16000
+    assert contents.topics[0].count == 24000
     assert [part for _, part, _ in web.asked] == ["bytes=0-511", ""]
 
 
@@ -54,7 +54,7 @@ def test_a_cached_log_is_not_asked_for_parts(web: WebServer) -> None:
     with fetched(url):
         pass
     before = web.sent
-    assert describe(url).topics[0].count == 16000
+    assert describe(url).topics[0].count == 24000
     assert web.sent == before + 512
 
 
