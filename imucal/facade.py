@@ -19,7 +19,7 @@ from imucal.calibration.exports import export_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
 from imucal.clock import seconds_of
-from imucal.errors import ArgumentError, ImucalError
+from imucal.errors import ArgumentError, DataError, ImucalError
 from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
 from imucal.noise import NoiseModel
@@ -27,7 +27,7 @@ from imucal.pipeline import Settings, characterize
 from imucal.readers import LogContents, describe
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
-from imucal.report.exports.config_numbers import Options
+from imucal.report.exports.config_numbers import Options, vague_axes
 from imucal.report.json_file import load
 from imucal.report.result import Report
 from imucal.units import G0
@@ -166,6 +166,7 @@ def export(
     path: str | Path,
     *,
     noise: Report | None = None,
+    force: bool = False,
     **options: Unpack[Options],
 ) -> tuple[Path, ...]:
     """Write the config file of a filter or simulator, such as ``export(report, "kalibr", "imu.yaml")``.
@@ -182,6 +183,8 @@ def export(
         The file to write, or a folder.
     noise
         Of a calibration: the report whose noise numbers go into the same file.
+    force
+        Export a report that is not noise at rest, or whose N is not known to a factor of 10.
     options
         ``axis_policy``, ``inflate``, ``unidentified``, ``topic``, ``numbers``, ``horizon_s`` and ``step_s``,
         as in `imucal.report.exports.export`.
@@ -196,14 +199,22 @@ def export(
     ArgumentError
         If the format or an option is unknown.
     DataError
-        If the report lacks what the format needs.
+        If the report lacks what the format needs, is not noise at rest, or has an N that is not known to a
+        factor of 10.
     WriteError
         If a file can't be written, or one of the same name wasn't written by imucal.
     """
     with _refusals():
         if isinstance(report, Calibration):
             return (export_calibration(report, target, Path(path), noise, **options),)
-        return export_report(_report(report), target, Path(path), **options)
+        found = _report(report)
+        if not (force or found.verdict.usable):
+            sentence = found.verdict.sentence
+            raise DataError(f"{sentence}; nothing was exported; record again at rest, or give force=True")
+        if not force and (axes := vague_axes(found)):
+            vague = f"N of {', '.join(axes)} is not known to a factor of 10"
+            raise DataError(f"{vague}; nothing was exported; record for longer, or give force=True")
+        return export_report(found, target, Path(path), **options)
 
 
 @takes('imucal.check(report, "limits.toml")')

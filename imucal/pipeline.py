@@ -71,6 +71,9 @@ class Settings(FitSettings):
         return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
 
+Settings.__init__ = takes('imucal.Settings(model="N + B")')(Settings.__init__)  # type: ignore[method-assign]
+
+
 @takes('imucal.characterize(imucal.read("log.mcap"))', recording=Recording, settings=(Settings, type(None)))
 def characterize(
     recording: Recording,

@@ -3,8 +3,10 @@
 import inspect
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import imucal
@@ -13,7 +15,6 @@ from imucal.errors import ArgumentError
 RECORDING = imucal.simulate("N=1e-4 + B=2e-5", rate_hz=20.0, duration=120.0)
 REPORT = imucal.fit(RECORDING, model="N")
 FIT = REPORT["gyro_x"].fit
-
 WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.allan_curve(RECORDING), 'type imucal.allan_curve(recording["gyro_x"])'),  # type: ignore[arg-type]
     (lambda: imucal.spectrum(RECORDING), 'type imucal.spectrum(recording["gyro_x"])'),  # type: ignore[arg-type]
@@ -34,6 +35,7 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.run_fleet(3), "run_fleet: logs is an int"),  # type: ignore[arg-type]
     (lambda: imucal.simulate("N=1e-4", rate_hz=-1.0), "type simulate(model, rate_hz=200.0)"),
     (lambda: imucal.simulate("Z=1e-4"), "is not understood; write a sum such as"),
+    (lambda: imucal.Settings(modl="N"), "Settings: got an unexpected keyword argument 'modl'"),  # type: ignore[call-arg]
     (lambda: REPORT["gyro_x"]["N"].in_units("deg"), "'deg' is no unit of N; expected one of rad/s/sqrt(Hz)"),
 ]  # fmt: skip
 
@@ -105,3 +107,22 @@ def test_a_recording_has_a_rate_if_its_axes_share_one(tmp_path: Path) -> None:
     mixed = imucal.Recording(source=made.source, series=(made["gyro_x"], other))
     with pytest.raises(imucal.DataError, match="no common rate: gyro_x 50 Hz, accel_x 10 Hz"):
         _ = mixed.rate_hz
+
+
+def test_a_report_of_vague_or_moved_noise_is_exported_by_force_only(tmp_path: Path) -> None:
+    """As on the command line: nothing is written, and the message has the next step."""
+    axis = REPORT["gyro_x"]
+    white = replace(axis["N"], low=1e-5, high=1e-3)
+    fit = replace(axis.fit, estimates=(white, *axis.fit.estimates[1:]))
+    vague = replace(REPORT, axes=(replace(axis, fit=fit), *REPORT.axes[1:]))
+    swaying = [replace(one, samples=one.samples + np.sin(np.arange(one.n) / 9)) for one in RECORDING.series]
+    moved = imucal.characterize(replace(RECORDING, series=tuple(swaying)))
+    for report, found in (
+        (vague, "N of gyro_x is not known to a factor of 10"),
+        (moved, "Not noise: .*nothing was exported"),
+    ):
+        with pytest.raises(imucal.DataError, match=f"{found}.*force=True"):
+            imucal.export(report, "kalibr", tmp_path / "imu.yaml")
+        assert list(tmp_path.iterdir()) == []
+    (file,) = imucal.export(vague, "kalibr", tmp_path / "imu.yaml", force=True)
+    assert file.is_file()
