@@ -63,7 +63,9 @@ class Bins(ReadOnlyArrays):
         }
         wrong = [name for name, shape in shapes.items() if getattr(self, name).shape != shape]
         if wrong or not self.n.size:
-            raise ValueError(f"bins: {', '.join(wrong) or 'n'} do not fit {bins} bins of {regressors} names")
+            raise ValueError(
+                f"bins: {', '.join(wrong) or 'n'} do not match {bins} bins of {regressors} regressors"
+            )
         ReadOnlyArrays.__post_init__(self)
 
 
@@ -127,7 +129,7 @@ def unpack(data: bytes) -> Bins:
         )
         passed = _through(stream, blank)
     except (struct.error, zlib.error, ValueError, IndexError) as error:
-        msg = f"packed bins: found damaged bytes ({error}), expected those of a fit; fit the log again"
+        msg = f"packed bins: found damaged bytes ({error}), expected the bins of a fit; fit the log again"
         raise DataError(msg) from error
     power, cross = _less(passed.power, passed.cross, passed.gram, -reference)
     return replace(passed, power=power, cross=cross)

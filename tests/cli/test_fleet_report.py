@@ -90,7 +90,7 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
     ("words", "code", "text"),
     [
         (("fleet", "report", "nothing"), 3, "expected the folder of a fleet"),
-        (("export", "two", "--to", "kalibr"), 4, "found 2 units, expected 3 at least for a tolerance bound"),
+        (("export", "two", "--to", "kalibr"), 4, "found 2 units, expected at least 3 for a tolerance bound"),
         (
             ("export", "like.npz", "--value", "median", "--to", "kalibr"),
             2,

@@ -234,7 +234,7 @@ def parts_cut_off(bench: Bench) -> str:
     cut = min(len(tables), len(parts))
     assert bench.type("fleet", "report", "cut").code == 5
     end = bench.finish("cut")
-    assert end.err.count(": is damaged; what it held is done again") == cut, end.err
+    assert end.err.count(": is damaged; its logs are repeated") == cut, end.err
     return f"{cut} parts; " + _same(bench, "cut", end)
 
 

@@ -170,9 +170,9 @@ def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
         (
             {"folder": "typed", "model": "N + K"},
             ValueError,
-            "/typed: holds fits with model N \\+ B \\+ K, found N \\+ K",
+            "/typed: contains fits with model N \\+ B \\+ K, found N \\+ K",
         ),
-        ({"folder": "logs"}, imucal.WriteError, "no fleet of imucal's; nothing was changed"),
+        ({"folder": "logs"}, imucal.WriteError, "no imucal fleet; nothing was changed"),
     ],
 )
 def test_slips(
@@ -233,4 +233,4 @@ def test_labels_may_be_said_later(folder: Path, monkeypatch: pytest.MonkeyPatch)
     again = imucal.run_fleet(folder="later", labels="beta/{unit}/*/*.npz", shard=(1, 1))
     assert not again.loose
     unlike = run("fleet", "run", "-o", "later", "--labels", "beta/{unit}/*/*.npz", "--dry-run", cwd=folder)
-    assert unlike.stderr.splitlines()[0].endswith(" of 3 logs do not fit beta/{unit}/*/*.npz")
+    assert unlike.stderr.splitlines()[0].endswith(" of 3 logs do not match beta/{unit}/*/*.npz")

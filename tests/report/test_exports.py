@@ -141,7 +141,7 @@ def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> 
     largest = np.sqrt(np.min(curve.avar / exact))
     number = Numbers(report=report, choices=Choices(), target="x").of(report.axes[1], "K")
     assert number.excess == pytest.approx(4.1e-7 / largest)
-    assert f"{4.1e-7 / largest:.2g} x its line that touches the measured curve" in number.note
+    assert f"{4.1e-7 / largest:.2g} x the line that touches the measured curve" in number.note
     assert Numbers(report=report, choices=Choices(), target="x").of(report.axes[0], "K").excess is None
 
 
@@ -157,7 +157,7 @@ def test_a_number_comes_with_its_interval_and_with_what_may_stand_in_its_place()
     doubtful = replace(report, axes=axes)
     assert "N of gyro_z, 95% 5e-05 to 7e-05" in render_fitted(doubtful, "kalibr", inflate={"white": 2.0})
     assert "B of gyro_z, 95% " in render_fitted(doubtful, "matlab")
-    assert "B or GM: this record can't tell which" in render_fitted(doubtful, "matlab")
+    assert "B or GM: this record can't distinguish them" in render_fitted(doubtful, "matlab")
     assert "or: [GM]" in render_fitted(doubtful, "yaml")
 
 
@@ -584,7 +584,7 @@ def test_inflation_of_flicker_holds_where_a_table_only_bounds_it() -> None:
 def test_the_comment_says_what_two_numbers_do_not_cover() -> None:
     """Rounding adds a step to an angle, a tone swings it by 2A/omega; the fit's own numbers stand there."""
     text = render(consumer_report(), "px4")
-    assert "accel_x: quantization adds at most sqrt(2) Q = 2.83e-06" in text
+    assert "accel_x: quantization adds up to sqrt(2) Q = 2.83e-06" in text
     assert f"the tone of 12.5 Hz is not covered, it adds {1.2e-5 / (math.pi * 12.5):.3g}" in text
     assert "the fit's own: N 0.00013 (" in text
     assert "not identified, so the 95% upper bound is covered in part: K of accel_y, K of gyro_y" in text

@@ -224,7 +224,7 @@ def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
             ("axes", 0, "curve", "adev"),
             [1.0],
             (
-                "r.json: axes[0].curve.adev: found a list of 1, expected 21 items as beside it; "
+                "r.json: axes[0].curve.adev: found a list of 1, expected 21 items, like the other lists; "
                 "write the report again"
             ),
         ),
@@ -364,8 +364,8 @@ def _numbers(value: object) -> list[float]:
         ("fit", "a" * 39, f'found "{"a" * 39}…, expected an object'),
         ("fit", {}, "found no keys, expected the key 'parameters'"),
         ("curve.used", [0, 10], "found the index 10, expected less than 10"),
-        ("curve.m", [1, 2], "found a list of 2, expected 10 items as beside it"),
-        ("curve.tau_s", [1.0, 1.0], "found averaging times that do not rise, expected rising ones"),
+        ("curve.m", [1, 2], "found a list of 2, expected 10 items, like the other lists"),
+        ("curve.tau_s", [1.0, 1.0], "found averaging times that do not increase, expected rising ones"),
         ("fit.goodness.band_hz", [1, 2, 3], "found [1, 2, 3], expected a list of two numbers"),
         ("fit.covariance", [], "found [], expected 1 rows"),
         ("fit.terms.N.status", "bounded", "a value that fits 'bounded'"),

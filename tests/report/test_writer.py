@@ -117,19 +117,19 @@ def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
     [
         (
             ["thesis.tex"],
-            "{out}: holds thesis.tex but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains thesis.tex but no imucal report; nothing was changed; choose another folder",
         ),
         (
             ["a", "b", "c", "d"],
-            "{out}: holds a, b, c, … but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains a, b, c, … but no imucal report; nothing was changed; choose another folder",
         ),
         (
             ["gyro_x.png"],
-            "{out}: holds gyro_x.png but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains gyro_x.png but no imucal report; nothing was changed; choose another folder",
         ),
         (
             ["report.json"],
-            "{out}: holds report.json but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains report.json but no imucal report; nothing was changed; choose another folder",
         ),
     ],
 )

@@ -159,7 +159,7 @@ def test_each_finding_of_a_curve_stands_alone() -> None:
     assert _said(statistic=2.99) == []
     assert _said(known=False) == [
         (
-            "How long the record was is not known; intervals take it to be 8 s, the least that gives the "
+            "The length of the record is unknown. The intervals assume 8 s, the shortest that allows the "
             "longest averaging time."
         )
     ]
@@ -170,7 +170,7 @@ def test_each_finding_of_a_curve_stands_alone() -> None:
         )
     ]
     assert _said(statistic=3.0) == [
-        "N + K does not describe the curve: its misfit is 7.2 times what noise gives."
+        "N + K does not describe the curve: its misfit is 7.2 times the expected value."
     ]
 
 
