@@ -93,9 +93,7 @@ def test_a_part_cut_off_is_refused_until_it_is_mended(tmp_path: Path, table: str
     part = store.folder / table / store.logs().filter(pl.col("key") == "key-a")["part"].item()
     data = part.read_bytes()
     part.write_bytes(data[: int(keep * len(data))])
-    said = re.escape(
-        f"{part}: is damaged or from an earlier version; run the fleet again, which does its logs"
-    )
+    said = re.escape(f"{part}: is damaged or from an earlier version; run the fleet again to repeat its logs")
     with pytest.raises(StoreError, match=f"^{said}"):
         store.refuse_damage()
     assert store.mend() == [part]

@@ -46,9 +46,7 @@ def test_what_is_damaged_is_done_again(place: Path, tmp_path: Path, table: str) 
     part.write_bytes(data)
     refused = run("fleet", "report", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    said = (
-        f"Error: fleet/{table}/{part.name}: is damaged or from an earlier version; run the fleet again, which"
-    )
+    said = f"Error: fleet/{table}/{part.name}: is damaged or from an earlier version; run the fleet again"
     assert said in refused.stderr
     done = run("fleet", "run", "-o", "fleet", "--jobs", "1", cwd=tmp_path / "copy")
     assert done.returncode == 0, done.stderr
@@ -68,7 +66,7 @@ def test_a_damaged_manifest_is_made_again_of_the_logs(place: Path, tmp_path: Pat
     manifest.write_bytes(manifest.read_bytes()[:-3])
     refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    assert "manifest.parquet: is damaged or from an earlier version; remove it, and name the logs again" in (
+    assert "manifest.parquet: is damaged or from an earlier version; remove it and give the logs again" in (
         " ".join(refused.stderr.split())
     )
     manifest.unlink()

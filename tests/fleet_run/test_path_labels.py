@@ -35,9 +35,9 @@ def test_a_pattern_is_held_against_the_end_of_a_path(
     [
         ("*.mcap", "no label; write for example '{model}/{unit}/"),
         ("{unit}/{unit}", "'unit' is duplicated; give each label its own name"),
-        ("{unit/*", "an unmatched brace; write such as"),
+        ("{unit/*", "an unmatched brace; write for example"),
         ("{}/x", "'' is not a label name; write for example {unit}"),
-        ("{path}/x", "'path' is no name of a label"),
+        ("{path}/x", "'path' is not a label name"),
     ],
 )
 def test_a_pattern_that_can_not_be_meant_is_refused(pattern: str, message: str) -> None:

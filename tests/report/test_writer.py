@@ -299,8 +299,8 @@ def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.Mon
     with pytest.raises(WriteError) as caught:
         write_report(small_report(), old, formats=(), html=False)
     assert str(caught.value) == (
-        f"{old}: only 0 of 3 files were replaced: Input/output error; report.json says that the report is "
-        "incomplete; write it again"
+        f"{old}: only 0 of 3 files were replaced: Input/output error; the report is incomplete; "
+        "write it again"
     )
 
 

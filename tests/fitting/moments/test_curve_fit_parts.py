@@ -164,10 +164,7 @@ def test_each_finding_of_a_curve_stands_alone() -> None:
         )
     ]
     assert _said(dropped=1) == [
-        (
-            "No model describes averaging times below 2 s, as behind an output filter; the curve was fitted "
-            "from there."
-        )
+        ("No model describes averaging times below 2 s, as with an output filter; the fit starts there.")
     ]
     assert _said(statistic=3.0) == [
         "N + K does not describe the curve: its misfit is 7.2 times the expected value."
