@@ -89,9 +89,7 @@ def _rests(facts: Facts) -> Iterator[Finding]:
 def _noise(facts: Facts) -> Iterator[Finding]:
     for sensor, base in facts.bases.items():
         if not 1 / _OTHER_NOISE < base.ratio < _OTHER_NOISE:
-            text = (
-                f"The noise models of {sensor} have {base.ratio:.3g} times the noise measured in the rests."
-            )
+            text = f"The noise models of {sensor} have {base.ratio:.3g} times the noise of the rests."
             advice = "Check that the noise report is for the same sensor, range and unit."
             yield Finding("warning", "noise-differs", text, advice, axis=sensor)
     found = facts.accelerometer

@@ -158,14 +158,11 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
         yield "no usable turn: scale and misalignment of the gyroscope are unknown and set to 1 and 0"
     elif "gyro" not in target.uses:
         size = np.linalg.norm(found.C_g - np.eye(3), 2) if found.si else np.nan
-        yield (
-            f"this format has no scale and misalignment of the gyroscope: error up to {100 * size:.2g} % of "
-            "the rate"
-        )
+        yield f"format has no gyroscope scale and misalignment: error up to {100 * size:.2g} % of the rate"
     if found.G is not None and found.G.any() and "G" not in target.uses:
         size = float(np.linalg.norm(found.G, 2)) * found.gravity
         unit = "rad/s" if found.si else "counts"
-        yield f"this format has no g-sensitivity: error up to {size:.2g} {unit} at 1 g"
+        yield f"format has no g-sensitivity: error up to {size:.2g} {unit} at 1 g"
     yield "biases are averages over this log; they differ after the next start"
 
 

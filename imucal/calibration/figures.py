@@ -61,11 +61,7 @@ def rests_figure(found: Calibration) -> "Figure":
 
 def attitudes_figure(found: Calibration) -> "Figure":
     """Return where down pointed at each rest, on two equal-area discs, and the rest that would help most."""
-    figure = _new(
-        found,
-        "Attitudes",
-        ("direction of gravity: each disc is half of the sphere, in equal-area projection"),
-    )
+    figure = _new(found, "Attitudes", "direction of gravity; each disc is half of the sphere, equal-area")
     down = -np.array([rest.up for rest in found.rests])
     used = np.array([rest.used for rest in found.rests])
     suggested = np.array([found.accelerometer.suggestion.down])

@@ -39,7 +39,7 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
     if short >= FEWEST:
         hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
     elif held >= FEWEST:
-        hint = f"; {held} rests have hand tremor"
+        hint = f"; {held} rests have the tremor of a hand"
     whole = f"{accelerometer.end_s:.0f} s"
     raise DataError(f"rests in {whole}: found {len(spans_s)}, expected at least {FEWEST}; {ADVICE}{hint}")
 

@@ -63,9 +63,7 @@ class Bins(ReadOnlyArrays):
         }
         wrong = [name for name, shape in shapes.items() if getattr(self, name).shape != shape]
         if wrong or not self.n.size:
-            raise ValueError(
-                f"bins: {', '.join(wrong) or 'n'} do not match {bins} bins of {regressors} regressors"
-            )
+            raise ValueError(f"bins: {', '.join(wrong) or 'n'} do not fit {bins} bins of {regressors} names")
         ReadOnlyArrays.__post_init__(self)
 
 

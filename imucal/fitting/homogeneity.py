@@ -254,10 +254,7 @@ def _said(term: TermHomogeneity) -> str:
     if term.shift:
         time, factor = term.shift
         unit, name = _unit(time)
-        return (
-            f"{term.key} shifts once, at about {time / unit:.3g} {name}, to {factor:.3g} times its earlier "
-            "value"
-        )
+        return f"{term.key} shifts once, at about {time / unit:.3g} {name}, to {factor:.3g} times as much"
     by = f"by {100 * term.spread:.2g} %" if term.spread < 1 else "by 100 % or more"
     return f"{term.key} varies {by} (largest {_span(term.highest_s)}, smallest {_span(term.lowest_s)})"
 

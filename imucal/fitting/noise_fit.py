@@ -213,9 +213,7 @@ class Estimate:
 
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status == "bounded"):
-            raise ValueError(
-                f"{self.key}: a bounded estimate must have no value, an estimated one must have one: {self}"
-            )
+            raise ValueError(f"{self.key}: value must be None if bounded, and only then: {self}")
 
 
 @frozen

@@ -198,7 +198,7 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
         where = f"in [{low:.4g}, {high:.4g}]" if low else f"below {high:.4g}"
         subject = f"{term.term} {where if low else f'<= {high:.4g}'} {unit.name}"
         said = (
-            f"the next unit of {model.title} is {where} with 95 % probability (adjusted p = {p:.2g}): "
+            f"the next unit of {model.title} is {where} with 95 % chance (adjusted p = {p:.2g}): "
             f"{_SAID[verdict]}"
         )
     return Row(

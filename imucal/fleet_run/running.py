@@ -164,9 +164,7 @@ def run_fleet(
     names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
     if not names and logs is not None and manifest is None:
         # A pattern that matched nothing, say: it must not become all that the folder has.
-        raise ArgumentError(
-            f"logs {logs!r}, expected at least one; omit them to continue with the logs of the folder"
-        )
+        raise ArgumentError(f"logs {logs!r}, expected at least one; omit them to continue the folder's logs")
     settings = fleet_settings(folder, {name: asked[name] for name in ASKED})
     plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
     prepare(plan, settings)

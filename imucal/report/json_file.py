@@ -367,9 +367,7 @@ def _bins(node: Node) -> Bins:
         node["start"].fail("found starts of blocks that do not increase", "increasing ones from 0")
     blocks = zip(n.tolist(), np.split(first, start[1:]), strict=True)
     if not all(own[0] >= 1 and own[-1] < size and np.all(np.diff(own) > 0) for size, own in blocks):
-        node["first"].fail(
-            ("found ordinates that do not increase within a block"), "increasing ones below its n"
-        )
+        node["first"].fail("found ordinates that do not increase in a block", "increasing ones below its n")
     cross, lower = ([row.array(like=first.size) for row in node[key]] for key in ("cross", "gram"))
     if len(cross) != r or len(lower) != r * (r + 1) // 2 or not r:
         node["cross"].fail(f"found {len(cross)} and {len(lower)} lists", f"one for each of {r} regressors")

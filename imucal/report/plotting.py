@@ -74,10 +74,7 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
         return tuple(made[0])
     given = tuple(np.ravel(np.asarray(ax, dtype=object)))
     if len(given) != count:
-        msg = (
-            f"found {len(given)} axes, expected {count}, one for each sensor; give {count} axes as ax, or "
-            "none"
-        )
+        msg = f"found {len(given)} axes, expected {count}, one for each sensor; give {count} axes or none"
         raise ArgumentError(msg)
     return given
 

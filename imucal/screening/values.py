@@ -302,9 +302,7 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
         return ()
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
-        advice = (
-            "If a driver removes gravity, log the raw acceleration: this one includes the filter's noise."
-        )
+        advice = "If a driver removes gravity, log the raw acceleration: this has the noise of a filter."
         return (Finding("warning", "no-gravity", text, advice, axis="accel"),)
     guess, unit = _accelerometer_guess(accel, length)
     text = f"|a| is {length:.4g} at rest, expected {G0:.1f} in m/s^2: {guess}."

@@ -272,9 +272,9 @@ def test_the_noise_numbers_are_those_of_the_report() -> None:
 
 def test_what_a_program_has_no_place_for_is_in_the_comment() -> None:
     """g-sensitivity, the gyroscope's scale, weak parameters, a gyroscope without turns or none at all."""
-    assert "this format has no g-sensitivity: error up to" in text_of("fusion")
+    assert "format has no g-sensitivity: error up to" in text_of("fusion")
     assert "g-sensitivity" not in text_of("kalibr")
-    assert "this format has no scale and misalignment of the gyroscope: error up to" in text_of("dlio")
+    assert "format has no gyroscope scale and misalignment: error up to" in text_of("dlio")
     weak = replace(FOUND, weak=("gyro scale x",), C_g=None)
     text = render_calibration(weak, "python")
     assert "determined weakly or not at all: gyro scale x" in text

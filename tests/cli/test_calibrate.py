@@ -246,7 +246,7 @@ def test_rests_in_a_hand_are_refused_with_the_option_that_helps(tmp_path: Path) 
     write_log(replace(one, gyroscope=gyroscope).recording(), tmp_path / "hand.csv")
     done = run("calibrate", "hand.csv", *PLACE, cwd=tmp_path)
     assert done.returncode == 4
-    assert "14 rests have hand tremor; try --in-hand\n" in done.stderr
+    assert "14 rests have the tremor of a hand; try --in-hand\n" in done.stderr
     again = run("calibrate", "hand.csv", *PLACE, "--in-hand", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert "info [in-hand]" in again.stderr
@@ -289,7 +289,7 @@ def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
         ((log_path, "--rest-at-least", "long"), 2, "is not a duration"),
         ((log_path, "--noise", "nowhere"), 3, "nowhere: no such file"),
         (("nowhere.csv",), 3, "nowhere.csv: can't be opened"),
-        ((log_path, "-o", "thesis"), 5, "thesis: holds thesis.tex but no calibration"),
+        ((log_path, "-o", "thesis"), 5, "thesis: contains thesis.tex but no calibration"),
         ((log_path, "-o", "thesis/thesis.tex/x"), 5, "Not a directory"),
     ):
         done = run("calibrate", *arguments, cwd=tmp_path)

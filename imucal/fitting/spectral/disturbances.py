@@ -497,9 +497,7 @@ def _temperature_finding(
         text += "; the fit removes a linear effect"
         advice = "Use the noise model together with a temperature compensation."
     else:
-        advice = (
-            "Record at a steady temperature, or compensate first; K and B include the temperature's drift."
-        )
+        advice = "Record at a steady temperature, or compensate first; K and B include the thermal drift."
     level: Level = "info" if fitted else "warning"
     return Finding(level, "temperature", f"{text}.", advice, axis=series.name)
 
