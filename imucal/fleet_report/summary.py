@@ -245,7 +245,7 @@ def _loaded(
     table, ask = store.logs(), ask or answers.here
     logs = {row["key"]: _log(row) for row in table.iter_rows(named=True)}
     if not logs:
-        msg = f"{store.folder}: found {asked} logs, none of them finished; run the fleet first"
+        msg = f"{store.folder}: found {asked} logs, none finished; run the fleet first"
         raise DataError(msg)
     units = {key: (log.model, log.unit or "") for key, log in logs.items() if log.counts}
     names = choose(sorted({model for model, _ in units.values()}))

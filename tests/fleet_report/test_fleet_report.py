@@ -274,7 +274,7 @@ def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
     store.add_to_manifest(
         pl.DataFrame({name: ["a.csv" if name == "path" else None] for name in MANIFEST}, schema=MANIFEST)
     )
-    with pytest.raises(DataError, match="found 1 logs, none of them finished"):
+    with pytest.raises(DataError, match="found 1 logs, none finished"):
         imucal.load_fleet(tmp_path / "empty")
 
 
