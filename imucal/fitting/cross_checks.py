@@ -114,8 +114,8 @@ def verify_findings(
         return ()
     far = distance[worst] > _FAR
     level: Level = "warning" if far else "info"
-    text = "The maximum of the exact state-space likelihood is up to "
-    text += f"{distance[worst]:.2g} standard errors away ({worst})."
+    away = f"{distance[worst]:.2g} standard errors away ({worst})"
+    text = f"The maximum of the exact state-space likelihood is up to {away}."
     advice = "Look for lines, a filter or a misfit before you use either result." if far else ""
     return (Finding(level, "verified", text, advice, axis=series.name),)
 

@@ -47,9 +47,8 @@ def fit_gmwm(
         needed = len(structure) + sum(map(is_timed, structure))
         if points.size < needed:
             msg = (
-                f"{series.name if series else 'the curve'}: {points.size} averaging times can't determine "
-                f"the {needed} parameters of {structure_text(structure)}; record for longer or leave terms "
-                "out"
+                f"{series.name if series else 'the curve'}: {points.size} averaging times are too few for "
+                f"{needed} parameters of {structure_text(structure)}; record for longer or leave terms out"
             )
             raise DataError(msg)
     eta3 = np.diag(1 / _eta3_widths(points))
@@ -124,10 +123,7 @@ def _findings(
         )
         findings.append(Finding("warning", "short-times", said, axis=axis))
     if fit.statistic >= MISFIT:
-        said = (
-            f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} times the expected "
-            "value."
-        )
+        said = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f}, expected 1."
         advice = "Look at the curve and the spectrum before using the numbers."
         findings.append(Finding("warning", "poor-fit", said, advice, axis=axis))
     if " + " in text:

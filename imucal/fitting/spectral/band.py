@@ -176,10 +176,7 @@ def filter_finding(
             f"response is fitted with the noise up to {top:.4g} Hz."
         )
     else:
-        text = (
-            f"An output filter or a vibration shapes the spectrum above {top:.4g} Hz; the fit uses lower "
-            "frequencies."
-        )
+        text = f"A filter or a vibration shapes the spectrum above {top:.4g} Hz; the fit uses the rest."
     advice = "The model describes the noise before the filter, at times longer than the filter's."
     if band.masked:
         return (_two_readings(fitted, band, response, rate_hz=rate_hz, axis=axis),)

@@ -148,8 +148,7 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
     if len(near) > 1:
         others = ", ".join(f"{c.structure} (+{c.delta:.1f})" for c in near[1:])
         text = (
-            f"The record does not distinguish {near[0].structure} from {others}: "
-            f"{_difference(choice, len(near))}."
+            f"The record can't separate {near[0].structure} from {others}: {_difference(choice, len(near))}."
         )
         advice = "Record for longer, or give the model if it is known."
         findings.append(Finding("info", "model-choice", text, advice, axis=axis))

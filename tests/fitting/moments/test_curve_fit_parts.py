@@ -166,9 +166,7 @@ def test_each_finding_of_a_curve_stands_alone() -> None:
     assert _said(dropped=1) == [
         ("No model describes averaging times below 2 s, as with an output filter; the fit starts there.")
     ]
-    assert _said(statistic=3.0) == [
-        "N + K does not describe the curve: its misfit is 7.2 times the expected value."
-    ]
+    assert _said(statistic=3.0) == ["N + K does not describe the curve: its misfit is 7.2, expected 1."]
 
 
 def test_correlation_times_of_a_grid_span_the_curve() -> None:

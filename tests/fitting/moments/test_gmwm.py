@@ -262,7 +262,7 @@ def test_refuses_more_parameters_than_points() -> None:
     curve = simulated_curve("N=1", 16, np.random.default_rng(1))
     with pytest.raises(
         DataError,
-        match=r"^the curve: 3 averaging times can't determine the 4 parameters of N \+ GM \+ K; "
+        match=r"^the curve: 3 averaging times are too few for 4 parameters of N \+ GM \+ K; "
         r"record for longer or leave terms out$",
     ):
         fit_gmwm(None, curve, FitSettings(model="N + GM + K"))

@@ -172,10 +172,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
             0.5,
             (0, 0),
             False,
-            (
-                "An output filter or a vibration shapes the spectrum above 25 Hz; "
-                "the fit uses lower frequencies."
-            ),
+            "A filter or a vibration shapes the spectrum above 25 Hz; the fit uses the rest.",
         ),
         (
             3.0,
@@ -212,10 +209,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
             1.0,
             (0, 0),
             False,
-            (
-                "An output filter or a vibration shapes the spectrum above 50 Hz; "
-                "the fit uses lower frequencies."
-            ),
+            "A filter or a vibration shapes the spectrum above 50 Hz; the fit uses the rest.",
         ),
     ],
 )

@@ -116,7 +116,7 @@ def test_says_which_terms_stand_for_one_another() -> None:
     if len(result.candidates) > 1:
         finding = next(f for f in result.findings if f.code == "model-choice")
         first = result.candidates[0].structure
-        assert finding.text.startswith(f"The record does not distinguish {first} from ")
+        assert finding.text.startswith(f"The record can't separate {first} from ")
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_models_that_do_as_well_are_named_with_what_they_differ_in(
         return
     (finding,) = findings
     assert (finding.level, finding.code, finding.axis) == ("info", "model-choice", "gyro_x")
-    assert finding.text == f"The record does not distinguish {text}"
+    assert finding.text == f"The record can't separate {text}"
 
 
 @pytest.mark.parametrize(("second", "said"), [(1.9, True), (2.0, False), (np.inf, False)])
