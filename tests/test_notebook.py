@@ -157,7 +157,7 @@ _api: Any = imucal
         (lambda: consumer_report()["gyro_x"]["Z"], "no term 'Z'; the fit has N, B, K"),
         (lambda: _recording()["x"], "no axis 'x'; found gyro_x"),
         (lambda: _recording().skip("2 fortnights"), "write seconds, or such as 90s, 5min, 2.5h"),
-        (lambda: imucal.plot(3), "int has no picture; give a recording"),
+        (lambda: imucal.plot(3), "int can't be plotted; give a recording"),
         (lambda: imucal.info("nothing.mcap"), "nothing.mcap"),
     ],
 )

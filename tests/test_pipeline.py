@@ -81,7 +81,7 @@ def test_an_axis_that_can_not_be_analysed_does_not_stop_the_others() -> None:
     (finding,) = [finding for finding in report.findings if finding.axis == "gyro_y"]
     assert finding.code == "no-result"
     assert finding.text == "gyro_y: no finite samples among 4096."
-    assert finding.advice == "Look at the driver or at the choice of columns."
+    assert finding.advice == "Check the driver or the choice of columns."
 
 
 def test_a_recording_without_any_usable_axis_is_an_error() -> None:
@@ -127,8 +127,8 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
     (finding,) = [f for f in report.axes[0].findings if f.code == "second-opinion"]
     assert finding.axis == "gyro_x"
     assert finding.text == (
-        "The Allan curve gives no second opinion: an output filter or lines shape the Allan variance, and 0 "
-        "averaging times show the noise, expected at least 4; record for longer."
+        "The Allan curve gives no second opinion: an output filter or lines dominate the Allan variance; "
+        "found 0 averaging times that show the noise, expected at least 4; record for longer."
     )
 
 

@@ -108,7 +108,7 @@ def test_a_verification_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(mle, "verify_findings", _failing(ZeroDivisionError("by zero")))
     (axis,) = characterize(_one_axis(), Settings(verify=True)).axes
     (finding,) = [f for f in axis.findings if f.code == "verified"]
-    assert finding.text.startswith("The exact likelihood verifies nothing: the calculation failed ")
+    assert finding.text.startswith("The exact likelihood was not computed: the calculation failed ")
 
 
 _TABLES = ("_LOG_CHECKS", "_REST_CHECKS", "_AXIS_CHECKS")

@@ -50,7 +50,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         if len(shapes) != 1 or self.tau.ndim != 1:
             raise ArgumentError(f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}")
         if not np.all(np.diff(self.tau) > 0):
-            raise ArgumentError("tau must rise")
+            raise ArgumentError("tau must increase")
 
     @property
     def adev(self) -> FloatArray:

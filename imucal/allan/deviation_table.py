@@ -76,7 +76,7 @@ def read_curve(path: str | Path, *, rate_hz: float | None = None) -> tuple[Named
             continue
         good = np.isfinite(values) & (values > 0)
         if not good.any():
-            raise ReadError(f"{path}: column {heading!r} holds no positive number; expected Allan deviations")
+            raise ReadError(f"{path}: column {heading!r} has no positive number; expected Allan deviations")
         sensor, factor = _meaning(path, heading, name)
         avar = values[good] ** (1 if _VARIANCE.search(heading) else 2) * (factor or 1.0) ** 2
         edf = np.full(avar.size, np.nan)
@@ -84,7 +84,7 @@ def read_curve(path: str | Path, *, rate_hz: float | None = None) -> tuple[Named
         known = sensor.unit if sensor and factor else ""
         curves.append(NamedCurve(name=name, sensor=sensor, unit=known, curve=curve, findings=findings))
     if not curves:
-        msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
+        msg = f"{path}: no column of deviations next to {headings[first]!r}; found {', '.join(headings)}"
         raise ReadError(msg)
     return tuple(curves)
 
@@ -131,10 +131,7 @@ def _fields(path: Path) -> list[tuple[int, list[str]]]:
 def _numbers(where: str, headings: Sequence[str], cells: Sequence[str]) -> list[float]:
     """Return the numbers of a line."""
     if len(cells) != len(headings):
-        msg = (
-            f"{where}: has {len(cells)} columns beside {len(headings)} elsewhere; "
-            "expected as many in each line"
-        )
+        msg = f"{where}: has {len(cells)} columns, other lines have {len(headings)}; expected the same number"
         raise ReadError(msg)
     numbers = []
     for heading, cell in zip(headings, cells, strict=True):
@@ -158,7 +155,7 @@ def _require_times(path: Path, tau: FloatArray) -> None:
         raise ReadError(msg)
     equal = np.flatnonzero(np.diff(tau) == 0)
     if equal.size:
-        raise ReadError(f"{path}: averaging time {tau[equal[0]]:g} s stands twice; expected each once")
+        raise ReadError(f"{path}: averaging time {tau[equal[0]]:g} s is duplicated; expected each once")
 
 
 def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Finding, ...]]:
@@ -170,12 +167,12 @@ def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Fi
     if multiples and rate_hz:
         return factors.astype(np.int64), ()
     if multiples:
-        text, advice = f"The sampling period is taken to be the shortest averaging time, {tau0:.6g} s.", ""
+        text, advice = f"The sampling period is assumed to be the shortest averaging time, {tau0:.6g} s.", ""
     else:
         factors, advice = np.round(tau / tau[0] * _FINE), "Give the sampling rate."
         text = (
-            f"Averaging times are not multiples of {tau0:.6g} s, so the sampling period is not known; "
-            "the noise is taken to be continuous."
+            f"Averaging times are not multiples of {tau0:.6g} s, so the sampling period is unknown. The fit "
+            "assumes continuous noise."
         )
     note = Finding("info", "sampling-period", text, advice)
     return factors.astype(np.int64), (note,)
@@ -221,7 +218,7 @@ def read_adev_table(path: Path) -> tuple[NamedCurve, ...]:
         try:
             curve = AllanCurve(tau=tau, m=m.astype(np.int64), avar=adev**2, edf=edf, n=0, computed="given")
         except ValueError as error:
-            msg = f"{path}: axis {axis}: {error}; expected each averaging time once, rising"
+            msg = f"{path}: axis {axis}: {error}; expected each averaging time once, in increasing order"
             raise ReadError(msg) from error
         sensor = next((sensor for sensor in Sensor if axis.startswith(sensor.short)), None)
         curves.append(NamedCurve(name=axis, sensor=sensor, unit=sensor.unit if sensor else "", curve=curve))

@@ -332,8 +332,7 @@ def _of_gaps(
     if not values.m.size:
         msg = (
             f"{series.name}: too many samples are missing for an Allan variance: {series.n} of "
-            f"{series.clock.grid_size} are there, and no neighbouring windows are filled or no value is "
-            "above zero"
+            f"{series.clock.grid_size} are present, without filled neighbouring windows or positive values"
         )
         raise DataError(msg)
     return how, values

@@ -235,7 +235,7 @@ def _gyroscope(
             if turned := order_of(start):
                 trouble = (
                     f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
-                    "axes, in the log or when it is read"
+                    "axes, in the log or when reading it"
                 )
                 start = None
         except DataError as error:

@@ -67,13 +67,13 @@ def _rests(facts: Facts) -> Iterator[Finding]:
         size = np.abs(facts.z[moved]).max()
         text = (
             f"{_count(moved.size, 'rest')} moved and {'is' if moved.size == 1 else 'are'} not used, at "
-            f"{_times(facts.spans_s[moved, 0])}: the halves differ by up to {size:.1f} deviations."
+            f"{_times(facts.spans_s[moved, 0])}: their halves differ by up to {size:.1f} standard deviations."
         )
         if more := int(moved_rests(facts.z).sum()) - moved.size:
-            text += f" {_count(more, 'more rest')} moved too, and {'is' if more == 1 else 'are'} used."
+            text += f" {_count(more, 'more rest')} also moved but {'is' if more == 1 else 'are'} used."
         yield Finding("warning", "rest-moved", text, "Put the IMU on a firm surface and let go of it.")
     if facts.in_hand:
-        text = "Rates up to 0.03 rad/s counted as rest; a hand's tremor is part of the intervals."
+        text = "Rates up to 0.03 rad/s count as rest, so the intervals include hand tremor."
         yield Finding("info", "in-hand", text, "Put the IMU down for shorter intervals.")
     lengths = np.diff(facts.spans_s, axis=1)[:, 0]
     short = lengths < _SHORT_S
@@ -81,7 +81,7 @@ def _rests(facts: Facts) -> Iterator[Finding]:
         cost = 100 * (math.sqrt(5.0 / float(np.median(lengths[short]))) - 1)
         text = (
             f"{_count(int(short.sum()), 'rest')} of {len(lengths)} last less than {_SHORT_S:g} s; the white "
-            f"noise of their means is {cost:.0f} % larger than that of 5 s."
+            f"noise of their means is {cost:.0f} % larger than for 5 s."
         )
         yield Finding("info", "short", text, "Leave the IMU alone for 5 s in each attitude.")
 
@@ -89,13 +89,13 @@ def _rests(facts: Facts) -> Iterator[Finding]:
 def _noise(facts: Facts) -> Iterator[Finding]:
     for sensor, base in facts.bases.items():
         if not 1 / _OTHER_NOISE < base.ratio < _OTHER_NOISE:
-            text = f"The noise models of {sensor} have {base.ratio:.3g} times the noise within the rests."
-            advice = "Check that the noise report is of the same sensor, range and unit."
+            text = f"The noise models of {sensor} have {base.ratio:.3g} times the noise of the rests."
+            advice = "Check that the noise report is for the same sensor, range and unit."
             yield Finding("warning", "noise-differs", text, advice, axis=sensor)
     found = facts.accelerometer
     if math.isnan(found.p):
         m, p = found.fit.jacobian.shape[0], int(found.fit.free.sum())
-        text = f"{m} rests determine {p} parameters and leave nothing to check."
+        text = f"{m} rests for {p} parameters leave no residuals to check the result."
         # Without a report the intervals are wide enough for any slow noise.
         level: Level = "info"
         if any(base.checked for base in facts.bases.values()):
@@ -120,10 +120,10 @@ def _warming(facts: Facts) -> Iterator[Finding]:
     advice = "Calibrate 15 min after switching on, or repeat the first attitude at the end."
     low, high = facts.temperature[1:] if facts.temperature else (0.0, 0.0)
     if high - low > _WARMING_K:
-        text = f"The temperature went from {low:.1f} to {high:.1f} °C; bias and scale follow it."
+        text = f"The temperature changed from {low:.1f} to {high:.1f} °C, and bias and scale with it."
         yield Finding("warning", "warming", text, advice)
     elif facts.accelerometer.p < _UNEXPLAINED and facts.accelerometer.excess.walk_share > _WALK_SHARE:
-        text = "The residuals of the rests follow time, as during a warm-up."
+        text = "The residuals of the rests change with time, as during a warm-up."
         yield Finding("warning", "warming", text, advice, axis="accel")
 
 
@@ -131,14 +131,14 @@ def _place(facts: Facts) -> Iterator[Finding]:
     place = facts.gravity
     if place.origin == "unknown":
         text = (
-            f"Gravity is taken as {place.value} m/s²; all scales of the accelerometer share an error "
-            f"of up to ±{196 * place.sigma / place.value:.1f} %."
+            f"Gravity is assumed ({place.value} m/s²); all scales of the accelerometer share an error of up "
+            f"to ±{196 * place.sigma / place.value:.1f} %."
         )
-        advice = "Give the latitude, which reduces it to ±0.01 %."
+        advice = "Give the latitude: it reduces the error to ±0.01 %."
         yield Finding("warning", "gravity-unknown", text, advice, axis="accel")
     if facts.earth_share > _EARTH_SHARE:
         share = f"{100 * facts.earth_share:.0f} %"
-        text = f"The unknown earth rate is {share} of the deviation of the g-sensitivity."
+        text = f"The unknown earth rate causes {share} of the uncertainty of the g-sensitivity."
         yield Finding("info", "earth-rate", text, "Give the latitude.", axis="gyro")
 
 
@@ -154,7 +154,7 @@ def _observability(facts: Facts) -> Iterator[Finding]:
         names = [name for name, parameter in facts.parameters.items() if parameter.status == status]
         if names:
             share = f"{100 * (1 - facts.suggestion.ratio):.0f} %"
-            text = f"Of the accelerometer, {_names(names)} {_are(names)} {finding.text}."
+            text = f"The accelerometer's {_names(names)} {_are(names)} {finding.text}."
             advice = (
                 f"Add a rest with {facts.suggestion.text}: it reduces the largest uncertainty by {share}."
             )
@@ -166,10 +166,10 @@ def _observability(facts: Facts) -> Iterator[Finding]:
             turns = [
                 f"about {axis} (start with {_others(axis)} down)" for axis in sorted({n[-1] for n in turned})
             ]
-            text = f"Of the gyroscope, {_names(turned)} {_are(turned)} {finding.text}."
+            text = f"The gyroscope's {_names(turned)} {_are(turned)} {finding.text}."
             yield replace(finding, text=text, advice=f"Add turns {', '.join(turns)}.", axis="gyro")
         if len(own) > len(turned):
-            text = f"The g-sensitivity of the gyroscope is {finding.text}."
+            text = f"The gyroscope's g-sensitivity is {finding.text}."
             yield replace(finding, text=text, advice="Add rests in six attitudes or more.", axis="gyro")
 
 
@@ -203,7 +203,7 @@ def _turns(facts: Facts) -> Iterator[Finding]:
             sizes = [math.hypot(*turn.residual_deg) for turn in own if turn.residual_deg]
             by = f", by up to {max(sizes):.2g}°" if sizes else ""
             starts = _times(turn.start_s for turn in own)
-            text = f"Turns that {finding.text}{by} are not used, at {starts}."
+            text = f"Turns at {starts} are not used: they {finding.text}{by}."
             yield replace(finding, text=text, axis="gyro")
 
 

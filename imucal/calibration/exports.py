@@ -75,7 +75,7 @@ def find_calibration_target(name: str) -> CalibrationTarget:
     for target in CALIBRATION_TARGETS.values():
         if name_key(target.name) == name_key(name):
             return target
-    raise ValueError(f"no format {name!r} of a calibration; there are {', '.join(CALIBRATION_TARGETS)}")
+    raise ValueError(f"no calibration format {name!r}; choose one of {', '.join(CALIBRATION_TARGETS)}")
 
 
 def render_calibration(
@@ -145,24 +145,24 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
     yield "f = C_a (raw - b_a), w = C_g (raw - b_g - G f)"
     yield from (f"formula: {formula}" for formula in target.formulas)
     if not found.si:
-        yield "raw samples are counts (or another unit than m/s^2 and rad/s): give the program the same ones"
+        yield "raw samples are counts (or not in m/s^2 and rad/s): the program must use the same unit"
     if found.weak:
-        yield f"not or weakly determined by the log: {', '.join(found.weak)}"
+        yield f"determined weakly or not at all: {', '.join(found.weak)}"
     if found.warnings:
         yield f"read the calibration before you use these numbers; it warns of: {', '.join(found.warnings)}"
     if "misalignment" not in target.uses:
-        yield f"ignored misalignment: up to {_ignored(found):.3g} m/s^2 in the attitudes of the log"
+        yield f"ignored misalignment: error up to {_ignored(found):.3g} m/s^2 in the attitudes of the log"
     if found.b_g is None:
         yield "no gyroscope in this calibration"
     elif found.C_g is None:
-        yield "no turn could be used: scale and misalignment of the gyroscope are unknown, taken as 1 and 0"
+        yield "no usable turn: scale and misalignment of the gyroscope are unknown and set to 1 and 0"
     elif "gyro" not in target.uses:
         size = np.linalg.norm(found.C_g - np.eye(3), 2) if found.si else np.nan
-        yield f"no place for scale and misalignment of the gyroscope: up to {100 * size:.2g} % of the rate"
+        yield f"format has no gyroscope scale and misalignment: error up to {100 * size:.2g} % of the rate"
     if found.G is not None and found.G.any() and "G" not in target.uses:
         size = float(np.linalg.norm(found.G, 2)) * found.gravity
         unit = "rad/s" if found.si else "counts"
-        yield f"no place for the g-sensitivity: up to {size:.2g} {unit} at 1 g"
+        yield f"format has no g-sensitivity: error up to {size:.2g} {unit} at 1 g"
     yield "biases are averages over this log; they differ after the next start"
 
 
@@ -229,7 +229,7 @@ def _autopilot(found: Intrinsics, names: tuple[str, str, str], *, px4: bool) -> 
         raise DataError(msg)
     if wrong := sorted(_CORRECTED & {topic.partition("[")[0].strip("/") for topic in found.topics}):
         msg = (
-            f"{found.source}: {', '.join(wrong)} is corrected by the autopilot already; calibrate its raw "
+            f"{found.source}: the autopilot has already corrected {', '.join(wrong)}; calibrate its raw "
             "samples, such as sensor_accel and sensor_gyro"
         )
         raise DataError(msg)

@@ -61,7 +61,7 @@ def rests_figure(found: Calibration) -> "Figure":
 
 def attitudes_figure(found: Calibration) -> "Figure":
     """Return where down pointed at each rest, on two equal-area discs, and the rest that would help most."""
-    figure = _new(found, "Attitudes", "which way was down: each disc is a half of the sphere, areas are true")
+    figure = _new(found, "Attitudes", "direction of gravity; each disc is half of the sphere, equal-area")
     down = -np.array([rest.up for rest in found.rests])
     used = np.array([rest.used for rest in found.rests])
     suggested = np.array([found.accelerometer.suggestion.down])
@@ -89,7 +89,7 @@ def attitudes_figure(found: Calibration) -> "Figure":
 def turns_figure(found: Calibration) -> "Figure":
     """Return the error of gravity's direction after each turn, before and after the calibration."""
     figure = _new(
-        found, "Turns", "error of the direction of gravity that the gyroscope carries through a turn"
+        found, "Turns", "error of gravity's direction after integrating the gyroscope through a turn"
     )
     axes = _axes(figure, 0.075, 0.9, "time (min)", "error (deg)")
     judged = [turn for turn in found.turns if turn.residual_deg is not None and turn.before_deg is not None]

@@ -64,7 +64,7 @@ def noise_base(noise: Report | Mapping[str, NoiseModel] | None, data: Triad, res
     known = report_models(noise) if isinstance(noise, Report) else noise
     names = [f"{data.sensor.short}_{axis}" for axis in AXES]
     if missing := [name for name in names if name not in known]:
-        raise DataError(f"the noise has no model of {', '.join(missing)}; fit a static log of the same IMU")
+        raise DataError(f"no noise model of {', '.join(missing)}; fit a static log of the same IMU")
     models = tuple(known[name] for name in names)
     lag = np.array([round(1.0 * data.rate_hz)])
     by_model = [math.sqrt(model.structure(lag, rate_hz=data.rate_hz)[0] / 2) for model in models]

@@ -17,7 +17,7 @@ __all__ = ["render_page"]
 _GRADES = {"good": "good", "look first": "look", "not usable": "not-noise"}
 _DESCRIPTIONS = {
     "rests": "Length of the specific force at each rest minus gravity, before and after the calibration.",
-    "attitudes": "Which way was down at each rest, and the rest that would help most.",
+    "attitudes": "Direction of gravity at each rest, and the rest that would help most.",
     "turns": "Error of gravity's direction after each turn, before and after the calibration.",
 }
 

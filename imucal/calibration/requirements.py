@@ -41,7 +41,7 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
     elif held >= FEWEST:
         hint = f"; {held} rests have the tremor of a hand"
     whole = f"{accelerometer.end_s:.0f} s"
-    raise DataError(f"found {len(spans_s)} of at least {FEWEST} rests in {whole}; {ADVICE}{hint}")
+    raise DataError(f"rests in {whole}: found {len(spans_s)}, expected at least {FEWEST}; {ADVICE}{hint}")
 
 
 def require_attitudes(means: FloatArray) -> None:
@@ -56,7 +56,7 @@ def require_range(data: Triad, rests: RestMeans) -> None:
     """Raise a DataError if the samples are in g, or an axis is clipped at rest."""
     norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
     if _IN_G[0] < norm < _IN_G[1]:
-        msg = f"the accelerometer reads {norm:.3g} at rest and not 9.81 m/s²: its unit is g"
+        msg = f"the accelerometer reads {norm:.3g} at rest, not 9.81 m/s²: its unit is g"
         raise DataError(msg)
     for axis, column in enumerate(data.samples.T):
         parts = [column[first:end] for first, end in rests.spans]

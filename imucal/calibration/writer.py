@@ -38,7 +38,7 @@ def check_folder(out: Path) -> None:
     It must be missing, empty or a calibration, and writable.
     """
     if (held := held_by(out)) and not is_calibration(out):
-        msg = f"{out}: holds {held} but no calibration; nothing was changed; choose another folder"
+        msg = f"{out}: contains {held} but no calibration; nothing was changed; choose another folder"
         raise WriteError(msg)
     home = home_of(out)
     if not home.is_dir() or not os.access(home, os.W_OK | os.X_OK):

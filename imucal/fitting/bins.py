@@ -127,7 +127,7 @@ def unpack(data: bytes) -> Bins:
         )
         passed = _through(stream, blank)
     except (struct.error, zlib.error, ValueError, IndexError) as error:
-        msg = f"packed bins: found damaged bytes ({error}), expected those of a fit; fit the log again"
+        msg = f"packed bins: found damaged bytes ({error}), expected the bins of a fit; fit the log again"
         raise DataError(msg) from error
     power, cross = _less(passed.power, passed.cross, passed.gram, -reference)
     return replace(passed, power=power, cross=cross)

@@ -69,8 +69,8 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
         if _distance(mle, gmwm, first, second) > _DISAGREEMENT:
             said = f"{_value(first)} by {mle.method} and {_value(second)} by {gmwm.method}"
             axis = next((f.axis for f in (*mle.findings, *gmwm.findings) if f.axis), None)
-            text = f"{first.key} is {said}: the two disagree, so the model does not hold at all frequencies."
-            advice = "Look at the curve and the spectrum, and trust neither interval."
+            text = f"{first.key} is {said}: the two disagree, so the model is wrong at some frequencies."
+            advice = "Look at the curve and the spectrum. Use neither interval."
             findings.append(Finding("warning", "second-opinion", text, advice, axis=axis))
     return tuple(findings)
 
@@ -114,9 +114,9 @@ def verify_findings(
         return ()
     far = distance[worst] > _FAR
     level: Level = "warning" if far else "info"
-    text = "The exact state-space likelihood has its maximum "
-    text += f"{distance[worst]:.2g} standard errors away at most ({worst})."
-    advice = "Trust neither alone: look for lines, a filter or a misfit." if far else ""
+    away = f"{distance[worst]:.2g} standard errors away ({worst})"
+    text = f"The maximum of the exact state-space likelihood is up to {away}."
+    advice = "Look for lines, a filter or a misfit before you use either result." if far else ""
     return (Finding(level, "verified", text, advice, axis=series.name),)
 
 
@@ -168,8 +168,8 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
         shown = np.count_nonzero(keep)
         if shown < _FEWEST_POINTS:
             msg = (
-                f"{series.name}: an output filter or lines shape the Allan variance, and {shown} averaging "
-                f"times show the noise, expected at least {_FEWEST_POINTS}; record for longer"
+                f"{series.name}: an output filter or lines dominate the Allan variance; found {shown} "
+                f"averaging times that show the noise, expected at least {_FEWEST_POINTS}; record for longer"
             )
             raise DataError(msg)
         avar = (curve.avar * share)[keep]
@@ -207,9 +207,9 @@ def unseen_spectrum() -> Finding:
     return Finding(
         "info",
         "spectral-ambiguity",
-        "A curve alone was fitted: spectra that differ by a ripple Phi(f) = 2 Phi(2f) have the same "
-        "Allan variance at every averaging time, so nothing has checked that the noise has the model's.",
-        "Look at the density of the samples beside the curve, or fit the samples themselves by mle.",
+        "Only a curve was fitted, so the spectrum was not checked: spectra that differ by a ripple Phi(f) = "
+        "2 Phi(2f) have the same Allan variance at every averaging time.",
+        "Compare the model with the density of the samples, or fit the samples by mle.",
     )
 
 
@@ -250,8 +250,8 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     factor, side = max(worst, 1 / worst), "above" if worst > 1 else "below"
     text = (
         f"{result.model} describes the Allan curve but not the spectrum: between {low:.3g} and {high:.3g} Hz "
-        f"the density is up to {factor:.3g} times {side} the model's. The curve can't tell: spectra that "
-        "differ by Phi(f) = 2 Phi(2f) share it."
+        f"the density is up to {factor:.3g} times {side} the model's. Spectra that differ by Phi(f) = 2 "
+        "Phi(2f) have the same curve."
     )
-    advice = "Look at the spectrum and fit the samples themselves by mle; trust no number of this fit."
+    advice = "Look at the spectrum and fit the samples by mle. Do not use the numbers of this fit."
     return (Finding("warning", "spectral-ambiguity", text, advice, axis=axis),)

@@ -152,10 +152,10 @@ def decompose(
     """
     model = fit.model if isinstance(fit, NoiseFit) else fit
     if isinstance(fit, NoiseFit) and abs(fit.rate_hz / series.rate_hz - 1) > _SAME_RATE:
-        msg = f"{series.name}: samples at {series.rate_hz:.6g} Hz, but the fit is of {fit.rate_hz:.6g} Hz"
+        msg = f"{series.name}: samples at {series.rate_hz:.6g} Hz, but the fit is for {fit.rate_hz:.6g} Hz"
         raise ValueError(msg)
     if not any(term.coefficient for term in model.terms):
-        msg = f"{series.name}: the model has no terms, so there is nothing to tell apart; fit a longer record"
+        msg = f"{series.name}: the model has no terms, so there is nothing to separate; fit a longer record"
         raise DataError(msg)
     good = _good(series, clean=clean)
     samples, seen = on_grid(good, "a decomposition")
@@ -185,8 +185,8 @@ def _good(series: AxisSeries, *, clean: bool) -> AxisSeries:
         good = good.keeping(~find_spikes(good.samples)[0])
     if good.n > 1 and good.clock.grid_size > _SPARSE * good.n:
         msg = (
-            f"{series.name}: {good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz "
-            "are mostly gaps; take a part of the record with fewer"
+            f"{series.name}: {good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz are mostly "
+            "gaps; use a part of the record with fewer gaps"
         )
         raise DataError(msg)
     return good

@@ -228,13 +228,13 @@ def nonstationary_finding(
     said = []
     if segments and changing:
         factors = {
-            "of the slow terms" if is_slow(symbol) else f"of {symbol}": segments.widening(symbol)
+            "slow terms" if is_slow(symbol) else symbol: segments.widening(symbol)
             for symbol in dict.fromkeys(term.symbol for term in changing)
         }
-        wider = " and ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
+        wider = ", ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
         said.append(
             f"The noise is not the same in {segments.start_s.size} parts of the record: "
-            f"{'; '.join(map(_said, changing))}; intervals {wider} times as wide allow for that."
+            f"{'; '.join(map(_said, changing))}. The intervals are wider to allow for it: {wider} times."
         )
     if change:
         over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
@@ -246,7 +246,7 @@ def nonstationary_finding(
         return ()
     notable = change is not None or any(term.spread > _NOTABLE_SPREAD for term in changing)
     level: Level = "warning" if notable else "info"
-    advice = "Look for what changed (temperature, vibration, supply); another record may differ as much."
+    advice = "Find the cause (temperature, vibration, supply). Another record may differ as much."
     return (Finding(level, "nonstationary", " ".join(said), advice, axis=axis),)
 
 
@@ -254,8 +254,8 @@ def _said(term: TermHomogeneity) -> str:
     if term.shift:
         time, factor = term.shift
         unit, name = _unit(time)
-        return f"{term.key} shifts once, at about {time / unit:.3g} {name}, to {factor:.3g} times what it was"
-    by = f"by {100 * term.spread:.2g} %" if term.spread < 1 else "by as much as itself"
+        return f"{term.key} shifts once, at about {time / unit:.3g} {name}, to {factor:.3g} times as much"
+    by = f"by {100 * term.spread:.2g} %" if term.spread < 1 else "by 100 % or more"
     return f"{term.key} varies {by} (largest {_span(term.highest_s)}, smallest {_span(term.lowest_s)})"
 
 

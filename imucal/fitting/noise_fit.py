@@ -98,7 +98,7 @@ class Segments(ReadOnlyArrays):
     terms: tuple[TermHomogeneity, ...]
 
     def __getitem__(self, key: str) -> TermHomogeneity:
-        return keyed(self.terms, key, "the segments tell")
+        return keyed(self.terms, key, "the segments have")
 
     @property
     def changing(self) -> tuple[TermHomogeneity, ...]:
@@ -190,7 +190,7 @@ class Estimate:
             If the sensor is not known, or `unit` does not measure this term.
         """
         if self.sensor is None:
-            raise ArgumentError(f"{self.key}: the sensor is not known; take the estimate of a log's fit")
+            raise ArgumentError(f"{self.key}: the sensor is unknown; use the estimate of a log's fit")
         kind = TERMS[self.symbol]
         units = kind.coefficient_units(self.sensor)
         found = find_unit(unit or kind.datasheet_unit(self.sensor).name, units)
@@ -213,7 +213,7 @@ class Estimate:
 
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status == "bounded"):
-            raise ValueError(f"{self.key}: a bounded estimate has no value, an estimated one has: {self}")
+            raise ValueError(f"{self.key}: value must be None if bounded, and only then: {self}")
 
 
 @frozen

@@ -66,7 +66,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     advice = ""
     if share > _MANY or rest > 1:
         level = "warning"
-        advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
+        advice = "Look for loose wiring, a shared bus or a moving sensor."
     if rest > 1:
         louder = float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
         text += (
@@ -176,12 +176,12 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     gyroscope, accelerometer = AngleRandomWalk.units
     unit = pretty(gyroscope if series.sensor is Sensor.GYROSCOPE else accelerometer)
     if ratio < 0.5 or share >= 1:
-        text = f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told."
+        text = f"{what}. N = {N:.4g} {unit} is mostly rounding; the sensor's own N is unknown."
         advice = "Record with a smaller measuring range or more bits."
         return (Finding("warning", "rounding", text, advice, axis=series.name),)
     text = (
-        f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
-        f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}."
+        f"{what}. Rounding is {100 * (1 - np.sqrt(1 - share)):.1f} % of N = {N:.4g}; without it N = "
+        f"{np.sqrt(N**2 - rounding):.4g} {unit}."
     )
     return (Finding("info", "rounding", text, axis=series.name),)
 
@@ -243,7 +243,7 @@ def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
         "Large samples are far more frequent than in normal noise (excess kurtosis "
         f"{2 * factor**2 - 2:.2g}). A few samples determine N, and its interval may be too narrow."
     )
-    advice = "Plot a histogram of the samples, and look for a disturbance that comes and goes."
+    advice = "Plot a histogram of the samples, and look for an intermittent disturbance."
     return (Finding("warning", "heavy-tails", text, advice, axis=series.name),)
 
 

@@ -73,7 +73,7 @@ class FitSettings:
         if not 0 <= self.max_gm <= 2:
             raise ArgumentError(f"max_gm must be 0, 1 or 2, got {self.max_gm}")
         if not 1 <= self.segments <= MOST_SEGMENTS:
-            msg = f"segments must be from 1 (not looked at) to {MOST_SEGMENTS}, got {self.segments}"
+            msg = f"segments must be from 1 (not compared) to {MOST_SEGMENTS}, got {self.segments}"
             raise ArgumentError(msg)
         require_fittable(self.structure or (), self.method)
 

@@ -224,19 +224,16 @@ def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: s
         yield Finding(
             "warning",
             "records-differ",
-            f"The records differ from one another by more than chance: {said}; "
-            "intervals are those of the mean over records.",
-            "Look for what changed between them (temperature, mounting, supply); another record "
-            "may differ as much.",
+            f"The records differ by more than chance: {said}. The intervals are for the mean of the records.",
+            "Find the cause (temperature, mounting, supply). Another record may differ as much.",
         )
     if goodness.statistic > MISFIT:
         yield Finding(
             "warning",
             "model-misfit",
-            f"{model} does not describe these records: the squared residuals of their spectra are "
-            f"{goodness.chi2_per_bin:.3g} on average where 1 is expected (score "
-            f"{goodness.statistic:.1f}).",
-            "Give a model with the terms that the single fits found.",
+            f"{model} does not describe these records: the mean squared residual of their spectra is "
+            f"{goodness.chi2_per_bin:.3g}, expected 1 (score {goodness.statistic:.1f}).",
+            "Give a model with the terms of the single fits.",
         )
 
 
@@ -286,9 +283,7 @@ def _structure_of(model: str, level: float) -> tuple[str, ...]:
     """Return the symbols of a sum of terms, the same for every record."""
     structure = FitSettings(model=model, level=level).structure
     if structure is None:
-        raise ArgumentError(
-            "pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'"
-        )
+        raise ArgumentError("pool: model 'auto' depends on the record; give the terms, such as 'N + B + K'")
     return structure
 
 
@@ -300,7 +295,7 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
         if fit.bins is None:
             which = f"fit {number} of {len(fits)} ({fit.method})"
             advice = "fit the log again, and write its report with imucal fit --bins"
-            raise DataError(f"{which}: found no bins, expected those of method 'mle'; {advice}")
+            raise DataError(f"{which}: found no bins, expected the bins of method 'mle'; {advice}")
     return [fit.bins for fit in fits if fit.bins is not None]
 
 

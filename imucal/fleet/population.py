@@ -38,14 +38,14 @@ _MOSTLY = 50.0
 _SUSPECTS, _SUSPECT = 5, 0.2
 #: Probability with which the next unit lies in its limits.
 _CONTENT = 0.95
-_MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would say more than more units."
+_MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would help more than more units."
 _ALL_BOUNDED = (
-    "All logs together do not show this term: every number is an upper bound, and the spread between "
-    "units is not known. Longer logs would say more than more units."
+    "All logs together do not show this term: every number is an upper bound, and the spread between units "
+    "is unknown. Longer logs would help more than more units."
 )
 _TOO_FEW = (
-    f"{{}}: the spread between units, the next unit and a tolerance bound need {FEWEST} at least; "
-    "10 are worth testing."
+    f"{{}}: the spread between units, the next unit and a tolerance bound need at least {FEWEST}; test about "
+    "10."
 )
 #: Points of a mean square's likelihood, up to where its logarithm is so far below the peak; how often its
 #: reach is doubled at most; and units that are added at a time.
@@ -159,7 +159,7 @@ def membership(found: Population, new: LogValue) -> float:
     and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
     """
     if found.next_log is None:
-        raise ArgumentError(f"a spread between units needs {FEWEST} units at least, got {len(found.units)}")
+        raise ArgumentError(f"a spread between units needs at least {FEWEST} units, got {len(found.units)}")
     return found.next_log.p_value(LogValues.of([new]))
 
 

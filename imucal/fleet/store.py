@@ -65,7 +65,7 @@ _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
 #: Bytes of a checksum, and of what ends a parquet file: the size of its footer, and four letters. Source:
 #: Apache Parquet, file format.
 _SEAL, _END = 32, 8
-_NOT_WHOLE = "is damaged, or of an earlier version"
+_NOT_WHOLE = "is damaged or from an earlier version"
 
 Row = Mapping[str, object]
 
@@ -97,7 +97,7 @@ class FleetStore:
             names = sorted({path.name for path in self.folder.iterdir()} - {_SETTINGS, *_TABLES})
             # Another run may begin here, too: its scratch files and its lock begin with a dot.
             if strange := [name for name in names if not name.startswith(".")]:
-                found = f"holds {', '.join(strange[:3])} but no fleet of imucal's"
+                found = f"contains {', '.join(strange[:3])} but no imucal fleet"
                 raise WriteError(f"{self.folder}: {found}; nothing was changed; choose another folder")
         with translated(self.folder):
             for name in _TABLES:
@@ -124,7 +124,7 @@ class FleetStore:
         except (OSError, ValueError, KeyError, AttributeError):
             found, seal = {}, None
         if seal != _digest(json.dumps(found).encode()).hex():
-            raise StoreError(f"{path}: {_NOT_WHOLE}; start the fleet anew, with --fresh")
+            raise StoreError(f"{path}: {_NOT_WHOLE}; start the fleet again with --fresh")
         return dict(found)
 
     def keep_settings(self, settings: Row) -> None:
@@ -141,9 +141,9 @@ class FleetStore:
                 return pl.read_parquet(path, glob=False)
         except OSError as error:
             found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or error
-            msg = f"{path}: {found}; expected the folder of a fleet that imucal fleet run writes"
+            msg = f"{path}: {found}; expected the folder of a fleet, written by imucal fleet run"
             raise ReadError(msg) from error
-        raise StoreError(f"{path}: {_NOT_WHOLE}; remove it, and name the logs again: what is done is kept")
+        raise StoreError(f"{path}: {_NOT_WHOLE}; remove it and give the logs again: finished logs are kept")
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
         """Add logs, with columns as `MANIFEST` and free ones, to those asked for; return the whole manifest.
@@ -247,7 +247,7 @@ class FleetStore:
     def refuse_damage(self) -> None:
         """Raise `StoreError` if a part is not as it was written."""
         for part in self.damaged():
-            raise StoreError(f"{part}: {_NOT_WHOLE}; run the fleet again, which does its logs anew")
+            raise StoreError(f"{part}: {_NOT_WHOLE}; run the fleet again to repeat its logs")
 
     def mend(self) -> list[Path]:
         """Remove what is damaged, so that its logs are not done; return which parts."""

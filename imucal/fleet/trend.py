@@ -173,12 +173,12 @@ def labelled_logs(logs: Sequence[LogValue]) -> tuple[LogValues, tuple[str, ...]]
             told[place] = values.labels[place] - values.labels[place].mean(axis=0)
             rows.append(own)
     if not rows:
-        advice = "label the logs with temperature_c or started, two different ones a unit at least"
-        raise DataError(f"no unit has logs at two temperatures or of two days: {advice}")
+        advice = "label the logs with temperature_c or started, at least two different values per unit"
+        raise DataError(f"no unit has logs at two temperatures or on two days: {advice}")
     keep, tells = np.concatenate(rows), np.any(told, axis=0)
     x = told[keep][:, tells] / np.array(_SCALE)[tells]
     if np.linalg.matrix_rank(x / np.linalg.norm(x, axis=0), tol=_SAME) < x.shape[1]:
-        said = "temperature and time moved together in every unit, so that neither's effect can be told"
+        said = "temperature and time changed together in every unit, so their effects can't be separated"
         raise DataError(f"{said}: record a unit at another temperature on the same day")
     return replace(values.take(keep), labels=x), tuple(compress(NEAREST, tells.tolist()))
 
@@ -207,7 +207,7 @@ def _linear(values: LogValues) -> LogValues:
     weight /= weight.sum()
     mean = float(weight @ square)
     if mean < _TOLD * float(np.linalg.norm(weight * np.where(weight > 0, error, 0.0))):
-        msg = "the logs only bound this term, and so tell nothing of what moves it: record longer logs"
+        msg = "the logs only bound this term, so they do not show whether it changes: record longer logs"
         raise DataError(msg)
     return replace(
         values,

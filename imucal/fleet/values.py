@@ -123,9 +123,9 @@ class LogValue:
         inside, wrong = self.value is None or 0 <= self.low <= self.value <= self.high, ""
         told = 1.0 if self.variance_sd is None else self.variance_sd
         if not (inside and 0 < self.high < math.inf and 0 < self.level < 1 and self.value != 0):
-            wrong = f"limits must hold a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
+            wrong = f"limits must contain a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
         elif (self.variance is None) != (self.variance_sd is None) or not (told > 0 <= self.variance_growth):
-            wrong = "a variance needs a positive standard deviation, which does not fall"
+            wrong = "a variance needs a positive standard deviation, and must not shrink"
         if wrong:
             raise ValueError(f"{self.unit}: {wrong}")
 

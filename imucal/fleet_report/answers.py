@@ -179,7 +179,7 @@ class UnitQuestion:
         tests, findings = try_side_work(
             self._tests,
             (),
-            what=f"{self.unit}: whether its logs agree in {where} is not known",
+            what=f"{self.unit}: it is unknown whether its logs agree in {where}",
             code="not-checked",
             axis=where,
         )

@@ -29,8 +29,8 @@ FleetValue: TypeAlias = Literal["tolerance", "median"]
 #: What a verdict says of the log.
 _SAID: dict[Verdict, str] = {
     "pass": "as a unit of the fleet",
-    "fail": "not as a unit of the fleet",
-    "undecided": "the interval reaches beyond, and the log does not tell; record for longer to decide",
+    "fail": "unlike the units of the fleet",
+    "undecided": "the interval reaches beyond; record for longer to decide",
 }
 
 
@@ -101,8 +101,8 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
     if value == "median" and found.bounded:
         return Estimate.bounded(term.term, term.symbol, found.median.high)
     if value == "tolerance" and (found.tolerance is None or found.quantile is None):
-        few = f"found {len(found.units)} units, expected 3 at least for a tolerance bound"
-        raise DataError(f"{fleet.folder}: {few}; take the median, or test more units: 10 are worth testing")
+        few = f"found {len(found.units)} units, expected at least 3 for a tolerance bound"
+        raise DataError(f"{fleet.folder}: {few}; use the median, or test about 10 units")
     limits = found.median
     if found.tolerance and found.quantile and value == "tolerance":
         bound, low = found.tolerance, min(found.quantile, found.tolerance)
@@ -150,8 +150,8 @@ def check_fleet(
     """
     found = fleet.model(model)
     if len(found.units) < FEWEST:
-        few = f"found {len(found.units)} units of {found.title}, expected {FEWEST} at least"
-        raise DataError(f"{fleet.folder}: {few} to say where the next one lies; add units to the fleet")
+        few = f"found {len(found.units)} units of {found.title}, expected at least {FEWEST}"
+        raise DataError(f"{fleet.folder}: {few} to predict the next unit; add units to the fleet")
     common: list[tuple[FleetTerm, LogValue]] = []
     for axis in report.axes:
         terms = [term for term in found.terms if term.name == axis.name]
@@ -187,7 +187,7 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
     verdict: Verdict = "undecided"
     if found.prediction is None or p is None:
         subject, units = term.term, f"{len(found.units)} unit{'s' * (len(found.units) > 1)}"
-        expected = f"expected {FEWEST} at least to say where the next one lies"
+        expected = f"expected at least {FEWEST} to predict the next unit"
         said = f"{units} of the fleet with it, {expected}: not judged"
     else:
         low, high = (limit * unit.factor for limit in found.prediction)
@@ -198,7 +198,8 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
         where = f"in [{low:.4g}, {high:.4g}]" if low else f"below {high:.4g}"
         subject = f"{term.term} {where if low else f'<= {high:.4g}'} {unit.name}"
         said = (
-            f"the next unit of {model.title} lies {where} with 95 % (adjusted p = {p:.2g}): {_SAID[verdict]}"
+            f"the next unit of {model.title} is {where} with 95 % chance (adjusted p = {p:.2g}): "
+            f"{_SAID[verdict]}"
         )
     return Row(
         where=term.name,

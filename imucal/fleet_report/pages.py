@@ -154,7 +154,7 @@ def price_text(term: FleetTerm) -> str:
 def loose_text(fleet: Fleet) -> str:
     """Return how many logs stand without a unit."""
     number = len(fleet.loose)
-    return f"{number} log has no unit's label" if number == 1 else f"{number} logs have no unit's label"
+    return f"{number} log has no unit label" if number == 1 else f"{number} logs have no unit label"
 
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
@@ -165,10 +165,10 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     if fleet.loose:
         said.append(loose_text(fleet))
     if few := [model.title for model in fleet.models if len(model.units) < 3]:
-        said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")
+        said.append(f"{', '.join(few)}: too few units for a spread or a bound")
     grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
     if chance:
-        text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
+        text += f"; far off in one of many terms, perhaps by chance: {'; '.join(chance)}"
     # A model's name stays as it is.
     named = any(text.startswith((f"{model.title}:", f"{model.title},")) for model in fleet.models)
     return grade, f"{text if named else text[0].upper() + text[1:]}."

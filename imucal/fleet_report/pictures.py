@@ -79,13 +79,13 @@ def fleet_pictures(fleet: Fleet) -> Iterator[Picture]:
             shows = f"{model.title}, {sensor}: units sorted, each with its 95 % interval"
             draw = partial(units_figure, model, sensor)
             yield Picture(f"units-{sensor.short}{end}", f"units-{number}", shows, draw)
-        shows = f"{model.title}: how far each unit lies off the median in each term"
+        shows = f"{model.title}: distance of each unit from the median in each term"
         yield Picture(f"heat{end}", "heat", shows, partial(heat_figure, model))
         if any(term.trend for term in model.terms):
             shows = f"{model.title}: change of each term with temperature and time"
             yield Picture(f"drift{end}", "trend", shows, partial(drift_figure, model))
     if several:
-        shows = "Each term of each axis: a row a model, a dot a unit"
+        shows = "Each term of each axis: one row per model, one dot per unit"
         yield Picture("models", "models", shows, partial(models_figure, fleet.models))
 
 

@@ -245,7 +245,7 @@ def _loaded(
     table, ask = store.logs(), ask or answers.here
     logs = {row["key"]: _log(row) for row in table.iter_rows(named=True)}
     if not logs:
-        msg = f"{store.folder}: found {asked} logs and none done, expected some; run the fleet first"
+        msg = f"{store.folder}: found {asked} logs, none finished; run the fleet first"
         raise DataError(msg)
     units = {key: (log.model, log.unit or "") for key, log in logs.items() if log.counts}
     names = choose(sorted({model for model, _ in units.values()}))
@@ -274,8 +274,8 @@ def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) ->
     found = [name for name in names if asked in {None, name}]
     if len(found) == 1:
         return found[0]
-    said = ", ".join(map(repr, names)) or "none: no log has a unit's label"
-    what = "no model's name" if asked is None else repr(asked)
+    said = ", ".join(map(repr, names)) or "none: no log has a unit label"
+    what = "no model name" if asked is None else repr(asked)
     raise ChoiceError(f"{folder}: found {what}, expected one of the sensor models: {said}")
 
 

@@ -62,10 +62,10 @@ def _logs_of(name: str) -> list[str]:
     elif os.path.lexists(name) or (not glob.has_magic(name) and name.lower().endswith(_ENDINGS)):
         return [name]
     elif glob.has_magic(name):
-        found = "no log has such a name; expected files, or folders with logs in them"
+        found = "no log has this name; expected files, or folders with logs"
         logs = [*_matches(name)]
     else:
-        found, logs = "no such file or folder; expected logs, or folders with logs in them", []
+        found, logs = "no such file or folder; expected logs, or folders with logs", []
     if not logs:
         raise ReadError(f"{name}: {found}")
     return logs
@@ -155,7 +155,7 @@ def edge_at(place: str) -> str:
         if isinstance(file, Path):
             size, read = file.stat().st_size, functools.partial(_part, file)
         elif file.size is None or not file.ranges:
-            raise ReadError("its store gives no parts")
+            raise ReadError("its server sends no parts of files")
         else:
             size, read = file.size, functools.partial(store_of(place).read, file)
         machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
@@ -199,7 +199,7 @@ def _files(path: Path) -> list[Path]:
 _PART = re.compile(r"\{(?P<label>[^{}]*)\}|(?P<wild>\*\*/?|[*?])|(?P<brace>[{}])|(?P<text>[^{}*?]+)")
 _LABEL = re.compile(r"(?!(?:path|options|copy_of)$)[A-Za-z_][A-Za-z0-9_]*")
 _WILD = {"**/": ".*", "**": ".*", "*": "[^/]*", "?": "[^/]"}
-_SUCH = "write such as '{model}/{unit}/*.mcap'"
+_SUCH = "write for example '{model}/{unit}/*.mcap'"
 
 
 @functools.cache
@@ -214,13 +214,13 @@ def label_pattern(pattern: str) -> re.Pattern[str]:
     for part in parts:
         label = part["label"]
         if part["brace"]:
-            slip = f"a brace alone; {_SUCH}"
+            slip = f"an unmatched brace; {_SUCH}"
         elif label is None:
             body += re.escape(part["text"]) if part["text"] else _WILD[part["wild"]]
         elif not _LABEL.fullmatch(label):
-            slip = f"{label!r} is no name of a label; write such as {{unit}}"
+            slip = f"{label!r} is not a label name; write for example {{unit}}"
         elif labels.count(label) > 1:
-            slip = f"{label!r} stands twice; give each label a name of its own"
+            slip = f"{label!r} is duplicated; give each label its own name"
         else:
             body += f"(?P<{label}>[^/]+?)"
     if slip or not labels:

@@ -63,8 +63,8 @@ def unprotected(address: str | None) -> str:
     if here or parts.scheme in {"tls", "inproc"}:
         return ""
     return (
-        f"{address}: is neither tls:// nor of this machine alone: whoever reaches it runs programs as the "
-        "user of its workers; set up TLS in Dask's configuration, and give a tls:// address"
+        f"{address}: is neither tls:// nor local: anyone who reaches it can run programs as the user of its "
+        "workers; set up TLS in Dask's configuration, and give a tls:// address"
     )
 
 
@@ -87,7 +87,7 @@ class DaskWorkers(Generic[T, R]):
             if self._threads:
                 self._heard = time.monotonic()
             elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
-                said = "scheduler or workers are gone; what was done is kept; start them, and run again"
+                said = "scheduler or workers are gone; finished logs are kept; start them, and run again"
                 raise EngineError(f"{self._where}: {said}")
         return WINDOW * max(self._threads, 1) - len(self.hands)
 
@@ -124,7 +124,7 @@ class DaskWorkers(Generic[T, R]):
         try:
             result: R = future.result(timeout=CONNECT_S)
         except KilledWorker:
-            return Lost(reason="the workers that did it ended")
+            return Lost(reason="its workers ended")
         except (TimeoutError, OSError) as error:
             if future.status != "error":
                 return None

@@ -184,7 +184,7 @@ def read_manifest(file: Path) -> list[LogTask]:
             if any(row):
                 log = _of_row(heading, row, file.parent)
                 first = logs.setdefault(log.path, log) is log
-                _refuse_unless(first, f"{log.path} stands twice; expected one row a log")
+                _refuse_unless(first, f"{log.path} is duplicated; expected one row per log")
     except ValueError as error:
         raise ManifestError(f"{file}:{line}: {error}") from error
     return list(logs.values())
@@ -196,7 +196,7 @@ def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask
     cells = ((name, text) for name, text in zip(heading, row, strict=True) if text)
     said = {name: meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is") for name, text in cells}
     place = said.pop("path", "")
-    _refuse_unless(place, "no path; expected that of a log")
+    _refuse_unless(place, "no path; expected the path of a log")
     reading = {name: said.pop(name) for name in _COLUMNS if name in said and name not in LABELS}
     return LogTask(place=place if is_url(place) else str(folder / place), labels=said, reading=reading)
 
@@ -262,7 +262,7 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
 _SHARE, _UNKNOWN = 0.8, 2 << 30
 #: What is expected of an argument, what it means, and whether that may be.
 _ARGUMENTS: dict[str, Column] = {
-    "model": ("terms, such as N + B + K: auto would choose by the log", str, lambda model: model != "auto"),
+    "model": ("terms, such as N + B + K: auto depends on the log", str, lambda model: model != "auto"),
     "level": ("one between 0 and 1, such as 0.95", float, lambda level: 0 < level < 1),
     "jobs": ("a number from 1", int, lambda jobs: jobs >= 1),
     "shard": ("(i, n) with i from 1 to n", tuple, lambda part: 1 <= part[0] <= part[1]),
@@ -293,8 +293,8 @@ def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSetting
     kept = {} if given.get("fresh") else store.settings()
     for name in kept.keys() & {"model", "level"}:
         if given.setdefault(name, kept[name]) != kept[name]:
-            said = f"holds fits with {name} {kept[name]}, found {given[name]}"
-            msg = f"{store.folder}: {said}; choose another folder, or do all logs anew, with --fresh"
+            said = f"contains fits with {name} {kept[name]}, found {given[name]}"
+            msg = f"{store.folder}: {said}; choose another folder, or repeat all logs with --fresh"
             raise ArgumentError(msg)
     given["jobs"] = 1 if "shard" in given else given.get("jobs") or threads()
     memory = int((memory_there_is() or _UNKNOWN) * _SHARE) // given["jobs"]
@@ -336,7 +336,7 @@ def planned(
         if dry:
             store.refuse_damage()
         for part in store.mend():
-            say(f"{part}: is damaged; what it held is done again")
+            say(f"{part}: is damaged; its logs are repeated")
     asked = {log.path: log for log in (read_manifest(manifest) if manifest else ())}
     named = (LogTask(place=name) for name in find_logs(names))
     unlike = 0
@@ -345,10 +345,10 @@ def planned(
         unlike += not own
         first = asked.setdefault(log.path, replace(log, labels={**log.labels, **own}))
         if first.place != log.place != log.path:
-            msg = f"{log.path}: two URLs that differ behind the question mark alone; expected one"
+            msg = f"{log.path}: two URLs that differ only after the question mark; expected one"
             raise ManifestError(msg)
     if settings.labels and unlike:
-        say(f"{unlike} of {len(asked)} logs do not fit {settings.labels}")
+        say(f"{unlike} of {len(asked)} logs do not match {settings.labels}")
     return plan_fleet(asked.values(), settings)
 
 

@@ -164,7 +164,7 @@ def run_fleet(
     names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
     if not names and logs is not None and manifest is None:
         # A pattern that matched nothing, say: it must not become all that the folder has.
-        raise ArgumentError(f"logs {logs!r}, expected some; leave them out to go on with those of the folder")
+        raise ArgumentError(f"logs {logs!r}, expected at least one; omit them to continue the folder's logs")
     settings = fleet_settings(folder, {name: asked[name] for name in ASKED})
     plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
     prepare(plan, settings)
@@ -367,8 +367,8 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
         try:
             answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
         except OSError as error:
-            said = f"its process can't be started ({error.strerror or error}), as when a machine is full"
-            why = f"{said}; run again where there is room"
+            said = f"its process can't be started ({error.strerror or error}), as on an overloaded machine"
+            why = f"{said}; run again when it is less loaded"
             break
         if answer.outcome == "done":
             return cast("LogRow", answer.value)

@@ -45,7 +45,7 @@ def _function_of_points(
     if f.ndim != 1 or f.shape != s.shape or not f.size:
         raise ArgumentError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
     if not (f[0] > 0 and np.all(np.diff(f) > 0) and np.all(np.isfinite(f))):
-        raise ArgumentError("frequencies of a psd must rise, and be positive and finite")
+        raise ArgumentError("frequencies of a psd must be positive, finite and increasing")
     if not (np.all(s > 0) and np.all(np.isfinite(s))):
         at = int(np.argmin((s > 0) & np.isfinite(s)))
         raise ArgumentError(
@@ -117,8 +117,8 @@ class _PsdIntegral:
         if not fall < _DIVERGENT:
             where, steep = ("0", "1/f^3") if ratio < 1 else ("infinity", "f")
             msg = (
-                f"the Allan variance is infinite: towards a frequency of {where} the psd grows like {steep}"
-                " or more steeply"
+                f"the Allan variance is infinite: the psd grows like {steep} or faster towards a frequency "
+                f"of {where}"
             )
             raise ArgumentError(msg)
         return sum(parts) + parts[-1] * fall / (1 - fall)
@@ -282,7 +282,7 @@ def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
         weight = (2 * factor - k) - 4 * np.maximum(factor - k, 0.0)
         total[i] = float(weight @ fall[1 : 2 * factor]) / factor**2
         if total[i] < -_ROUNDING * variance:
-            msg = f"acvf is no autocovariance: the Allan variance at m = {factor} would be {total[i]:.3g}"
+            msg = f"acvf is not an autocovariance: the Allan variance at m = {factor} would be {total[i]:.3g}"
             raise ArgumentError(msg)
     return np.maximum(total, 0.0).reshape(np.shape(m))
 
@@ -318,6 +318,6 @@ def _falls(acvf: Acvf, greatest: int) -> tuple[float, FloatArray]:
     beyond = np.abs(values) > values[0] * (1 + _ROUNDING)
     if values[0] < 0 or beyond.any():
         at = 0 if values[0] < 0 else int(np.argmax(beyond))
-        msg = f"acvf is no autocovariance: {values[at]:g} at lag {at} beside a variance of {values[0]:g}"
+        msg = f"acvf is not an autocovariance: {values[at]:g} at lag {at}, but the variance is {values[0]:g}"
         raise ArgumentError(msg)
     return float(values[0]), values[0] - values[: lags.size]

@@ -146,4 +146,4 @@ def _refuse_repeats(symbols: tuple[str, ...]) -> None:
     for symbol in set(symbols):
         if symbols.count(symbol) > 1 and not TERMS[symbol].repeatable:
             only = " and ".join(name for name, term in TERMS.items() if term.repeatable)
-            raise ArgumentError(f"{symbol} stands more than once; only {only} may")
+            raise ArgumentError(f"{symbol} appears more than once; only {only} may")

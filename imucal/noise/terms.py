@@ -69,7 +69,7 @@ class AngleRandomWalk(PowerLawTerm):
     stroke = Stroke("#b84300", "#ff9157", (6, 2))
     words = Words(
         "slope −1/2, read at τ = 1 s",
-        "white noise of the rate; its integral walks",
+        "white noise of the rate; its integral is a random walk",
         "noise density; Kalibr: noise_density; GMWM: WN. Not Kalibr's random_walk",
     )
 
@@ -97,8 +97,8 @@ class BiasInstability(PowerLawTerm):
     always = True
     stroke = Stroke("#00734f", "#36c99a", (6, 2, 1, 2))
     words = Words(
-        "slope 0, the floor lies at 0.664 B",
-        "flicker: the bias wanders at every scale alike",
+        "slope 0, floor at 0.664 B",
+        "flicker noise: the bias wanders equally at all time scales",
         "often confused with the curve's minimum, which is at least 0.664 B",
     )
 
@@ -123,7 +123,7 @@ class RateRandomWalk(PowerLawTerm):
     stroke = Stroke("#a63c78", "#ee8fc4", (10, 3))
     words = Words(
         "slope +1/2, read at τ = 3 s",
-        "the bias takes white steps",
+        "the bias moves in independent steps",
         "Kalibr: random_walk; bias random walk; GMWM: RW",
     )
 
@@ -197,7 +197,7 @@ class GaussMarkov(NoiseTerm):
     stroke = Stroke("#5c4a9e", "#a99cf0", (3, 1.5))
     words = Words(
         "a hump of 0.617 σ at 1.89 T",
-        "a bias that forgets with the correlation time T; a filter state",
+        "a bias with the correlation time T; a filter state",
         "AR1, exponentially correlated noise",
     )
     sigma: float
@@ -334,4 +334,4 @@ def require_fittable(symbols: Iterable[str], method: str) -> None:
             found, wanted = ", ".join(term.parameters()), "a coefficient and at most a time T"
             raise ValueError(f"{refusal}: it has {found}, expected {wanted}; leave {symbol} out")
         if method == "slope" and term.slope is None:
-            raise ValueError(f"{refusal}: its curve has no slope of its own; leave {symbol} out")
+            raise ValueError(f"{refusal}: its curve has no single slope; leave {symbol} out")

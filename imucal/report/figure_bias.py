@@ -50,7 +50,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
     view, unit = _View(parts, level.factor, divisor), pretty(level.name)
     bottom = height - _HEAD - _TOP
     axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _TOP / height))
-    entries = _draw_bias(axes, view, f"bias less its mean ({unit})")
+    entries = _draw_bias(axes, view, f"bias minus its mean ({unit})")
     for part in shown:
         axes.tick_params(labelbottom=False)
         bottom -= _PART + _SPACE
@@ -59,7 +59,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
     axes.set_xlabel(f"time ({time_name})", **drawing.LABEL_STYLE)
     series, count = parts.series, int(np.isfinite(parts.samples).sum())
     recorded = drawing.recording_text(parts.n * series.tau0, series.rate_hz, count)
-    title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
+    title = f"{str(series.sensor).capitalize()} {series.axis}: bias over time"
     drawing.write_head(figure, title, f"{recorded}   ·   model {parts.model}", below=0.42)
     drawing.write_foot(figure, source, __version__)
     figure.legend(
@@ -111,7 +111,7 @@ def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
     dot |= {"color": drawing.FADED, "alpha": 0.75}
     (grey,) = axes.plot(time / view.divisor, heights, zorder=3.5, label=name, **dot)
     line, band, ends = _draw_line(axes, view, parts.bias, drawing.MODEL, 1.5, centred=True)
-    line.set_label("bias, given all samples")
+    line.set_label("bias, estimated from all samples")
     _style(axes, view, label, [heights, *ends])
     return [grey, line, band]
 
@@ -123,7 +123,7 @@ def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
     _, _, ends = _draw_line(axes, view, part, term.stroke, 1.3, centred=holds_level)
     _style(axes, view, unit, ends)
     name = term.name(view.parts.series.sensor)
-    text = f"{part.key}  {name}{', less its mean' if holds_level else ''}"
+    text = f"{part.key}  {name}{', minus its mean' if holds_level else ''}"
     place: drawing.Style = {"transform": axes.transAxes, "va": "bottom", "fontweight": "bold"}
     axes.text(0.0, 1.04, text, fontsize=drawing.LEGEND_SIZE, color=term.stroke.light, **place)
 
@@ -166,14 +166,14 @@ def check_folder(out: Path) -> None:
     try:
         held, home = held_by(out), home_of(out)
     except OSError as error:
-        msg = f"{out}: can't be looked at: {error.strerror or error}; choose another folder"
+        msg = f"{out}: can't be read: {error.strerror or error}; choose another folder"
         raise WriteError(msg) from error
     if held and not (out / DOCUMENT).exists():
-        raise WriteError(f"{out}: holds {held} but no decomposition of imucal's; choose another folder")
+        raise WriteError(f"{out}: contains {held} but no imucal decomposition; choose another folder")
     if not (home.is_dir() and os.access(home, os.W_OK | os.X_OK)):
-        said = f"can't be made: {home} takes no new folder; choose another place"
+        said = f"can't be created: {home} is not writable; choose another folder"
         if home is out:
-            said = "is not yours to write to; choose another folder"
+            said = "is not writable; choose another folder"
         raise WriteError(f"{out}: {said}")
 
 
@@ -205,7 +205,7 @@ def _write(path: Path, content: bytes) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{path.parent}: can't be made: {error.strerror or error}; choose another folder"
+        msg = f"{path.parent}: can't be created: {error.strerror or error}; choose another folder"
         raise WriteError(msg) from error
     with replacing(path) as scratch:
         scratch.write_bytes(content)

@@ -198,18 +198,18 @@ def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> s
     It shows what was drawn for the folder, where `drawings` are given; otherwise its pictures are drawn here.
     """
     pictures = (drawings or figure.draw(report, ("png",))).addresses
-    drifts = "What this does to a filter"
+    drifts = "Effect on a filter"
     makers: list[tuple[str, str, Callable[[], Markup | None]]] = [
         ("summary", "Summary", lambda: page_parts.summary_section(report, pictures)),
         ("findings", "Findings", lambda: page_parts.findings_section(report)),
         ("drift", drifts, lambda: page_parts.drift_section(report)),
-        ("downstream", "Which number goes where", lambda: page_parts.downstream_section(report)),
+        ("downstream", "Numbers for your program", lambda: page_parts.downstream_section(report)),
         *(
             (axis.name, figure.axis_title(axis), partial(page_parts.axis_section, report, axis, pictures))
             for axis in report.axes
         ),
-        ("terms", "What the terms mean", page_parts.glossary_section),
-        ("method", "How the numbers were made", lambda: page_parts.method_section(report)),
+        ("terms", "Terms", page_parts.glossary_section),
+        ("method", "Method", lambda: page_parts.method_section(report)),
     ]
     made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
     packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib")
@@ -234,7 +234,7 @@ def _recorded(report: Report) -> Iterator[str]:
     for axis in report.axes:
         yield f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
     if (read := report.source.read) is not None and read.from_s > 0:
-        yield f"times count from {read.from_s:.10g} s of the log"
+        yield f"times start at {read.from_s:.10g} s of the log"
 
 
 def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:

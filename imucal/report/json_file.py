@@ -160,7 +160,7 @@ class Node:
     def sized(self, array: NDArray[T], like: int | None) -> NDArray[T]:
         """Return an array of this list, which must be as long as `like` says, where given."""
         if like is not None and array.size != like:
-            self.fail(f"found a list of {array.size}", f"{like} items as beside it")
+            self.fail(f"found a list of {array.size}", f"{like} items, like the other lists")
         return array
 
     def _of(self, expected: str, *kinds: type[A]) -> A:
@@ -309,7 +309,7 @@ def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
 def _rising(node: Node) -> FloatArray:
     tau = node.array()
     if not np.all(np.diff(tau) > 0):
-        node.fail("found averaging times that do not rise", "rising ones")
+        node.fail("found averaging times that do not increase", "increasing ones")
     return tau
 
 
@@ -327,7 +327,7 @@ def _model(node: Node) -> NoiseModel:
     try:
         return NoiseModel.parse(text)
     except ValueError as error:
-        node.fail(f"found a model that can't be read ({error})", "a sum of valued terms")
+        node.fail(f"found a model that can't be read ({error})", "a sum of terms with values")
 
 
 def _estimates(node: Node) -> tuple[Estimate, ...]:
@@ -364,13 +364,13 @@ def _bins(node: Node) -> Bins:
     n, first, r = node["n"].counts(), node["first"].counts(), len(node["regressors"].texts())
     start = node["start"].counts(like=n.size)
     if not n.size or start[0] != 0 or np.any(np.diff([*start, first.size]) < 1):
-        node["start"].fail("found starts that are not those of blocks", "rising ones from 0")
+        node["start"].fail("found starts of blocks that do not increase", "increasing ones from 0")
     blocks = zip(n.tolist(), np.split(first, start[1:]), strict=True)
     if not all(own[0] >= 1 and own[-1] < size and np.all(np.diff(own) > 0) for size, own in blocks):
-        node["first"].fail("found ordinates that do not rise within a block", "rising ones below its n")
+        node["first"].fail("found ordinates that do not increase in a block", "increasing ones below its n")
     cross, lower = ([row.array(like=first.size) for row in node[key]] for key in ("cross", "gram"))
     if len(cross) != r or len(lower) != r * (r + 1) // 2 or not r:
-        node["cross"].fail(f"found {len(cross)} and {len(lower)} lists", f"those of {r} regressors")
+        node["cross"].fail(f"found {len(cross)} and {len(lower)} lists", f"one for each of {r} regressors")
     gram = np.zeros((r, r, first.size))
     for i, j, row in zip(*np.tril_indices(r), lower, strict=True):
         gram[i, j] = gram[j, i] = row
@@ -613,7 +613,7 @@ def plain(value: object) -> object:
         return [plain(item) for item in value]
     if isinstance(value, PurePath):
         return str(value)
-    raise TypeError(f"{type(value).__name__} has no place in a report: {value!r}")
+    raise TypeError(f"{type(value).__name__} can't be written to a report: {value!r}")
 
 
 def picked(value: object, names: str) -> JsonObject:

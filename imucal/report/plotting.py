@@ -74,7 +74,7 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
         return tuple(made[0])
     given = tuple(np.ravel(np.asarray(ax, dtype=object)))
     if len(given) != count:
-        msg = f"found {len(given)} axes, expected {count}, one for each sensor; give so many as ax, or none"
+        msg = f"found {len(given)} axes, expected {count}, one for each sensor; give {count} axes or none"
         raise ArgumentError(msg)
     return given
 
@@ -93,7 +93,7 @@ def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
 @singledispatch
 def _draw(value: object, _: "Axes") -> None:
     known = "a recording, one of its axes, an Allan curve, a fit or a report"
-    raise ArgumentError(f"{type(value).__name__} has no picture; give {known}")
+    raise ArgumentError(f"{type(value).__name__} can't be plotted; give {known}")
 
 
 def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
@@ -104,7 +104,7 @@ def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
     axes.fill_between(seen.time_s / divisor, seen.low - mean, seen.high - mean, label=series.axis, **style)
     drawing.quiet_frame(axes)
     axes.set_xlabel(f"time ({name})", **drawing.LABEL_STYLE)
-    axes.set_ylabel(f"samples less their middle ({pretty(series.unit)})", **drawing.LABEL_STYLE)
+    axes.set_ylabel(f"samples minus their middle ({pretty(series.unit)})", **drawing.LABEL_STYLE)
 
 
 _draw.register(AxisSeries)(_draw_signal)

@@ -172,7 +172,7 @@ def _translated(out: Path) -> Iterator[None]:
 def _refuse_foreign(out: Path, names: tuple[str, ...]) -> None:
     """Raise unless `out` is missing, empty, or a report folder where `names` may be replaced."""
     if (held := held_by(out)) and not _is_report(out / _REPORT):
-        msg = f"{out}: holds {held} but no report of imucal's; nothing was changed; choose another folder"
+        msg = f"{out}: contains {held} but no imucal report; nothing was changed; choose another folder"
         raise WriteError(msg)
     for name in names:
         if (out / name).is_dir():
@@ -250,8 +250,8 @@ def _publish(scratch: Path, out: Path, names: tuple[str, ...]) -> None:
                     path.unlink()
     except OSError as error:
         msg = (
-            f"{out}: only {moved} of {len(names)} files were replaced: {error.strerror or error}; "
-            "report.json says that the report is incomplete; write it again"
+            f"{out}: only {moved} of {len(names)} files were replaced: {error.strerror or error}; the report "
+            "is incomplete; write it again"
         )
         raise WriteError(msg) from error
     sync_folder(out)

@@ -81,10 +81,10 @@ def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     worst, rms = max(shaken, key=lambda pair: pair[1])
     low, high = _BAND_HZ
     text = (
-        f"The IMU was not at rest: between {low:g} and {high:g} Hz {worst.name} moves by "
-        f"{amount(rms, Sensor.GYROSCOPE)} rms, as in a hand or on a running machine."
+        f"The IMU was not at rest: {worst.name} moves by {amount(rms, Sensor.GYROSCOPE)} rms between {low:g} "
+        f"and {high:g} Hz, as in a hand or on a running machine."
     )
-    advice = "Record again with the IMU on a firm, quiet surface; these figures are not its noise."
+    advice = "Record again with the IMU on a firm, quiet surface; these numbers are not its noise."
     return (Finding("error", "motion", text, advice),)
 
 
@@ -161,7 +161,7 @@ def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[f
     """Return the finding of what happened near the start and the end."""
     sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
-    return Finding(level, "motion", text, "Leave that out.", keep_s=keep)
+    return Finding(level, "motion", text, "Leave this part out.", keep_s=keep)
 
 
 def _touched(middle: list[Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
@@ -195,8 +195,8 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         return ()
     turn = int(np.linalg.norm(np.diff(down, axis=0), axis=1).argmax())
     text = (
-        f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
-        f"{seconds[turn]:.1f} s: gravity points elsewhere then."
+        f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near {seconds[turn]:.1f} s: the "
+        "direction of gravity changes."
     )
     advice = "Record again in one pose."
     return (Finding("error", "motion", text, advice, keep_s=keep),)
@@ -294,7 +294,7 @@ def _not_at_rest(
     if keep is None:
         text += f"it never rested for {_WORTH_S:g} s."
     else:
-        text += f"the longest time without one is {time(keep[1] - keep[0])}."
+        text += f"the longest rest is {time(keep[1] - keep[0])}."
     return Finding(level, "motion", text, f"{advice}.", keep_s=keep)
 
 

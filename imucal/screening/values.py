@@ -43,15 +43,15 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
         return ()
     code = "no-data"
     if not series.n:
-        text = f"{series.name} holds no finite sample."
-        advice = "Look at the driver or at the choice of columns."
+        text = f"{series.name} has no finite sample."
+        advice = "Check the driver or the choice of columns."
     elif first == 0:
         text = f"{series.name} is 0 in all of its {series.n} samples: the driver does not fill it."
         advice = "Read this sensor from another topic or column."
     else:
         code = "stuck"
         text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
-        advice = "Look at the sensor and its driver; this axis can't be used."
+        advice = "Check the sensor and its driver; this axis can't be used."
     return (Finding("error", code, text, advice, axis=series.name),)
 
 
@@ -67,7 +67,7 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
         f"{count} {samples} of {series.name} ({share:.2g} of all) {are} NaN, infinite or absurdly large and "
         "left out."
     )
-    return (Finding(level, "not-finite", text, "Look at the driver.", axis=series.name),)
+    return (Finding(level, "not-finite", text, "Check the driver.", axis=series.name),)
 
 
 def check_stuck(profile: Profile) -> tuple[Finding, ...]:
@@ -82,7 +82,7 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
         return ()
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
     text = f"{series.name} is stuck at one value for {time(total)} in all, first at {first:.1f} s."
-    advice = "Look at the driver and the cable; leave these parts out."
+    advice = "Check the driver and the cable; leave these parts out."
     # The longest run of windows that are not.
     edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())
@@ -108,8 +108,8 @@ def check_saturated(profile: Profile) -> tuple[Finding, ...]:
         at_limit, next_to_it = _counts(profile, index, limit)
         if at_limit >= _LEAST_AT_LIMIT and at_limit > _LIMIT_RATIO * next_to_it:
             text = (
-                f"{series.name} lies on its {word} value, {amount(limit, series.sensor)}, "
-                f"{at_limit} times: it is saturated, first at {windows.time_s[index[0]]:.1f} s."
+                f"{series.name} is at its {word} value, {amount(limit, series.sensor)}, {at_limit} times: it "
+                f"is saturated, first at {windows.time_s[index[0]]:.1f} s."
             )
             advice = "Choose a larger range of the sensor, or leave these parts out."
             return (Finding("warning", "saturated", text, advice, axis=series.name),)
@@ -142,16 +142,16 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         rate, held, between = group[0].series.rate_hz, _held(group), _interpolated(group)
         if held:
             text = (
-                f"{held:.1%} of the {sensor} samples repeat the one before on all axes: the log "
-                f"holds {rate:.4g} samples a second, about {rate * (1 - held):.3g} of them new."
+                f"{held:.1%} of the {sensor} samples repeat the previous one on all axes: the log has "
+                f"{rate:.4g} samples per second, about {rate * (1 - held):.3g} of them new."
             )
-            advice = "Log at the sensor's own rate; a held sample shapes the curve at short times."
+            advice = "Log at the sensor's own rate; repeated samples distort the curve at short times."
             findings.append(Finding("warning", "held-samples", text, advice, axis=sensor.short))
         if between:
             text = (
-                f"{between:.1%} of the {sensor} samples lie exactly midway between their neighbours on all "
-                "axes: the driver or a converter has interpolated lost samples. N is that of the log with "
-                f"these samples, about {0.75 * between:.1%} above the sensor's own."
+                f"{between:.1%} of the {sensor} samples are exactly midway between their neighbours on all "
+                "axes: the driver or a converter has interpolated lost samples. N includes these samples and "
+                f"is about {0.75 * between:.1%} above the sensor's own."
             )
             advice = "Log the sensor's own samples and leave lost ones out: imucal allows for gaps."
             findings.append(Finding("warning", "interpolated-samples", text, advice, axis=sensor.short))
@@ -208,14 +208,14 @@ def check_lsb(profile: Profile) -> tuple[Finding, ...]:
 def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error for each two axes that hold the same samples, up to sign, scale and offset."""
     findings = []
-    advice = "Look at the choice of columns, or at the driver that fills them."
+    advice = "Check the choice of columns, or the driver that fills them."
     for one, two in combinations(profiles, 2):
         if one.constant or two.constant or one.series.n != two.series.n or one.series.n < _LEAST:
             continue
         correlation = _correlation(one, two)
         if abs(correlation) > _COPY:
-            sign = "the same samples" if correlation > 0 else "the same samples with the sign turned"
-            text = f"{one.name} and {two.name} hold {sign} (correlation {correlation:.3f})."
+            sign = "the same samples" if correlation > 0 else "the same samples with opposite sign"
+            text = f"{one.name} and {two.name} contain {sign} (correlation {correlation:.3f})."
             findings.append(Finding("error", "duplicate-axes", text, advice))
     return tuple(findings)
 
@@ -273,10 +273,10 @@ def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     if not swapped(profiles):
         return ()
     text = (
-        f"At rest the gyroscope shows {gyro:.3g}, as gravity would, and the accelerometer "
-        f"{accel:.2g}: the two are swapped."
+        f"The gyroscope shows {gyro:.3g} at rest, like gravity, and the accelerometer {accel:.2g}: the two "
+        "are swapped."
     )
-    advice = "Name the columns or topics of each sensor when reading."
+    advice = "Give the columns or topics of each sensor when reading."
     return (Finding("error", "swapped-sensors", text, advice),)
 
 
@@ -302,19 +302,19 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
         return ()
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
-        advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
+        advice = "If a driver removes gravity, log the raw acceleration: this has the noise of a filter."
         return (Finding("warning", "no-gravity", text, advice, axis="accel"),)
     guess, unit = _accelerometer_guess(accel, length)
-    text = f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}."
+    text = f"|a| is {length:.4g} at rest, expected {G0:.1f} in m/s^2: {guess}."
     advice = _unit_advice(Sensor.ACCELEROMETER, unit)
     return (Finding("warning", "unit-suspect", text, advice, axis="accel"),)
 
 
 def _unit_advice(sensor: Sensor, unit: str) -> str:
     """Return what to do about a unit that looks like `unit`, ``count``, or like no unit that is known."""
-    scales = "every figure of it scales with the unit."
+    scales = "all its numbers scale with the unit."
     if not unit:
-        return f"Name the {sensor}'s unit when reading; {scales}"
+        return f"Give the {sensor}'s unit when reading; {scales}"
     option = f"scale X, in {sensor.unit} per count" if unit == "count" else f"unit {unit}"
     return f"Run again with --{sensor.short}-{option}; {scales}"
 
@@ -326,7 +326,7 @@ def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, 
             return f"the unit looks like {unit}", unit
     # g taken for m/s² twice, or m/s² taken for g
     if abs(length / G0**2 - 1) < 0.15:
-        return "m/s^2 seem to have been taken for g", "m/s^2"
+        return "values in m/s^2 seem to have been read as g", "m/s^2"
     if _are_counts(accel) or length > 1e3:
         return "these look like raw counts", "count"
     return "no known unit fits", ""
@@ -351,15 +351,15 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     """Return what says that a gyroscope is in another unit, the surest sign first; None for rad/s."""
     if _are_counts(gyro):
-        return "all its values are whole numbers, as raw counts are"
+        return "all its values are whole numbers, like raw counts"
     known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / lsb - 1) < _AGREE for lsb in _GYRO_LSB)]
     if known and len(known) == len(gyro):
         return f"its steps of {known[0]:.5g} are a usual LSB in deg/s"
     density = [p.noise * math.sqrt(p.series.tau0) for p in gyro]
     if density and min(density) >= _NOISY:
         return (
-            f"its noise, {max(density):.2g} rad/s/sqrt(Hz), is more than gyroscopes have; "
-            f"in deg/s it would be {math.radians(max(density)):.2g} rad/s/sqrt(Hz)"
+            f"its noise, {max(density):.2g} rad/s/sqrt(Hz), is more than gyroscopes have; in deg/s it would "
+            f"be {math.radians(max(density)):.2g} rad/s/sqrt(Hz)"
         )
     rate = gravity(gyro)
     if rate is not None and rate >= _BIASED:
@@ -380,14 +380,14 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     100 kHz, which is also 100 Hz with stamps in a wrong unit: a rate between is a warning.
     """
     found = []
-    advice = "Look at the unit of the stamps (s, ms, us, ns), or give the sampling rate in Hz."
+    advice = "Check the unit of the time stamps (s, ms, us, ns), or give the sampling rate in Hz."
     for rate in dict.fromkeys(p.series.rate_hz for p in profiles):
         samples = f"The samples come at {rate:.4g} Hz"
         if _FASTEST_MEMS < rate <= _FASTEST:
-            text = f"{samples}: no MEMS sensor is so fast."
+            text = f"{samples}: no MEMS sensor is that fast."
             found.append(Finding("warning", "fast-rate", text, advice))
         elif not _SLOWEST <= rate <= _FASTEST:
-            text = f"{samples}: no IMU is so {'slow' if rate < 1 else 'fast'}."
+            text = f"{samples}: no IMU is that {'slow' if rate < 1 else 'fast'}."
             found.append(Finding("error", "absurd-rate", text, advice))
     return tuple(found)
 

@@ -51,7 +51,7 @@ def test_a_table_of_several_axes_is_fitted_from_the_command_line(tmp_path: Path)
         (["gyro_x,1"], "{path}: a line is 'gyro_x,1'; expected values of axis, tau, m, adev, low, high, edf"),
         (
             ["gyro_x,2,2,1,1,1,9", "gyro_x,1,1,1,1,1,9"],
-            "{path}: axis gyro_x: tau must rise; expected each averaging time once, rising",
+            "{path}: axis gyro_x: tau must increase; expected each averaging time once, in increasing order",
         ),
     ],
 )

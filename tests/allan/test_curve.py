@@ -54,7 +54,7 @@ def test_arrays_are_read_only_and_of_one_shape() -> None:
             getattr(curve, name)[0] = 7
     with pytest.raises(ValueError, match="must share one shape"):
         AllanCurve(tau=np.ones(1), m=np.ones(2, int), avar=np.ones(1), edf=np.ones(1), n=0)
-    with pytest.raises(ValueError, match="tau must rise"):
+    with pytest.raises(ValueError, match="tau must increase"):
         AllanCurve(tau=np.ones(2), m=np.ones(2, int), avar=np.ones(2), edf=np.ones(2), n=0)
 
 

@@ -49,7 +49,7 @@ def test_reads_numbers_alone_with_any_separator(tmp_path: Path, separator: str) 
     assert np.all(np.isnan(curve.curve.edf))
     assert curve.curve.n == 0
     assert [finding.text for finding in curve.findings] == [
-        "The sampling period is taken to be the shortest averaging time, 1 s."
+        "The sampling period is assumed to be the shortest averaging time, 1 s."
     ]
 
 
@@ -69,8 +69,8 @@ def test_times_that_are_no_multiples_make_a_fine_grid(tmp_path: Path) -> None:
     (curve,) = read_curve(_write(tmp_path, "1,3\n1.5,2\n2.3,1\n"))
     npt.assert_array_equal(curve.curve.m, [1000, 1500, 2300])
     assert curve.findings[0].text == (
-        "Averaging times are not multiples of 1 s, so the sampling period is not known; the noise is "
-        "taken to be continuous."
+        "Averaging times are not multiples of 1 s, so the sampling period is unknown. The fit "
+        "assumes continuous noise."
     )
     assert curve.findings[0].advice == "Give the sampling rate."
 
@@ -93,12 +93,12 @@ def test_times_within_a_part_in_fifty_of_a_multiple_are_multiples(tmp_path: Path
             "{path}: has 0 rows of 0 columns; expected at least 2 rows of tau and one or more deviations",
         ),
         ("1,2\n2,x\n", "{path}:2: column 'column 2' is 'x', expected a number"),
-        ("1,2\n2,1,3\n", "{path}:2: has 3 columns beside 2 elsewhere; expected as many in each line"),
-        ("tau,a,b\n1,2\n2,1\n", "{path}:2: has 2 columns beside 3 elsewhere; expected as many in each line"),
-        ("1,2\n1,1\n", "{path}: averaging time 1 s stands twice; expected each once"),
+        ("1,2\n2,1,3\n", "{path}:2: has 3 columns, other lines have 2; expected the same number"),
+        ("tau,a,b\n1,2\n2,1\n", "{path}:2: has 2 columns, other lines have 3; expected the same number"),
+        ("1,2\n1,1\n", "{path}: averaging time 1 s is duplicated; expected each once"),
         ("0,2\n1,1\n", "{path}: averaging times must be positive numbers in s, got 0 to 1"),
-        ("tau,n\n1,2\n2,1\n", "{path}: no column of deviations beside 'tau'; found tau, n"),
-        ("1,-2\n2,-1\n", "{path}: column 'column 2' holds no positive number; expected Allan deviations"),
+        ("tau,n\n1,2\n2,1\n", "{path}: no column of deviations next to 'tau'; found tau, n"),
+        ("1,-2\n2,-1\n", "{path}: column 'column 2' has no positive number; expected Allan deviations"),
         (
             "tau,gyro_x [furlong]\n1,2\n2,1\n",
             (

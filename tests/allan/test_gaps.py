@@ -221,8 +221,8 @@ def test_too_little_is_refused() -> None:
     with pytest.raises(DataError) as caught:
         allan_curve(_series(np.random.default_rng(5).standard_normal(2001), keep), taus=[0.01])
     assert str(caught.value) == (
-        "gyro_x: too many samples are missing for an Allan variance: 3 of 2001 are there, and no "
-        "neighbouring windows are filled or no value is above zero"
+        "gyro_x: too many samples are missing for an Allan variance: 3 of 2001 are present, without "
+        "filled neighbouring windows or positive values"
     )
 
 

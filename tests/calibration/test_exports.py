@@ -195,7 +195,7 @@ def test_autopilots_get_the_diagonal_fit(name: str, offset: str, scale: str) -> 
         at_rest = (FOUND.means - FOUND.diagonal_b) @ FOUND.diagonal_C.T
         f = (FOUND.means - FOUND.b_a) @ FOUND.C_a.T
         size = np.linalg.norm(at_rest - f, axis=1).max()
-        assert f"ignored misalignment: up to {size:.3g} m/s^2" in text
+        assert f"ignored misalignment: error up to {size:.3g} m/s^2" in text
         gyro = [
             float(found[("CAL_GYRO0_{}OFF" if name == "px4" else "INS_GYROFFS_{}").format(x)]) for x in "XYZ"
         ]
@@ -210,7 +210,7 @@ def test_autopilots_get_the_diagonal_fit(name: str, offset: str, scale: str) -> 
 def test_autopilots_refuse_counts_and_corrected_samples() -> None:
     """The message has the samples to use."""
     for changes, said in (
-        ({"topics": ("sensor_combined",)}, "sensor_combined is corrected by the autopilot already"),
+        ({"topics": ("sensor_combined",)}, "the autopilot has already corrected sensor_combined; "),
         ({"C_a": FOUND.C_a / 400}, "read it with --accel-scale and --gyro-scale"),
     ):
         for name in ("px4", "ardupilot"):
@@ -272,13 +272,13 @@ def test_the_noise_numbers_are_those_of_the_report() -> None:
 
 def test_what_a_program_has_no_place_for_is_in_the_comment() -> None:
     """g-sensitivity, the gyroscope's scale, weak parameters, a gyroscope without turns or none at all."""
-    assert "no place for the g-sensitivity: up to" in text_of("fusion")
+    assert "format has no g-sensitivity: error up to" in text_of("fusion")
     assert "g-sensitivity" not in text_of("kalibr")
-    assert "no place for scale and misalignment of the gyroscope: up to" in text_of("dlio")
+    assert "format has no gyroscope scale and misalignment: error up to" in text_of("dlio")
     weak = replace(FOUND, weak=("gyro scale x",), C_g=None)
     text = render_calibration(weak, "python")
-    assert "not or weakly determined by the log: gyro scale x" in text
-    assert "no turn could be used" in text
+    assert "determined weakly or not at all: gyro scale x" in text
+    assert "no usable turn: scale" in text
     warned = replace(FOUND, warnings=("beyond-noise", "turn-wrong"))
     assert "it warns of: beyond-noise, turn-wrong" in render_calibration(warned, "px4")
     assert "it warns of" not in render_calibration(replace(FOUND, warnings=()), "px4")
@@ -295,5 +295,5 @@ def test_python_writes_the_file(tmp_path: Path) -> None:
     assert file.read_text(encoding="utf-8") == render_calibration(Intrinsics.of(found), "kalibr")
     imucal.export(found, "openvins", tmp_path / "o.yaml", noise=consumer_report())
     assert "gyroscope_noise_density" in (tmp_path / "o.yaml").read_text(encoding="utf-8")
-    with pytest.raises(imucal.ImucalError, match="no format 'rovio' of a calibration; there are kalibr"):
+    with pytest.raises(imucal.ImucalError, match="no calibration format 'rovio'; choose one of kalibr"):
         imucal.export(found, "rovio", tmp_path)

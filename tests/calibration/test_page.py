@@ -124,7 +124,7 @@ def test_the_folder_is_replaced_and_foreign_files_stay(tmp_path: Path, found: Ca
     write_calibration(found, tmp_path / "out", html=False)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["calibration.json", "notes.txt"]
     (tmp_path / "out" / "calibration.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(WriteError, match=r"holds calibration\.json"):
+    with pytest.raises(WriteError, match=r"contains calibration\.json"):
         write_calibration(found, tmp_path / "out")
 
 

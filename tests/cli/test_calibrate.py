@@ -92,7 +92,7 @@ def test_a_diagonal_and_an_accelerometer_alone_fit_the_schema(tmp_path: Path) ->
     assert document["gyroscope"] is None
     assert document["accelerometer"]["model"] == "diagonal"
     assert document["accelerometer"]["parameters"]["misalignment_zx"]["value"] is None
-    assert "[not-observable] accel: Of the accelerometer, misalignment yx" in done.stderr
+    assert "[not-observable] accel: The accelerometer's misalignment yx" in done.stderr
     table = run("calibrate", "faces.csv", *PLACE, "--no-gyro", "--no-files", "-q", cwd=tmp_path).stdout
     assert "misalignment zx  not observable" in table
     assert "GYROSCOPE" not in table
@@ -160,8 +160,8 @@ def changed(one: Log, kind: str) -> Recording:
 @pytest.mark.parametrize(
     ("kind", "up", "said"),
     [
-        ("never moved", FACES[:1], "found 1 of at least 6 rests in 3 s; put the IMU down on each face"),
-        ("too few", FACES[:4], "found 4 of at least 6 rests"),
+        ("never moved", FACES[:1], "rests in 3 s: found 1, expected at least 6; put the IMU down on"),
+        ("too few", FACES[:4], ": found 4, expected at least 6; "),
         ("one attitude", np.tile(FACES[0], (8, 1)), "have the same attitude within 10°"),
         ("clipped", None, "accel_z is clipped at 9 in "),
         ("dead", None, "accel_y never changes; check the driver and the cable"),
@@ -289,7 +289,7 @@ def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
         ((log_path, "--rest-at-least", "long"), 2, "is not a duration"),
         ((log_path, "--noise", "nowhere"), 3, "nowhere: no such file"),
         (("nowhere.csv",), 3, "nowhere.csv: can't be opened"),
-        ((log_path, "-o", "thesis"), 5, "thesis: holds thesis.tex but no calibration"),
+        ((log_path, "-o", "thesis"), 5, "thesis: contains thesis.tex but no calibration"),
         ((log_path, "-o", "thesis/thesis.tex/x"), 5, "Not a directory"),
     ):
         done = run("calibrate", *arguments, cwd=tmp_path)
@@ -311,7 +311,7 @@ def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("mine", encoding="utf-8")
     write_report(tmp_path, "still")
     for arguments, code, said in (
-        ((place, "--to", "rovio"), 2, "no format 'rovio' of a calibration; there are kalibr, openvins"),
+        ((place, "--to", "rovio"), 2, "no calibration format 'rovio'; choose one of kalibr, openvins"),
         ((place, "--to", "kalbir"), 2, "did you mean kalibr?"),
         ((place, "--to", "c", "--to", "yaml", "-o", "-"), 2, "standard output takes one format"),
         (("still", "--to", "imu-tk"), 2, "imu-tk is about a calibration, but still is none"),

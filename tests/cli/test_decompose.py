@@ -86,14 +86,14 @@ def test_a_folder_of_its_own_is_written_again_and_others_are_left_alone(folder: 
     done = run("decompose", LOG, "-o", "mine", cwd=folder)
     assert (done.returncode, done.stdout) == (5, "")
     assert done.stderr == (
-        "Error: mine: holds thesis.tex but no decomposition of imucal's; choose another folder\n"
+        "Error: mine: contains thesis.tex but no imucal decomposition; choose another folder\n"
     )
     done = run("decompose", LOG, "-o", LOG, cwd=folder)
     assert done.returncode == 5
     assert done.stderr.startswith(f"Error: {LOG}: is a file, expected a folder or nothing")
     done = run("decompose", LOG, "-o", f"{LOG}/bias", cwd=folder)
     assert done.returncode == 5
-    assert "takes no new folder; choose another place" in done.stderr
+    assert "is not writable; choose another folder" in done.stderr
 
 
 def test_an_axis_that_is_not_there_is_named(folder: Path) -> None:

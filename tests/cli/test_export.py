@@ -68,7 +68,7 @@ def test_n_and_k_of_the_fit_say_what_they_leave_out(still: str, tmp_path: Path) 
     """On standard error which are bounds, in the file that a filter with them is too sure."""
     done = run("export", still, "--to", "kalibr", "-o", "-", "--numbers", "as-fitted", cwd=tmp_path)
     assert "K was not identified on gyro_y, accel_y" in done.stderr
-    assert "flicker and Gauss-Markov terms are left out" in done.stdout
+    assert "without flicker and Gauss-Markov terms, so a filter may be overconfident" in done.stdout
 
 
 def test_horizon_and_step_reach_the_file(still: str, tmp_path: Path) -> None:

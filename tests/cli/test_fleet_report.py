@@ -90,7 +90,7 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
     ("words", "code", "text"),
     [
         (("fleet", "report", "nothing"), 3, "expected the folder of a fleet"),
-        (("export", "two", "--to", "kalibr"), 4, "found 2 units, expected 3 at least for a tolerance bound"),
+        (("export", "two", "--to", "kalibr"), 4, "found 2 units, expected at least 3 for a tolerance bound"),
         (
             ("export", "like.npz", "--value", "median", "--to", "kalibr"),
             2,
@@ -107,7 +107,7 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
         (("compare", "a", "b", "--fleet-model", "X"), 2, "is no fleet, but --fleet-model is about one"),
         (("check", "like.npz", "--fleet", "nothing"), 3, "expected the folder of a fleet"),
         (("check", "like.npz", "--fleet-model", "X"), 2, "give --fleet FLEET too"),
-        (("check", "like.npz", "--fleet", "two"), 4, "found 2 units of ACME-6, expected 3 at least"),
+        (("check", "like.npz", "--fleet", "two"), 4, "found 2 units of ACME-6, expected at least 3"),
     ],
 )
 def test_what_does_not_go_together_is_said(
@@ -153,4 +153,4 @@ def test_a_log_is_asked_whether_it_is_one_of_the_fleet(folder: Path) -> None:
     rows = json.loads(other.stdout)["rows"]
     failed = {row["where"] for row in rows if row["verdict"] == "fail" and row["subject"].startswith("N in")}
     assert failed == set(NAMES)
-    assert "the next unit of ACME-6 lies in" in (folder / "out.xml").read_text(encoding="utf-8")
+    assert "the next unit of ACME-6 is in" in (folder / "out.xml").read_text(encoding="utf-8")

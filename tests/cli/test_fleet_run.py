@@ -183,10 +183,10 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
     ("arguments", "code", "said"),
     [
         ((), 2, "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"),
-        (("*.bag",), 3, "*.bag: no log has such a name; expected files, or folders with logs in them"),
+        (("*.bag",), 3, "*.bag: no log has this name; expected files, or folders with logs"),
         (("x", "--shard", "0/4"), 2, "'0/4' is no part; write i/n with i from 1 to n, such as 1/8"),
         (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "expected shard or scheduler, not both"),
-        (("x", "--labels", "*.csv"), 2, "no label; write such as '{model}/{unit}/*.mcap'"),
+        (("x", "--labels", "*.csv"), 2, "no label; write for example '{model}/{unit}/*.mcap'"),
         (("x", "--memory", "much"), 2, "memory 'much', expected a size such as 500M or 2G"),
         (("x", "--memory", "100MB"), 2, "memory '100MB', expected a size such as 500M or 2G, 300M or more"),
         (("x", "--timeout", "0"), 2, "'0' is no time to work; write such as 10min, or auto"),
@@ -194,15 +194,15 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
         (
             ("x", "--model", "auto"),
             2,
-            "model 'auto', expected terms, such as N + B + K: auto would choose by the log",
+            "model 'auto', expected terms, such as N + B + K: auto depends on the log",
         ),
         (("x", "--max-failed", "5"), 2, "'5' is more than all; did you mean 0.05 or 5%?"),
-        (("nowhere",), 3, "nowhere: no such file or folder; expected logs, or folders with logs in them"),
+        (("nowhere",), 3, "nowhere: no such file or folder; expected logs, or folders with logs"),
         (("x/1.csv", "--labels", "{temperature_c}/*.csv"), 2, "temperature_c is 'x', expected a number"),
         (
             ("x.csv", "-o", "thesis"),
             5,
-            "holds thesis.tex but no fleet of imucal's; nothing was changed; choose",
+            "contains thesis.tex but no imucal fleet; nothing was changed; choose",
         ),
     ],
 )
@@ -220,7 +220,7 @@ def test_another_model_in_the_same_folder_is_refused(done: Path) -> None:
     ended = run("fleet", "run", "logs", "--model", "N + K", "--shard", "1/1", cwd=done)
     assert ended.returncode == 2
     message = (
-        "fleet: holds fits with model N + B + K, found N + K; choose another folder, or do all logs anew"
+        "fleet: contains fits with model N + B + K, found N + K; choose another folder, or repeat all logs"
     )
     assert message in " ".join(ended.stderr.split())
 
@@ -229,7 +229,7 @@ def test_status_of_what_is_no_fleet(tmp_path: Path) -> None:
     """Exit code 3, and what was expected."""
     ended = run("fleet", "status", "nowhere", cwd=tmp_path)
     assert ended.returncode == 3
-    assert "no such file; expected the folder of a fleet that imucal fleet run writes" in ended.stderr
+    assert "no such file; expected the folder of a fleet, written by imucal fleet run" in ended.stderr
 
 
 def test_a_mistyped_command_of_the_group(tmp_path: Path) -> None:

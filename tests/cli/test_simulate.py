@@ -26,7 +26,7 @@ def test_the_truth_is_printed_as_json(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["N=x"], "'x' is not a number"),
-        (["N=1 + N=2"], "N stands more than once; only GM may"),
+        (["N=1 + N=2"], "N appears more than once; only GM may"),
         (["N=-1"], "N must be finite and not negative, got -1.0"),
         (["N=1", "--gap", "5s"], "'5s' is not START:LENGTH, such as 60s:2s"),
         (

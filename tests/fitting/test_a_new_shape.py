@@ -147,9 +147,7 @@ def test_a_term_of_other_parameters_is_refused(method: str, monkeypatch: pytest.
 def test_a_term_without_a_slope_is_not_read_from_slopes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Though its class says that it may be."""
     monkeypatch.setattr(SquaredExponential, "fitted_by", frozenset({"slope"}))
-    with pytest.raises(
-        ValueError, match=r"^method 'slope' can't fit SE .*: its curve has no slope of its own"
-    ):
+    with pytest.raises(ValueError, match=r"^method 'slope' can't fit SE .*: its curve has no single slope"):
         fit_of("N=1e-3", "N + SE", "slope")
 
 

@@ -58,7 +58,7 @@ def test_a_large_difference_is_a_finding(fit: NoiseFit) -> None:
     assert other is not None
     assert finding.text.startswith(f"N is {1.1 * mine:.4g} (")
     assert f") by mle and {other:.4g} (" in finding.text
-    assert finding.text.endswith("by gmwm: the two disagree, so the model does not hold at all frequencies.")
+    assert finding.text.endswith("by gmwm: the two disagree, so the model is wrong at some frequencies.")
 
 
 def test_a_bound_is_contradicted_by_an_interval_above_it(fit: NoiseFit) -> None:
@@ -138,8 +138,8 @@ def test_a_maximum_half_a_standard_error_away_is_near(
     assert finding.level == level
     assert bool(finding.advice) == (level == "warning")
     assert finding.text == (
-        "The exact state-space likelihood has its maximum "
-        f"{distance[worst]:.2g} standard errors away at most ({worst})."
+        "The maximum of the exact state-space likelihood is up to "
+        f"{distance[worst]:.2g} standard errors away ({worst})."
     )
 
 
@@ -227,12 +227,15 @@ def test_a_curve_of_lines_alone_gives_no_second_opinion() -> None:
     series = AxisSeries.from_samples(np.random.default_rng(39).standard_normal(3000), rate_hz=10.0)
     first = fit_mle(series, allan_curve(series), FitSettings())
     drowned = replace(first, noise_share=np.where(first.curve.m < 4, 1.0, 0.1))
-    with pytest.raises(DataError, match="and 2 averaging times show the noise, expected at least 4"):
+    with pytest.raises(DataError, match="found 2 averaging times that show the noise, expected at least 4"):
         fit_of_curve(series, drowned)
 
 
 def test_a_covariance_of_no_noise_is_a_sentence() -> None:
     """What the likelihood of a tone once gave: a negative variance, or none at all."""
     for broken in (-1.0, np.nan):
-        with pytest.raises(DataError, match="is not that of any noise; expected noise, look at the samples"):
+        with pytest.raises(
+            DataError,
+            match="no noise has this covariance of the Allan variances; expected noise, look at the samples",
+        ):
             whitening(np.diag([1.0, broken]))

@@ -246,7 +246,7 @@ def test_refuses_a_model_of_another_rate() -> None:
     """A fit of one log and the samples of another are a mistake."""
     samples = np.random.default_rng(51).standard_normal(2000)
     found = fit(AxisSeries.from_samples(samples, rate_hz=50.0), model="N")
-    message = "gyro_x: samples at 100 Hz, but the fit is of 50 Hz"
+    message = "gyro_x: samples at 100 Hz, but the fit is for 50 Hz"
     with pytest.raises(ValueError, match=re.escape(message)):
         decompose(AxisSeries.from_samples(samples, rate_hz=100.0), found)
 
@@ -267,7 +267,7 @@ def test_refuses_a_record_of_nearly_nothing() -> None:
     keep = np.zeros(1000, dtype=bool)
     keep[[0, 1, 999]] = True
     sparse = AxisSeries.from_samples(np.arange(1000.0), rate_hz=2.0).keeping(keep)
-    message = "gyro_x: 3 samples in 500 s at 2 Hz are mostly gaps; take a part of the record with fewer"
+    message = "gyro_x: 3 samples in 500 s at 2 Hz are mostly gaps; use a part of the record with fewer gaps"
     with pytest.raises(DataError, match=re.escape(message)):
         decompose(sparse, model, clean=False)
 

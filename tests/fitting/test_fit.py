@@ -101,8 +101,8 @@ def test_a_line_is_named_and_left_out() -> None:
         ({"weights": "none"}, "weights 'none' is not one of full, eta3"),
         ({"level": 1.0}, "level must be between 0 and 1, got 1.0"),
         ({"max_gm": 3}, "max_gm must be 0, 1 or 2, got 3"),
-        ({"segments": 0}, "segments must be from 1 (not looked at) to 64, got 0"),
-        ({"segments": 65}, "segments must be from 1 (not looked at) to 64, got 65"),
+        ({"segments": 0}, "segments must be from 1 (not compared) to 64, got 0"),
+        ({"segments": 65}, "segments must be from 1 (not compared) to 64, got 65"),
     ],
 )
 def test_a_setting_that_is_not_known_is_refused(setting: dict[str, Any], message: str) -> None:

@@ -131,7 +131,7 @@ def test_a_bound_is_raised() -> None:
 
 
 def test_slow_terms_are_widened_together_and_white_noise_by_itself() -> None:
-    """Which of the slow terms changed is not told; white noise is not blamed for them."""
+    """Which slow terms changed is not told; white noise is not blamed for them."""
     terms = [estimate(key, 1.0, 0.9, 1.1) for key in ("N", "B", "GM1", "K", "R")]
     found = {e.key: e.widening for e in widened(terms, segments(term("N", 1.0), term("B", 28.0)))}
     assert found == {"N": 1.0, "B": 2.0, "GM1": 2.0, "K": 2.0, "R": 2.0}
@@ -190,7 +190,7 @@ def test_finding_names_term_factor_and_times() -> None:
     (found,) = nonstationary_finding(segments(term("N", 700.0)), None, "gyro_x")
     assert (found.code, found.axis, found.level) == ("nonstationary", "gyro_x", "warning")
     assert "largest from 11.7 to 13.3 min, smallest from 0 to 100 s" in found.text
-    assert "intervals of N 10 times as wide" in found.text
+    assert "The intervals are wider to allow for it: N 10 times." in found.text
 
 
 def test_a_small_spread_is_said_without_a_warning() -> None:

@@ -77,9 +77,7 @@ def test_the_finding_counts_and_warns_above_one_per_cent() -> None:
     _, (finding,) = clean(_series(samples))
     assert finding.level == "warning"
     assert finding.text.startswith("201 spikes were replaced (2 % of the samples), the largest ")
-    assert (
-        finding.advice == "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
-    )
+    assert finding.advice == "Look for loose wiring, a shared bus or a moving sensor."
 
 
 def test_cleaning_is_the_same_every_time() -> None:
@@ -132,7 +130,7 @@ def test_rounding_is_taken_out_of_n(step: float, *, known: bool) -> None:
     assert finding.code == "rounding"
     if not known:
         assert finding.level == "warning"
-        assert "is mostly rounding, and the sensor's own can't be told" in finding.text
+        assert "is mostly rounding; the sensor's own N is unknown" in finding.text
         return
     assert finding.level == "info"
     corrected = float(finding.text.rpartition("N = ")[2].split()[0])
@@ -151,8 +149,8 @@ def test_an_accelerometer_has_its_own_unit() -> None:
     series = replace(series, sensor=type(series.sensor)("accelerometer"))
     (finding,) = resolution_effect(series, 0.1041)
     assert finding.text == (
-        "Samples come in steps of 1 m/s², 0.96 times their noise: of N = 0.1041, rounding makes "
-        "3.9 %; without it N = 0.1 m/s²/√Hz."
+        "Samples come in steps of 1 m/s², 0.96 times their noise. Rounding is 3.9 % of "
+        "N = 0.1041; without it N = 0.1 m/s²/√Hz."
     )
 
 

@@ -93,9 +93,7 @@ def test_a_part_cut_off_is_refused_until_it_is_mended(tmp_path: Path, table: str
     part = store.folder / table / store.logs().filter(pl.col("key") == "key-a")["part"].item()
     data = part.read_bytes()
     part.write_bytes(data[: int(keep * len(data))])
-    said = re.escape(
-        f"{part}: is damaged, or of an earlier version; run the fleet again, which does its logs"
-    )
+    said = re.escape(f"{part}: is damaged or from an earlier version; run the fleet again to repeat its logs")
     with pytest.raises(StoreError, match=f"^{said}"):
         store.refuse_damage()
     assert store.mend() == [part]
@@ -121,7 +119,7 @@ def test_a_part_with_other_columns_is_as_a_damaged_one(
     """As another version writes it: a column that is missing would be taken for one without numbers."""
     store = fleet(tmp_path, "a")
     monkeypatch.setitem(RESULTS, "later", pl.Float64())
-    with pytest.raises(StoreError, match=r"results/part-.*: is damaged, or of an earlier version; run"):
+    with pytest.raises(StoreError, match=r"results/part-.*: is damaged or from an earlier version; run"):
         store.refuse_damage()
 
 
@@ -199,13 +197,13 @@ def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
     """With what to do, and nothing is changed."""
     store = FleetStore(tmp_path)
     (tmp_path / "thesis.tex").write_text("x")
-    with pytest.raises(WriteError, match=r"holds thesis\.tex but no fleet of imucal's; nothing was"):
+    with pytest.raises(WriteError, match=r"contains thesis\.tex but no imucal fleet; nothing was"):
         store.create()
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
     with pytest.raises(ReadError, match=r"manifest\.parquet: no such file; expected the folder of a"):
         store.manifest()
     (tmp_path / "manifest.parquet").write_text("none")
-    with pytest.raises(StoreError, match=r"manifest\.parquet: is damaged, or of an earlier version; remove"):
+    with pytest.raises(StoreError, match=r"manifest\.parquet: is damaged or from an earlier version; remove"):
         store.manifest()
 
 

@@ -197,7 +197,7 @@ def test_temperature_and_time_that_move_together_are_refused() -> None:
         for u in "abcd"
         for late in (0, 0.1, 0.2)
     ]
-    with pytest.raises(DataError, match="moved together in every unit"):
+    with pytest.raises(DataError, match="changed together in every unit"):
         trend(logs)
 
 

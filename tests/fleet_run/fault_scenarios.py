@@ -144,7 +144,7 @@ def scheduler_killed(bench: Bench) -> str:
         scheduler.kill()
         end = ended(run)
     assert end.code == 5, end.err
-    assert f"Error: {address}: scheduler or workers are gone; what was done is kept" in end.err, end.err
+    assert f"Error: {address}: scheduler or workers are gone; finished logs are kept" in end.err, end.err
     assert "What is done is kept; to go on: imucal fleet run logs" in end.err
     return _same(bench, "scheduler", bench.finish("scheduler"), first=end)
 
@@ -234,7 +234,7 @@ def parts_cut_off(bench: Bench) -> str:
     cut = min(len(tables), len(parts))
     assert bench.type("fleet", "report", "cut").code == 5
     end = bench.finish("cut")
-    assert end.err.count(": is damaged; what it held is done again") == cut, end.err
+    assert end.err.count(": is damaged; its logs are repeated") == cut, end.err
     return f"{cut} parts; " + _same(bench, "cut", end)
 
 

@@ -47,8 +47,8 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
     (done,) = FleetStore(tmp_path / "store").logs().rows(named=True)
     assert done["status"] == "crash"
     assert done["reason"] == (
-        "a.mcap: its process can't be started (Resource temporarily unavailable), as when a machine is full; "
-        "run again where there is room"
+        "a.mcap: its process can't be started (Resource temporarily unavailable), as on an overloaded "
+        "machine; run again when it is less loaded"
     )
 
 

@@ -46,13 +46,11 @@ def test_what_is_damaged_is_done_again(place: Path, tmp_path: Path, table: str) 
     part.write_bytes(data)
     refused = run("fleet", "report", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    said = (
-        f"Error: fleet/{table}/{part.name}: is damaged, or of an earlier version; run the fleet again, which"
-    )
+    said = f"Error: fleet/{table}/{part.name}: is damaged or from an earlier version; run the fleet again"
     assert said in refused.stderr
     done = run("fleet", "run", "-o", "fleet", "--jobs", "1", cwd=tmp_path / "copy")
     assert done.returncode == 0, done.stderr
-    assert f"{part}: is damaged; what it held is done again" in done.stderr
+    assert f"{part}: is damaged; its logs are repeated" in done.stderr
     assert f"{1 if table != 'derived' else 0} log" in done.stderr
     assert store.damaged() == {}
     assert store.results().equals(whole.results())
@@ -68,7 +66,7 @@ def test_a_damaged_manifest_is_made_again_of_the_logs(place: Path, tmp_path: Pat
     manifest.write_bytes(manifest.read_bytes()[:-3])
     refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    assert "manifest.parquet: is damaged, or of an earlier version; remove it, and name the logs again" in (
+    assert "manifest.parquet: is damaged or from an earlier version; remove it and give the logs again" in (
         " ".join(refused.stderr.split())
     )
     manifest.unlink()
@@ -84,7 +82,7 @@ def test_damaged_settings_are_not_guessed(place: Path, tmp_path: Path) -> None:
     settings.write_text(settings.read_text(encoding="utf-8").replace("N + B", "N + K"), encoding="utf-8")
     refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    assert "settings.json: is damaged, or of an earlier version; start the fleet anew, with --fresh" in (
+    assert "settings.json: is damaged or from an earlier version; start the fleet again with --fresh" in (
         " ".join(refused.stderr.split())
     )
     done = run("fleet", "run", "logs", *LABELS, "--fresh", "--jobs", "1", cwd=tmp_path / "copy")

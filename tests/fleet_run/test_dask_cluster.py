@@ -59,5 +59,5 @@ def test_an_address_that_nobody_else_reaches_is_as_it_should_be(address: str) ->
 def test_an_address_that_others_may_reach_is_said(address: str) -> None:
     """Tasks are pickles: who can send one is the user of the workers."""
     said = unprotected(address)
-    assert said.startswith(f"{address}: is neither tls:// nor of this machine alone: whoever reaches it runs")
+    assert said.startswith(f"{address}: is neither tls:// nor local: anyone who reaches it can run programs")
     assert said.endswith("set up TLS in Dask's configuration, and give a tls:// address")

@@ -151,28 +151,28 @@ def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
         ({"timeout_s": float("nan")}, ValueError, "timeout_s nan, expected seconds above 0"),
         ({"model": "Z"}, ValueError, "Z"),
         ({"model": "auto"}, ValueError, "auto"),
-        ({"labels": "*.npz"}, ValueError, "no label; write such as"),
-        ({"labels": ""}, ValueError, "no label; write such as"),
+        ({"labels": "*.npz"}, ValueError, "no label; write for example"),
+        ({"labels": ""}, ValueError, "no label; write for example"),
         ({"manifest": ""}, imucal.ImucalError, "expected a CSV table"),
         (
             {"labels": "{temperature_c}/*/*/*.npz"},
             imucal.ImucalError,
             "temperature_c is '.*', expected a number",
         ),
-        ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has such a name"),
+        ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has this name"),
         ({"logs": None}, imucal.ReadError, "expected the folder of a fleet"),
         (
             {"logs": []},
             ValueError,
-            r"logs \[\], expected some; leave them out to go on",
+            r"logs \[\], expected at least one; omit them to continue",
         ),
-        ({"logs": [], "folder": "typed"}, ValueError, "expected some; leave them out"),
+        ({"logs": [], "folder": "typed"}, ValueError, "expected at least one; omit them"),
         (
             {"folder": "typed", "model": "N + K"},
             ValueError,
-            "/typed: holds fits with model N \\+ B \\+ K, found N \\+ K",
+            "/typed: contains fits with model N \\+ B \\+ K, found N \\+ K",
         ),
-        ({"folder": "logs"}, imucal.WriteError, "no fleet of imucal's; nothing was changed"),
+        ({"folder": "logs"}, imucal.WriteError, "no imucal fleet; nothing was changed"),
     ],
 )
 def test_slips(
@@ -233,4 +233,4 @@ def test_labels_may_be_said_later(folder: Path, monkeypatch: pytest.MonkeyPatch)
     again = imucal.run_fleet(folder="later", labels="beta/{unit}/*/*.npz", shard=(1, 1))
     assert not again.loose
     unlike = run("fleet", "run", "-o", "later", "--labels", "beta/{unit}/*/*.npz", "--dry-run", cwd=folder)
-    assert unlike.stderr.splitlines()[0].endswith(" of 3 logs do not fit beta/{unit}/*/*.npz")
+    assert unlike.stderr.splitlines()[0].endswith(" of 3 logs do not match beta/{unit}/*/*.npz")

@@ -71,5 +71,5 @@ def test_nobody_is_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a time without any worker the run ends, and says what to do."""
     monkeypatch.setattr(on_dask, "SILENCE_S", 0.0)
     assert run_of(Played(2)).room() == 2 * on_dask.WINDOW
-    with pytest.raises(EngineError, match=r"^here: scheduler or workers are gone; what was done is kept; st"):
+    with pytest.raises(EngineError, match=r"^here: scheduler or workers are gone; finished logs are kept"):
         run_of(Played(0)).room()

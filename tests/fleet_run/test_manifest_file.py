@@ -38,8 +38,8 @@ def test_labels_and_options_are_read(tmp_path: Path) -> None:
         ("file,unit\na,b\n", ":1: the headings are file, unit; expected each once, and 'path' among them"),
         ("path,path\na,b\n", ":1: the headings are path, path; expected each once"),
         ("path,unit\na\n", ":2: 1 cells, expected 2 as in the headings"),
-        ("path,unit\n,7\n", ":2: no path; expected that of a log"),
-        ("path\na\na\n", ":3: {folder}/a stands twice; expected one row a log"),
+        ("path,unit\n,7\n", ":2: no path; expected the path of a log"),
+        ("path\na\na\n", ":3: {folder}/a is duplicated; expected one row per log"),
         ("path,temperature_c\na,hot\n", ":2: column 'temperature_c' is 'hot', expected a number"),
         (
             "path,started\na,31.1.26\n",

@@ -33,11 +33,11 @@ def test_a_pattern_is_held_against_the_end_of_a_path(
 @pytest.mark.parametrize(
     ("pattern", "message"),
     [
-        ("*.mcap", "no label; write such as '{model}/{unit}/"),
-        ("{unit}/{unit}", "'unit' stands twice; give each label a name of its own"),
-        ("{unit/*", "a brace alone; write such as"),
-        ("{}/x", "'' is no name of a label; write such as {unit}"),
-        ("{path}/x", "'path' is no name of a label"),
+        ("*.mcap", "no label; write for example '{model}/{unit}/"),
+        ("{unit}/{unit}", "'unit' is duplicated; give each label its own name"),
+        ("{unit/*", "an unmatched brace; write for example"),
+        ("{}/x", "'' is not a label name; write for example {unit}"),
+        ("{path}/x", "'path' is not a label name"),
     ],
 )
 def test_a_pattern_that_can_not_be_meant_is_refused(pattern: str, message: str) -> None:

@@ -90,7 +90,7 @@ def test_refuses_what_is_not_a_sum_of_valued_terms(text: str, found: str) -> Non
 @pytest.mark.parametrize("text", ["N=1 + N=2", "K=1 + N=1 + K=1"])
 def test_refuses_a_repeated_term(text: str) -> None:
     """Two of a kind are one; only correlation times tell Gauss-Markov terms apart."""
-    with pytest.raises(ValueError, match=f"stands more than once; only {REPEATABLE} may"):
+    with pytest.raises(ValueError, match=f"appears more than once; only {REPEATABLE} may"):
         NoiseModel.parse(text)
 
 
@@ -111,7 +111,7 @@ def test_refuses_an_unknown_structure(text: str) -> None:
 
 def test_refuses_a_repeated_structure() -> None:
     """2*N is N."""
-    with pytest.raises(ValueError, match=f"N stands more than once; only {REPEATABLE} may"):
+    with pytest.raises(ValueError, match=f"N appears more than once; only {REPEATABLE} may"):
         parse_structure("2*N")
 
 
@@ -133,7 +133,7 @@ def test_values_may_have_the_names_of_others() -> None:
     """The same numbers; a term may not hide behind a second name."""
     model = NoiseModel.parse("ARW=1e-3 + bi=2e-5 + AR1(sigma=1e-4, T=50)")
     assert model.text() == NoiseModel.parse("N=1e-3 + B=2e-5 + GM(sigma=1e-4, T=50)").text()
-    with pytest.raises(ValueError, match="N stands more than once"):
+    with pytest.raises(ValueError, match="N appears more than once"):
         parse_structure("N + ARW")
 
 

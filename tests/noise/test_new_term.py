@@ -111,7 +111,7 @@ def test_it_is_parsed_written_and_added_up(text: str) -> None:
 
 def test_a_model_may_hold_it_as_often_as_it_says() -> None:
     """One sinusoid; several second-order terms, numbered."""
-    with pytest.raises(ValueError, match="S stands more than once; only GM and SGM may"):
+    with pytest.raises(ValueError, match="S appears more than once; only GM and SGM may"):
         parse_structure("2*S")
     assert term_keys(parse_structure("2*SGM + N")) == ("N", "SGM1", "SGM2")
     assert SecondOrder.parameter_names("SGM2") == ("SGM2.sigma", "SGM2.T")

@@ -162,14 +162,14 @@ def test_two_densities_share_one_curve() -> None:
 @pytest.mark.parametrize(
     ("psd", "sampled", "message"),
     [
-        (lambda f: f**-3.0, True, "towards a frequency of 0 the psd grows like 1/f^3 or more steeply"),
-        (lambda f: np.exp(1 / f), True, "towards a frequency of 0 the psd grows like 1/f^3"),
-        (lambda f: f**1.0, False, "towards a frequency of infinity the psd grows like f or more steeply"),
+        (lambda f: f**-3.0, True, "the psd grows like 1/f^3 or faster towards a frequency of 0"),
+        (lambda f: np.exp(1 / f), True, "the psd grows like 1/f^3 or faster towards a frequency of 0"),
+        (lambda f: f**1.0, False, "the psd grows like f or faster towards a frequency of infinity"),
         (lambda f: f - 0.3, True, "psd must be 0 or more everywhere, got -0.253125 at 0.046875 Hz"),
         (lambda f: np.sqrt(f * np.nan), True, "psd must be 0 or more everywhere, got nan at"),
         (lambda f: np.where(f > 0.2, np.inf, 1.0), True, "psd must be finite, got inf at 0.2"),
         (lambda _: 1.0, True, "psd must return shape (1,) for frequencies of that shape, got ()"),
-        (([1.0, 1.0], [1.0, 1.0]), True, "frequencies of a psd must rise, and be positive and finite"),
+        (([1.0, 1.0], [1.0, 1.0]), True, "frequencies of a psd must be positive, finite and increasing"),
         (([1.0], [1.0, 1.0]), True, "a psd of arrays must be two of one shape (k,), got (1,) and (2,)"),
         (([1.0, 2.0], [1.0, 0.0]), True, "psd given by points must be positive and finite, got 0 at 2 Hz"),
     ],
@@ -207,9 +207,9 @@ def test_refuses_an_impossible_period(tau0: float) -> None:
 @pytest.mark.parametrize(
     ("acvf", "message"),
     [
-        ([1.0, 1.5], "acvf is no autocovariance: 1.5 at lag 1 beside a variance of 1"),
-        ([-1.0], "acvf is no autocovariance: -1 at lag 0 beside a variance of -1"),
-        ([1.0, -0.9], "acvf is no autocovariance: the Allan variance at m = 4 would be -0.0312"),
+        ([1.0, 1.5], "acvf is not an autocovariance: 1.5 at lag 1, but the variance is 1"),
+        ([-1.0], "acvf is not an autocovariance: -1 at lag 0, but the variance is -1"),
+        ([1.0, -0.9], "acvf is not an autocovariance: the Allan variance at m = 4 would be -0.0312"),
         ([1.0, np.inf], "acvf must be finite, got inf at lag 1; a random walk has none: use its psd"),
         ([[1.0]], "acvf must have shape (k,) with at least lag 0, got (1, 1)"),
         ([], "acvf must have shape (k,) with at least lag 0, got (0,)"),

@@ -23,9 +23,9 @@ def test_each_part_has_its_panel() -> None:
     """The bias above, then every part but the level, named; a single part is the bias itself."""
     figure = bias_figure(_parts("N=1e-3 + B=5e-4 + K=1e-4 + R=1e-6"))
     top, *parts = figure.axes
-    assert top.get_ylabel() == "bias less its mean (deg/h)"
+    assert top.get_ylabel() == "bias minus its mean (deg/h)"
     assert [axes.texts[0].get_text() for axes in parts] == [
-        "B  bias instability", "K  rate random walk, less its mean", "R  rate ramp",
+        "B  bias instability", "K  rate random walk, minus its mean", "R  rate ramp",
     ]  # fmt: skip
     assert parts[-1].get_xlabel() == "time (s)"
     assert len(bias_figure(_parts("N=1e-3 + B=5e-4")).axes) == 1
@@ -36,8 +36,8 @@ def test_it_draws_what_was_found(factor: float, unit: str, size: float) -> None:
     """In data-sheet units, less the mean."""
     parts = _parts(f"N={factor:g} + B={factor / 2:g}", sensor="accelerometer", level=9.81)
     (axes,) = bias_figure(parts).axes
-    assert axes.get_ylabel() == f"bias less its mean ({unit})"
-    drawn = next(line for line in axes.lines if line.get_label() == "bias, given all samples")
+    assert axes.get_ylabel() == f"bias minus its mean ({unit})"
+    drawn = next(line for line in axes.lines if line.get_label() == "bias, estimated from all samples")
     scale = size / 9.80665
     place = np.unique(np.linspace(0, parts.n - 1, 1500).round().astype(int))
     expected = (parts.bias.value - parts.bias.value.mean())[place] * scale

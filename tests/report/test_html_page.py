@@ -120,7 +120,7 @@ def test_findings_with_the_same_advice_stand_together() -> None:
         "odd gyro_x All is odd. gyro_y is odd. gyro_z is odd. Look at it."
     ]
     calm = replace(report, axes=tuple(replace(axis, findings=()) for axis in report.axes[:2]), findings=())
-    assert "Nothing to remark" in findings_section(calm)
+    assert "No findings: no gap" in findings_section(calm)
 
 
 def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:

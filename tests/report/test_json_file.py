@@ -224,7 +224,7 @@ def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
             ("axes", 0, "curve", "adev"),
             [1.0],
             (
-                "r.json: axes[0].curve.adev: found a list of 1, expected 21 items as beside it; "
+                "r.json: axes[0].curve.adev: found a list of 1, expected 21 items, like the other lists; "
                 "write the report again"
             ),
         ),
@@ -244,7 +244,7 @@ def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
             (
                 "r.json: axes[0].fit.expression: found a model that can't be read ('x' is not a number; "
                 "write a sum such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'), expected a sum of "
-                "valued terms; write the report again"
+                "terms with values; write the report again"
             ),
         ),
         (
@@ -317,7 +317,7 @@ def test_settings_may_hold_what_numpy_and_paths_are() -> None:
         "p": "x/y",
         "n": [1.0, None],
     }
-    with pytest.raises(TypeError, match="has no place in a report"):
+    with pytest.raises(TypeError, match="can't be written to a report"):
         plain(object())
 
 
@@ -364,8 +364,8 @@ def _numbers(value: object) -> list[float]:
         ("fit", "a" * 39, f'found "{"a" * 39}…, expected an object'),
         ("fit", {}, "found no keys, expected the key 'parameters'"),
         ("curve.used", [0, 10], "found the index 10, expected less than 10"),
-        ("curve.m", [1, 2], "found a list of 2, expected 10 items as beside it"),
-        ("curve.tau_s", [1.0, 1.0], "found averaging times that do not rise, expected rising ones"),
+        ("curve.m", [1, 2], "found a list of 2, expected 10 items, like the other lists"),
+        ("curve.tau_s", [1.0, 1.0], "found averaging times that do not increase, expected increasing ones"),
         ("fit.goodness.band_hz", [1, 2, 3], "found [1, 2, 3], expected a list of two numbers"),
         ("fit.covariance", [], "found [], expected 1 rows"),
         ("fit.terms.N.status", "bounded", "a value that fits 'bounded'"),

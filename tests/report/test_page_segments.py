@@ -93,7 +93,7 @@ def test_the_picture_has_a_bar_with_limits_for_each_segment_and_row() -> None:
     assert len(re.findall('class="whole"', drawn)) == 1
     assert 'role="img"' in drawn
     assert "floor (Allan deviation at 100 s)" in drawn
-    assert "Not the same in all parts: N (" in drawn
+    assert "Changes between the parts: N (" in drawn
     assert ">0 h<" in drawn
     assert ">4 h<" in drawn
     only = figure(changing(consumer_report(), floor=False).axes[0])
@@ -111,7 +111,7 @@ def test_higher_is_larger() -> None:
 
 def test_a_stationary_axis_has_its_picture_and_no_word_of_change() -> None:
     """Chance is not pointed at."""
-    assert "Not the same" not in figure(changing(consumer_report(), q=2.0).axes[0])
+    assert "Changes between" not in figure(changing(consumer_report(), q=2.0).axes[0])
 
 
 def test_the_page_holds_the_picture_of_those_axes_that_have_segments() -> None:

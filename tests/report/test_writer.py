@@ -117,19 +117,19 @@ def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
     [
         (
             ["thesis.tex"],
-            "{out}: holds thesis.tex but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains thesis.tex but no imucal report; nothing was changed; choose another folder",
         ),
         (
             ["a", "b", "c", "d"],
-            "{out}: holds a, b, c, … but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains a, b, c, … but no imucal report; nothing was changed; choose another folder",
         ),
         (
             ["gyro_x.png"],
-            "{out}: holds gyro_x.png but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains gyro_x.png but no imucal report; nothing was changed; choose another folder",
         ),
         (
             ["report.json"],
-            "{out}: holds report.json but no report of imucal's; nothing was changed; choose another folder",
+            "{out}: contains report.json but no imucal report; nothing was changed; choose another folder",
         ),
     ],
 )
@@ -299,8 +299,8 @@ def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.Mon
     with pytest.raises(WriteError) as caught:
         write_report(small_report(), old, formats=(), html=False)
     assert str(caught.value) == (
-        f"{old}: only 0 of 3 files were replaced: Input/output error; report.json says that the report is "
-        "incomplete; write it again"
+        f"{old}: only 0 of 3 files were replaced: Input/output error; the report is incomplete; "
+        "write it again"
     )
 
 

@@ -223,12 +223,12 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
      ("The IMU was moved near the end of the log: 197.5 to 198.5 s (gyro_x, gyro_y and gyro_z; "
      "a shift of the level).")),
     (handled, "error", "motion", None,
-     ("The IMU was not at rest: it moved 8 times, 40% of the log; the longest time "
-     "without one is 29.5 s.")),
+     ("The IMU was not at rest: it moved 8 times, 40% of the log; the longest rest "
+     "is 29.5 s.")),
     (turned, "error", "motion", None,
-     "The IMU was turned by up to 90 degrees, mostly near 89.0 s: gravity points elsewhere then."),
+     "The IMU was turned by up to 90 degrees, mostly near 89.0 s: the direction of gravity changes."),
     (held, "error", "motion", None,
-     ("The IMU was not at rest: between 0.5 and 10 Hz gyro_y moves by 0.00982 rad/s (0.562 deg/s) rms, "
+     ("The IMU was not at rest: gyro_y moves by 0.00982 rad/s (0.562 deg/s) rms between 0.5 and 10 Hz, "
      "as in a hand or on a running machine.")),
     (carried_without_gravity, "error", "motion", None,
      ("The IMU was not at rest: accel_x has a standard deviation of 1.05 m/s^2 (107 mg), and the "
@@ -243,19 +243,19 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (dead, "error", "stuck", "gyro_y", "gyro_y never changes: all of its 20000 samples are 0.1 rad/s."),
     (unfilled, "error", "no-data", "accel_x",
      "accel_x is 0 in all of its 20000 samples: the driver does not fill it."),
-    (without_finite, "error", "no-data", "gyro_x", "gyro_x holds no finite sample."),
+    (without_finite, "error", "no-data", "gyro_x", "gyro_x has no finite sample."),
     (broken, "warning", "not-finite", "gyro_x",
      ("51 samples of gyro_x (0.0026 of all) are NaN, infinite or absurdly large "
      "and left out.")),
     (clipped, "warning", "saturated", "accel_z",
-     "accel_z lies on its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
+     "accel_z is at its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
     (coarse, "warning", "coarse-lsb", "gyro_x",
      ("The steps of gyro_x, 0.004 rad/s (0.229 deg/s), are coarse: its noise is about 0.4 LSB, and rounding "
      "distorts N and hides slow changes.")),
     (in_g, "warning", "unit-suspect", "accel",
-     "|a| is 1 at rest, where m/s^2 would give 9.8: the unit looks like g."),
+     "|a| is 1 at rest, expected 9.8 in m/s^2: the unit looks like g."),
     (in_mg, "warning", "unit-suspect", "accel",
-     "|a| is 1000 at rest, where m/s^2 would give 9.8: the unit looks like mg."),
+     "|a| is 1000 at rest, expected 9.8 in m/s^2: the unit looks like mg."),
     (in_deg, "warning", "unit-suspect", "gyro",
      ("The gyroscope may not be in rad/s: its noise, 0.0086 rad/s/sqrt(Hz), is more than gyroscopes have; "
      "in deg/s it would be 0.00015 rad/s/sqrt(Hz).")),
@@ -264,22 +264,22 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (in_deg_of_131, "warning", "unit-suspect", "gyro",
      "The gyroscope may not be in rad/s: its steps of 0.0076336 are a usual LSB in deg/s."),
     (as_counts, "warning", "unit-suspect", "gyro",
-     "The gyroscope may not be in rad/s: all its values are whole numbers, as raw counts are."),
+     "The gyroscope may not be in rad/s: all its values are whole numbers, like raw counts."),
     (biased_in_deg, "warning", "unit-suspect", "gyro",
      "The gyroscope may not be in rad/s: it shows 0.87 at rest, 50 deg/s if in rad/s."),
     (swapped, "error", "swapped-sensors", None,
-     "At rest the gyroscope shows 9.81, as gravity would, and the accelerometer 0.011: the two are swapped."),
+     "The gyroscope shows 9.81 at rest, like gravity, and the accelerometer 0.011: the two are swapped."),
     (copied, "error", "duplicate-axes", None,
-     "gyro_x and gyro_z hold the same samples with the sign turned (correlation -1.000)."),
+     "gyro_x and gyro_z contain the same samples with opposite sign (correlation -1.000)."),
     (humming, "warning", "tone", "gyro_z",
-     ("gyro_z holds a tone, which bends the Allan curve: 0.00102 rad/s (0.0586 deg/s) at 31.25 Hz, "
+     ("gyro_z has a tone, which bends the Allan curve: 0.00102 rad/s (0.0586 deg/s) at 31.25 Hz, "
      "perhaps a fan or motor at 1875 rpm, or a folded higher tone.")),
     (repeated, "warning", "held-samples", "gyro",
-     ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
-     "about 50 of them new.")),
+     ("50.0% of the gyroscope samples repeat the previous one on all axes: the log has 100 samples "
+     "per second, about 50 of them new.")),
     (filled_in, "warning", "interpolated-samples", "gyro",
-     ("5.0% of the gyroscope samples lie exactly midway between their neighbours on all axes: the driver or "
-     "a converter has interpolated lost samples. N is that of the log with these samples, about 3.8% above "
+     ("5.0% of the gyroscope samples are exactly midway between their neighbours on all axes: the driver or "
+     "a converter has interpolated lost samples. N includes these samples and is about 3.8% above "
      "the sensor's own.")),
     (weightless, "warning", "no-gravity", "accel",
      "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
@@ -399,7 +399,7 @@ def test_a_rate_that_no_imu_has_is_an_error(rate_hz: float, word: str) -> None:
     """Stamps in ms that were taken for s, and the other way round; once for both sensors."""
     found_here = screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))
     (finding,) = (f for f in found_here if f.code == "absurd-rate")
-    assert finding.text == f"The samples come at {rate_hz:.4g} Hz: no IMU is so {word}."
+    assert finding.text == f"The samples come at {rate_hz:.4g} Hz: no IMU is that {word}."
     assert (finding.level, finding.axis) == ("error", None)
 
 
@@ -409,7 +409,7 @@ def test_a_rate_of_bench_instruments_is_a_warning(rate_hz: float) -> None:
     found_here = screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))
     (finding,) = (f for f in found_here if f.code.endswith("-rate"))
     assert (finding.level, finding.code, finding.axis) == ("warning", "fast-rate", None)
-    assert finding.text == f"The samples come at {rate_hz:.4g} Hz: no MEMS sensor is so fast."
+    assert finding.text == f"The samples come at {rate_hz:.4g} Hz: no MEMS sensor is that fast."
     assert grade_of(finding) == "look"
 
 

@@ -47,7 +47,7 @@ def fit_gmwm(
         needed = len(structure) + sum(map(is_timed, structure))
         if points.size < needed:
             msg = (
-                f"{series.name if series else 'the curve'}: {points.size} averaging times can't tell the "
+                f"{series.name if series else 'the curve'}: {points.size} averaging times are too few for "
                 f"{needed} parameters of {structure_text(structure)}; record for longer or leave terms out"
             )
             raise DataError(msg)
@@ -111,22 +111,19 @@ def _findings(
     findings: list[Finding] = []
     if not points.known_n:
         said = (
-            f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
-            "the least that gives the longest averaging time."
+            f"The length of the record is unknown. The intervals assume {2 * last:.4g} s, the shortest that "
+            "allows the longest averaging time."
         )
         long = "Give the number of samples for narrower intervals."
         findings.append(Finding("info", "record-length-unknown", said, long, axis=axis))
     if dropped:
         said = (
-            f"No model describes averaging times below {first:.4g} s, as behind an output filter; "
-            "the curve was fitted from there."
+            f"No model describes averaging times below {first:.4g} s, as with an output filter; the fit "
+            "starts there."
         )
         findings.append(Finding("warning", "short-times", said, axis=axis))
     if fit.statistic >= MISFIT:
-        said = (
-            f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} times "
-            "what noise gives."
-        )
+        said = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f}, expected 1."
         advice = "Look at the curve and the spectrum before using the numbers."
         findings.append(Finding("warning", "poor-fit", said, advice, axis=axis))
     if " + " in text:
@@ -137,6 +134,6 @@ def _findings(
         advice = "Use the default, `--method mle`." if series else "Fit the log itself if you have it."
         findings.append(Finding("warning", "narrow-intervals", said, advice, axis=axis))
     if series is not None and series.clock.missing:
-        said = "The intervals of a fit of the curve count missing samples, not where they are missing."
+        said = "The intervals of a curve fit allow for the number of missing samples, not for their times."
         findings.append(Finding("info", "gaps-in-curve", said, axis=axis))
     return tuple(findings)

@@ -221,7 +221,7 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     where = series.name if series is not None else "the curve"
     if curve.estimator not in {"overlapping", "standard"}:
         msg = (
-            f"{where}: is of {curve.estimator} variances; a fit needs Allan variances, overlapping or "
+            f"{where}: contains {curve.estimator} variances; a fit needs Allan variances, overlapping or "
             "standard: compute those"
         )
         raise DataError(msg)

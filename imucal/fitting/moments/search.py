@@ -72,10 +72,7 @@ def whitening(covariance: FloatArray) -> FloatArray:
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
-        msg = (
-            "the covariance of the Allan variances is not that of any noise; expected noise, look at the "
-            "samples"
-        )
+        msg = "no noise has this covariance of the Allan variances; expected noise, look at the samples"
         raise DataError(msg)
     deviation = np.sqrt(variance)
     correlation = covariance / np.outer(deviation, deviation) + 1e-6 * np.eye(deviation.size)
@@ -83,8 +80,8 @@ def whitening(covariance: FloatArray) -> FloatArray:
         factor = np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError as error:
         msg = (
-            "the Allan variances fall or rise as those of no noise do, so their covariance has no "
-            "inverse; expected noise, look at the samples"
+            "no noise has Allan variances that rise or fall like these, so their covariance has no inverse; "
+            "expected noise, look at the samples"
         )
         raise DataError(msg) from error
     return np.asarray(np.linalg.solve(factor, np.diag(1 / deviation)), dtype=np.float64)

@@ -172,15 +172,12 @@ def filter_finding(
         change = 10 * float(np.log10(_fitted_response(fitted, band)[1][-1]))
         why = "a resonance or a vibration" if change > 0 else "an output filter"
         text = (
-            f"The spectrum is not flat where its noise is white ({change:+.1f} dB at {top:.4g} Hz: {why}); "
-            f"a response is fitted with the noise up to {top:.4g} Hz."
+            f"The white part of the spectrum is not flat ({change:+.1f} dB at {top:.4g} Hz: {why}); a "
+            f"response is fitted with the noise up to {top:.4g} Hz."
         )
     else:
-        text = (
-            f"Above {top:.4g} Hz an output filter, or a vibration, shapes the spectrum; "
-            "the fit uses what is below."
-        )
-    advice = "The model is that of the noise before the filter, right at times beyond the filter's."
+        text = f"A filter or a vibration shapes the spectrum above {top:.4g} Hz; the fit uses the rest."
+    advice = "The model describes the noise before the filter, at times longer than the filter's."
     if band.masked:
         return (_two_readings(fitted, band, response, rate_hz=rate_hz, axis=axis),)
     return (Finding("info", "output-filter", text, advice, axis=axis),)

@@ -330,8 +330,8 @@ def scale_of(series: AxisSeries) -> float:
         raise no_noise(series)
     if bends <= max(_STRAIGHT * size / largest, 8 * np.finfo(np.float64).eps):
         msg = (
-            f"{series.name}: all {samples.size} samples lie on one straight line, expected noise; "
-            "check that the column holds a measurement and not a counter"
+            f"{series.name}: all {samples.size} samples are on one straight line, expected noise; check that "
+            "the column holds a measurement and not a counter"
         )
         raise DataError(msg)
     return float(2.0 ** np.round(np.log2(size)))
@@ -366,8 +366,8 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     runs, lost = _runs(series)
     if not runs:
         msg = (
-            f"{series.name}: no run of {_FEWEST} samples without a long gap among {series.n}; "
-            "expected a recording that is mostly unbroken"
+            f"{series.name}: no run of {_FEWEST} samples without a long gap in {series.n} samples; expected "
+            "a recording with few gaps"
         )
         raise DataError(msg)
     blocks: list[Block] = []
@@ -452,9 +452,9 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     if len(runs) > 1:
         parts.append(f"the likelihoods of {len(runs)} blocks between long gaps are multiplied")
     if completed == 1:
-        parts.append("one missing sample in short gaps is completed by its expectation")
+        parts.append("one missing sample in short gaps is replaced by its expected value")
     elif completed:
-        parts.append(f"{completed} missing samples in short gaps are completed by their expectation")
+        parts.append(f"{completed} missing samples in short gaps are replaced by their expected values")
     if lost:
         parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
     text = f"The fit allows for gaps: {'; '.join(parts)}."

@@ -494,10 +494,10 @@ def _temperature_finding(
     lag = f", with a lag of {one.value * series.tau0:.3g} s" if one.value else ""
     text = f"The axis follows the temperature ({_amount(one, series, scale)} per degree C{lag})"
     if fitted:
-        text += "; a linear effect is taken out with the fit"
+        text += "; the fit removes a linear effect"
         advice = "Use the noise model together with a temperature compensation."
     else:
-        advice = "Record at a steady temperature, or compensate first; K and B hold the temperature's drift."
+        advice = "Record at a steady temperature, or compensate first; K and B include the thermal drift."
     level: Level = "info" if fitted else "warning"
     return Finding(level, "temperature", f"{text}.", advice, axis=series.name)
 
@@ -505,7 +505,7 @@ def _temperature_finding(
 def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, fitted: bool) -> Finding:
     (one,) = found
     time = one.value * series.tau0
-    end = "; this drift is taken out with the fit" if fitted else ": a warm-up"
+    end = "; the fit removes this drift" if fitted else ": a warm-up"
     settled, length = _SETTLED * time, series.duration_s
     keep_s = (round(settled, 1), round(length, 1)) if settled < length / 2 else None
     text = f"The axis settles exponentially, with a time constant of {time:.3g} s{end}."
@@ -536,7 +536,7 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *,
     ]
     several = len(shifts) > 1
     stays = "" if several else " and stays there"
-    taken_out = f"; the {'jumps are' if several else 'jump is'} taken out with the fit" if fitted else ""
+    taken_out = f"; the fit removes the jump{'s' * several}" if fitted else ""
     ends = np.array([0.0, *times, series.duration_s])
     longest = int(np.argmax(np.diff(ends)))
     keep_s = (round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1))
@@ -546,9 +546,9 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *,
 
 
 def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
-    taken_out = "; taken out with the fit" if fitted else ""
+    taken_out = "; the fit removes it" if fitted else ""
     text = f"The axis swings with a period of {_periods(found, series, scale)}{taken_out}."
-    advice = "Look for a heating or cooling that switches, and record at a steady temperature."
+    advice = "Look for a heater or cooler that switches, and record at a steady temperature."
     return Finding("warning", "cycle", text, advice, axis=series.name)
 
 
@@ -577,13 +577,13 @@ def doubtful_finding(
     advice = (
         "Let the sensor warm up, leave out the first part (--skip), or record for longer."
         if shapes
-        else "Record for longer to see whether it goes on."
+        else "Record for longer to see whether it continues."
     )
     if cycles:
         shapes.append(f"a cycle with a period of {_periods(cycles, series, scale)}")
     text = (
-        f"There may be {' and '.join(shapes)}, or a random walk that looks like it: the record does not tell "
-        "them apart. The limits of N, B and K allow for both."
+        f"There may be {' and '.join(shapes)}, or a random walk that looks like it: the record can't "
+        "distinguish them. The limits of N, B and K allow for both."
     )
     return (Finding("info", code, text, advice, axis=series.name),)
 

@@ -96,8 +96,8 @@ def hump_finding(hump: Hump, *, rate_hz: float, axis: str, fitted: bool) -> Find
     """Return the warning for a hump; if it is not `fitted`, nothing was left out."""
     low, high = hump.low * rate_hz / 2, hump.high * rate_hz / 2
     text = (
-        f"Between {low:.3g} and {high:.3g} Hz the density is up to {hump.times:.2g} times that of the noise: "
-        "a vibration or a sway."
+        f"The density between {low:.3g} and {high:.3g} Hz is up to {hump.times:.2g} times the noise: a "
+        "vibration or a sway."
     )
     if fitted:
         text += " The fit leaves these frequencies out; the Allan curve contains them."

@@ -144,7 +144,7 @@ def fit_mle(
     if settings.verify:
         findings += findings_or_why_not(
             lambda: verify_findings(series, model, names, covariance),
-            what="The exact likelihood verifies nothing",
+            what="The exact likelihood was not computed",
             code="verified",
             axis=series.name,
         )
@@ -271,10 +271,10 @@ def _misfit_findings(
     if found.statistic < MISFIT:
         return ()
     wider = ", ".join(f"{symbol} {factor:.3g}" for symbol, factor in misfits.items() if factor > 1)
-    allow = f" Intervals are wider to allow for that: {wider} times." if wider else ""
+    allow = f" The intervals are wider to allow for it: {wider} times." if wider else ""
     text = (
-        f"{model} does not describe this axis: the squared residuals of its spectrum are "
-        f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).{allow}"
+        f"{model} does not describe this axis: the mean squared residual of its spectrum is "
+        f"{found.chi2_per_bin:.3g}, expected 1 (score {found.statistic:.1f}).{allow}"
     )
-    advice = "Look at the spectrum for what is not noise of these kinds."
+    advice = "Look for vibration, tones and other disturbances in the spectrum."
     return (Finding("warning", "model-misfit", text, advice, axis=axis),)

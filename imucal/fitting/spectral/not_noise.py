@@ -64,12 +64,12 @@ def find_shapes(
     nothing: tuple[Disturbance, ...] = ()
     say = {"code": "not-checked", "axis": series.name}
     levels, no_levels = try_side_work(
-        lambda: find_telegraph(series), None, what="No look for two levels", **say
+        lambda: find_telegraph(series), None, what="No search for two levels", **say
     )
     (found, doubtful), no_shapes = try_side_work(
         lambda: find_disturbances(blocks.blocks, steps=levels is None, exact=exact_places(series)),
         (nothing, nothing),
-        what="No look for steps and cycles",
+        what="No search for steps and cycles",
         **say,
     )
     said = telegraph_finding(levels, series)
@@ -88,7 +88,7 @@ def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ..
     )
     more = f" and {len(lines) - _NAMED} weaker ones" if len(lines) > _NAMED else ""
     text = f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit."
-    advice = "Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines."
+    advice = "Look for a motor, a fan or mains near the sensor; the Allan curve still contains the lines."
     return (Finding("info", "line", text, advice, axis=series.name),)
 
 
@@ -114,7 +114,7 @@ def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> t
     count = f"{len(lines)} tones" if many else "a tone"
     effect = f", which {'bend' if many else 'bends'} the Allan curve" if visible else ""
     level: Level = "warning" if visible else "info"
-    text = f"{series.name} holds {count}{effect}: {'; '.join(named)}."
+    text = f"{series.name} has {count}{effect}: {'; '.join(named)}."
     advice = "Remove the source and record again; the fit leaves lines out." if visible else ""
     return (Finding(level, "tone", text, advice, axis=series.name),)
 
@@ -155,8 +155,8 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
         )
     elif not band.flat:
         text = (
-            f"Near {band.fraction * nyquist:.3g} Hz and above an output filter, or a vibration, shapes the "
-            f"density of {series.name}, sampled at {series.rate_hz:.4g} Hz."
+            f"An output filter or a vibration shapes the density of {series.name} near "
+            f"{band.fraction * nyquist:.3g} Hz and above, sampled at {series.rate_hz:.4g} Hz."
         )
     else:
         return ()

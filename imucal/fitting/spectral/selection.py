@@ -148,14 +148,14 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
     if len(near) > 1:
         others = ", ".join(f"{c.structure} (+{c.delta:.1f})" for c in near[1:])
         text = (
-            f"The record does not tell {near[0].structure} from {others}: {_difference(choice, len(near))}."
+            f"The record can't separate {near[0].structure} from {others}: {_difference(choice, len(near))}."
         )
         advice = "Record for longer, or give the model if it is known."
         findings.append(Finding("info", "model-choice", text, advice, axis=axis))
     if choice.modes[0] < _AS_GOOD / 2:
         text = (
-            f"{near[0].structure} explains the record in two ways about as well; "
-            "the better one is reported, and its intervals do not cover the other."
+            f"{near[0].structure} fits the record about equally well with two sets of coefficients. The "
+            "better one is reported; its intervals do not cover the other."
         )
         advice = "Record for longer, or give a simpler model."
         findings.append(Finding("warning", "two-maxima", text, advice, axis=axis))
@@ -169,7 +169,7 @@ def _difference(choice: RankedModels, count: int) -> str:
     if not unsure:
         counts = {s: {structure.count(s) for structure in choice.structures[:count]} for s in sets[0]}
         symbol, numbers = next((s, found) for s, found in counts.items() if len(found) > 1)
-        return f"between {min(numbers)} and {max(numbers)} {symbol} terms"
+        return f"it may have {min(numbers)} to {max(numbers)} {symbol} terms"
     if len(unsure) == 1:
-        return f"{unsure[0]} may or may not be there"
+        return f"{unsure[0]} may or may not be present"
     return f"it can't distinguish {', '.join(unsure[:-1])} and {unsure[-1]}"

@@ -154,7 +154,7 @@ def _spectra(ordinates: Ordinates, kind: type[NoiseTerm], times: FloatArray) -> 
     if not (np.all(shapes >= 0) and np.all(np.isfinite(shapes)) and np.all(shapes.max(axis=1) > 0)):
         msg = (
             f"method 'mle' can't fit {kind.symbol} ({kind.names[0]}): its psd is 0, negative or not finite, "
-            f"expected a density that a spectrum shows; leave {kind.symbol} out"
+            f"expected a positive density; leave {kind.symbol} out"
         )
         raise ValueError(msg)
     return np.maximum(shapes, _TINY)

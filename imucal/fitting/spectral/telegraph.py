@@ -206,11 +206,11 @@ def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Find
         return ()
     size, often = f"{found.amplitude:.3g} {pretty(series.unit)}", f"every {found.dwell_s:.3g} s on average"
     if found.sawtooth:
-        text = f"The level ramps and jumps back, by some {size} and {often}, as the estimate of a bias does."
-        advice = "Record the samples without the device's own bias estimate; the fit takes it for B or GM."
+        text = f"The level ramps and jumps back by about {size}, {often}, like a bias estimate."
+        advice = "Record the samples without the device's own bias estimate; the fit reports it as B or GM."
         return (Finding("warning", "sawtooth", text, advice, axis=series.name),)
-    text = f"The level jumps to and fro between two values, ±{size}, {often}: random telegraph noise."
-    advice = "The fit takes it for B or GM: its spectrum is right, but no Gaussian noise jumps."
+    text = f"The level jumps between two values, ±{size}, {often}: random telegraph noise."
+    advice = "The fit describes it by B or GM: the spectrum is right, but Gaussian noise does not jump."
     return (Finding("warning", "telegraph", text, advice, axis=series.name),)
 
 

@@ -46,7 +46,7 @@ def find_target(name: str) -> Target:
         near = [target.name for key, target in by_key.items() if _is_slip(name_key(name), key)]
         meant = f"did you mean {near[0]}? " if near else ""
         said = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
-        raise ValueError(f"no downstream format {name!r}; {said}there are {', '.join(TARGETS)}")
+        raise ValueError(f"no downstream format {name!r}; {said}choose one of {', '.join(TARGETS)}")
     return found
 
 
@@ -86,7 +86,7 @@ def _make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{path}: can't be made a folder: {error.strerror or error}; choose another place"
+        msg = f"{path}: can't be created: {error.strerror or error}; choose another place"
         raise WriteError(msg) from error
 
 

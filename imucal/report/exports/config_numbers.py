@@ -126,7 +126,7 @@ class Number:
         text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
         if not self.alternatives:
             return text
-        return f"{text}; {' or '.join((self.symbol, *self.alternatives))}: this record can't tell which"
+        return f"{text}; {' or '.join((self.symbol, *self.alternatives))}: this record can't distinguish them"
 
     def _certainty(self) -> str:
         if self.origin:
@@ -141,7 +141,7 @@ class Number:
         text = f", UPPER BOUND ({level}): the data do not show this term"
         if not self.excess:
             return text
-        return f"{text}; {self.excess:.2g} x its line that touches the measured curve"
+        return f"{text}; {self.excess:.2g} x the line that touches the measured curve"
 
 
 @frozen
@@ -414,23 +414,23 @@ class Numbers:
         # An IMU of a message that holds several is chosen as /topic:part; only the topic is ROS's.
         topic = source.topics[0].partition(":")[0]
         if len(source.topics) > 1:
-            return topic, f"one of {', '.join(source.topics)}; set the topic that holds both sensors"
+            return topic, f"one of {', '.join(source.topics)}; set the topic with both sensors"
         return topic, "the log's topic"
 
     def _positive(self, value: float, symbol: str, name: str) -> float:
         if math.isfinite(value) and value > 0:
             return value
         msg = (
-            f"{self.report.source.path}: {name}: {symbol} is {value}, "
-            f"but {self.target} needs a positive number; choose another axis, or a model that has it"
+            f"{self.report.source.path}: {name}: {symbol} is {value}, but {self.target} needs a positive "
+            "number; choose another axis, or a model with this term"
         )
         raise DataError(msg)
 
     def _missing(self, what: str) -> DataError:
         found = ", ".join(axis.name for axis in self.report.axes) or "no axis"
         msg = (
-            f"{self.report.source.path}: no {what}, which {self.target} needs; found {found}; "
-            "use a log that holds both sensors with all their axes"
+            f"{self.report.source.path}: no {what}, which {self.target} needs; found {found}; use a log with "
+            "all axes of both sensors"
         )
         return DataError(msg)
 

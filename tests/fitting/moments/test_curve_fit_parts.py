@@ -159,19 +159,14 @@ def test_each_finding_of_a_curve_stands_alone() -> None:
     assert _said(statistic=2.99) == []
     assert _said(known=False) == [
         (
-            "How long the record was is not known; intervals take it to be 8 s, the least that gives the "
+            "The length of the record is unknown. The intervals assume 8 s, the shortest that allows the "
             "longest averaging time."
         )
     ]
     assert _said(dropped=1) == [
-        (
-            "No model describes averaging times below 2 s, as behind an output filter; the curve was fitted "
-            "from there."
-        )
+        ("No model describes averaging times below 2 s, as with an output filter; the fit starts there.")
     ]
-    assert _said(statistic=3.0) == [
-        "N + K does not describe the curve: its misfit is 7.2 times what noise gives."
-    ]
+    assert _said(statistic=3.0) == ["N + K does not describe the curve: its misfit is 7.2, expected 1."]
 
 
 def test_correlation_times_of_a_grid_span_the_curve() -> None:

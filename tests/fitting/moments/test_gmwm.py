@@ -262,7 +262,7 @@ def test_refuses_more_parameters_than_points() -> None:
     curve = simulated_curve("N=1", 16, np.random.default_rng(1))
     with pytest.raises(
         DataError,
-        match=r"^the curve: 3 averaging times can't tell the 4 parameters of N \+ GM \+ K; "
+        match=r"^the curve: 3 averaging times are too few for 4 parameters of N \+ GM \+ K; "
         r"record for longer or leave terms out$",
     ):
         fit_gmwm(None, curve, FitSettings(model="N + GM + K"))
@@ -271,7 +271,9 @@ def test_refuses_more_parameters_than_points() -> None:
 def test_refuses_other_variances() -> None:
     """A Hadamard curve is not taken for an Allan curve."""
     curve = simulated_curve("N=1", 64, np.random.default_rng(1))
-    with pytest.raises(DataError, match=r"^the curve: is of hadamard variances; a fit needs Allan variances"):
+    with pytest.raises(
+        DataError, match=r"^the curve: contains hadamard variances; a fit needs Allan variances"
+    ):
         fit_gmwm(None, replace(curve, estimator="hadamard"), FitSettings())
 
 

@@ -78,8 +78,8 @@ def test_a_misfit_from_a_score_of_three_is_said(statistic: float, *, said: bool)
     assert [f.text for f in found] == (
         [
             (
-                "N=1 + K=2 does not describe this axis: the squared residuals of its spectrum are 1.23 on "
-                "average where 1 is expected (score 3.0). Intervals are wider to allow for that: "
+                "N=1 + K=2 does not describe this axis: the mean squared residual of its spectrum is "
+                "1.23, expected 1 (score 3.0). The intervals are wider to allow for it: "
                 "N 1.3, B 2 times."
             )
         ]
@@ -172,7 +172,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
             0.5,
             (0, 0),
             False,
-            "Above 25 Hz an output filter, or a vibration, shapes the spectrum; the fit uses what is below.",
+            "A filter or a vibration shapes the spectrum above 25 Hz; the fit uses the rest.",
         ),
         (
             3.0,
@@ -190,7 +190,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
             (1, 0),
             False,
             (
-                "The spectrum is not flat where its noise is white (+3.0 dB at 50 Hz: a resonance or a "
+                "The white part of the spectrum is not flat (+3.0 dB at 50 Hz: a resonance or a "
                 "vibration); a response is fitted with the noise up to 50 Hz."
             ),
         ),
@@ -200,7 +200,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
             (1, 0),
             False,
             (
-                "The spectrum is not flat where its noise is white (-1.8 dB at 50 Hz: an output filter); "
+                "The white part of the spectrum is not flat (-1.8 dB at 50 Hz: an output filter); "
                 "a response is fitted with the noise up to 50 Hz."
             ),
         ),
@@ -209,7 +209,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
             1.0,
             (0, 0),
             False,
-            "Above 50 Hz an output filter, or a vibration, shapes the spectrum; the fit uses what is below.",
+            "A filter or a vibration shapes the spectrum above 50 Hz; the fit uses the rest.",
         ),
     ],
 )

@@ -73,7 +73,7 @@ def test_long_gaps_part_blocks_and_short_ones_are_completed() -> None:
     assert [block.bins.n for block in found.blocks] == [10_000, N - 10_500]
     assert found.findings[0].text == (
         "The fit allows for gaps: the likelihoods of 2 blocks between long gaps are multiplied; "
-        "10 missing samples in short gaps are completed by their expectation."
+        "10 missing samples in short gaps are replaced by their expected values."
     )
 
 
@@ -122,8 +122,7 @@ def test_refuses_a_record_of_fragments() -> None:
     with pytest.raises(DataError) as caught:
         make_blocks(series_of(samples))
     assert str(caught.value) == (
-        "gyro_x: no run of 64 samples without a long gap among 600; "
-        "expected a recording that is mostly unbroken"
+        "gyro_x: no run of 64 samples without a long gap in 600 samples; expected a recording with few gaps"
     )
 
 
@@ -160,7 +159,7 @@ def test_one_missing_sample_is_spoken_of_as_one() -> None:
     assert [block.bins.n for block in found.blocks] == [500, 64]
     assert found.findings[0].text == (
         "The fit allows for gaps: the likelihoods of 2 blocks between long gaps are multiplied; "
-        "one missing sample in short gaps is completed by its expectation."
+        "one missing sample in short gaps is replaced by its expected value."
     )
     assert (found.findings[0].level, found.findings[0].axis) == ("info", "gyro_x")
 
@@ -202,7 +201,7 @@ def test_at_most_48_blocks_and_the_longest_gaps_part_them() -> None:
         (
             3 * np.arange(64.0),
             (
-                "gyro_x: all 64 samples lie on one straight line, expected noise; "
+                "gyro_x: all 64 samples are on one straight line, expected noise; "
                 "check that the column holds a measurement and not a counter"
             ),
         ),
@@ -225,7 +224,7 @@ def test_a_bend_of_a_hundred_millionth_is_noise_and_one_of_a_hundredth_of_that_i
     """A ramp of steps of 1 with one sample off the line by so much."""
     ramp = np.arange(100.0)
     assert scale_of(series_of(ramp + 1e-8 * (ramp == 50))) == 1.0
-    with pytest.raises(DataError, match="lie on one straight line"):
+    with pytest.raises(DataError, match="are on one straight line"):
         scale_of(series_of(ramp + 1e-10 * (ramp == 50)))
 
 

@@ -68,5 +68,5 @@ def test_maximum_is_that_of_the_exact_likelihood(text: str) -> None:
     assert parse_structure(structure) == tuple(term.symbol for term in result.model.terms)
     assert max(found.values()) < 0.2 if "GM" in text else max(found.values()) < 0.1
     finding = verify_findings(series, result.model, result.parameters, result.covariance)[0]
-    assert finding.text.startswith("The exact state-space likelihood has its maximum ")
+    assert finding.text.startswith("The maximum of the exact state-space likelihood is up to ")
     assert finding.level == "info"

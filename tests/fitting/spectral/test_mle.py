@@ -221,6 +221,6 @@ def test_a_straight_line_is_no_measurement(offset: float, slope: float) -> None:
     with pytest.raises(DataError) as caught:
         fitted(offset + slope * np.arange(2000.0))
     assert str(caught.value) == (
-        "gyro_x: all 2000 samples lie on one straight line, expected noise; "
+        "gyro_x: all 2000 samples are on one straight line, expected noise; "
         "check that the column holds a measurement and not a counter"
     )

@@ -115,7 +115,8 @@ def test_says_which_terms_stand_for_one_another() -> None:
     result = fitted(simulated("N=1 + B=0.15", 6000, 3))
     if len(result.candidates) > 1:
         finding = next(f for f in result.findings if f.code == "model-choice")
-        assert finding.text.startswith(f"The record does not tell {result.candidates[0].structure} from ")
+        first = result.candidates[0].structure
+        assert finding.text.startswith(f"The record can't separate {first} from ")
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,7 @@ def _models(structures: list[Structure], criterion: list[float], second: float =
     [
         ([("N",)], [3.0], None),
         ([("N",), ("N", "K")], [3.0, 9.5], None),
-        ([("N",), ("N", "K")], [3.0, 9.0], "N from N + K (+6.0): K may or may not be there."),
+        ([("N",), ("N", "K")], [3.0, 9.0], "N from N + K (+6.0): K may or may not be present."),
         (
             [("N", "B"), ("N", "K"), ("N", "GM"), ("Q", "N")],
             [3.0, 4.0, 8.5, 20.0],
@@ -188,7 +189,7 @@ def _models(structures: list[Structure], criterion: list[float], second: float =
         (
             [("N", "GM"), ("N", "GM", "GM")],
             [0.0, 2.5],
-            "N + GM from N + 2*GM (+2.5): between 1 and 2 GM terms.",
+            "N + GM from N + 2*GM (+2.5): it may have 1 to 2 GM terms.",
         ),
     ],
 )
@@ -202,7 +203,7 @@ def test_models_that_do_as_well_are_named_with_what_they_differ_in(
         return
     (finding,) = findings
     assert (finding.level, finding.code, finding.axis) == ("info", "model-choice", "gyro_x")
-    assert finding.text == f"The record does not tell {text}"
+    assert finding.text == f"The record can't separate {text}"
 
 
 @pytest.mark.parametrize(("second", "said"), [(1.9, True), (2.0, False), (np.inf, False)])

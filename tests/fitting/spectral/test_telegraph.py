@@ -43,7 +43,7 @@ def test_the_finding_is_a_warning_and_no_step_is_taken_out() -> None:
     fit = fitted(samples, rate_hz=10.0)
     (finding,) = [finding for finding in fit.findings if finding.code == "telegraph"]
     assert finding.level == "warning"
-    assert finding.text.startswith("The level jumps to and fro between two values, ±")
+    assert finding.text.startswith("The level jumps between two values, ±")
     assert float(finding.text.partition("±")[2].split()[0]) == pytest.approx(2, rel=0.1)
     assert not any(finding.code == "step" for finding in fit.findings)
     assert fit.taken_out == {}
@@ -65,7 +65,7 @@ def test_a_sawtooth_is_no_telegraph(way: float) -> None:
             named += 1
             (finding,) = telegraph_finding(found, series)
             assert (finding.level, finding.code) == ("warning", "sawtooth")
-            assert finding.text.startswith("The level ramps and jumps back, by some ")
+            assert finding.text.startswith("The level ramps and jumps back by about ")
     assert named >= 2
 
 
