@@ -51,7 +51,7 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
     if not path.exists() or path.is_dir():
         return
     if not path.is_file():
-        raise WriteError(f"{path}: is not a regular file; choose another place")
+        raise WriteError(f"{path}: not a regular file; choose another place")
     if ours is None:
         return
     try:

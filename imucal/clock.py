@@ -22,7 +22,7 @@ def seconds_of(text: str | float) -> float:
     except ValueError:
         seconds = np.nan
     if not 0 <= seconds < np.inf:
-        raise ArgumentError(f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h")
+        raise ArgumentError(f"{text!r} is not a duration; write seconds, or for example 90s, 5min, 2.5h")
     return seconds
 
 

@@ -149,7 +149,7 @@ def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator
     for what, found in pairs.items():
         for one, other in sorted(found):
             if one != other and GIVEN not in (one, other):
-                yield f"A was {what} {one}, B {what} {other}; differences may come from that"
+                yield f"A was {what} {one}, B {what} {other}; this may cause differences"
 
 
 def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[Difference]:

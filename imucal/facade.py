@@ -118,12 +118,12 @@ def fit(
     """
     if unknown := [name for name in options if name not in FitOptions.__annotations__]:
         known = ", ".join(FitOptions.__annotations__)
-        msg = f"fit: there is no option {unknown[0]!r}, expected one of {known}; {_ONE_AXIS}"
+        msg = f"fit: there is no option {unknown[0]!r}; expected one of {known}; {_ONE_AXIS}"
         raise ArgumentError(msg)
     with _refusals():
         if isinstance(source, Recording):
             if rate_hz is not None:
-                msg = "a recording has its own rate; leave rate_hz out, or read the log with rate_hz"
+                msg = "a recording has a rate already; omit rate_hz, or give it to imucal.read"
                 raise ArgumentError(msg)
             return characterize(source, Settings(**options))
         if not isinstance(source, AxisSeries | AllanCurve):
@@ -146,7 +146,7 @@ def _own_samples(samples: "ArrayLike", rate_hz: float | None, sensor: str) -> Ax
         msg = f"samples must have shape (n,), got {array.shape}; give one axis, such as samples[:, 0]"
         raise ArgumentError(msg)
     if rate_hz is None:
-        msg = "an array has no sampling rate of its own; give it, such as imucal.fit(samples, rate_hz=200.0)"
+        msg = "an array has no sampling rate; give one, such as imucal.fit(samples, rate_hz=200.0)"
         raise ArgumentError(msg)
     return AxisSeries.from_samples(array, rate_hz=rate_hz, sensor=sensor)
 
@@ -305,7 +305,7 @@ def simulate(
     with _refusals():
         length = seconds_of(duration)
         if not (rate_hz > 0 and length * rate_hz >= 1):
-            msg = f"{length:g} s at {rate_hz:g} Hz hold no sample; type simulate(model, rate_hz=200.0)"
+            msg = f"{length:g} s at {rate_hz:g} Hz give no sample; type simulate(model, rate_hz=200.0)"
             raise ArgumentError(msg)
         gyro, accel = (
             NoiseModel.parse(text, sensor) if isinstance(text, str) else text

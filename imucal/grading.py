@@ -82,9 +82,9 @@ def remedy(findings: Iterable[Finding]) -> str:
     """Return what to do with a log that is not noise, in a few words for the end of a message."""
     moved = [finding for finding in findings if is_motion(finding)]
     if any(finding.advice.endswith(RESTS) for finding in moved):
-        return "fit what is at rest with --rests"
+        return "fit the rests with --rests"
     kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
-    return f"fit the rest with {options_to_keep(kept)}" if kept else "record again at rest, or --force"
+    return f"fit the quiet part with {options_to_keep(kept)}" if kept else "record again at rest, or --force"
 
 
 def unit_option(findings: Iterable[Finding], reading: Mapping[str, object]) -> str:
@@ -123,7 +123,7 @@ def judge_findings(
     noise = _noise(sound, len(axes), errors or {})
     if grade == "good":
         good = "Good for N; too short for B and K" if too_short else "Good"
-        sentence = f"{good}: {noise or 'no finding speaks against it'}"
+        sentence = f"{good}: {noise or 'no problem found'}"
     elif grade == "look":
         sentence = f"Look first: {reasons}{f'; {noise}' if sound else ''}"
     else:

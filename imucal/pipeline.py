@@ -135,7 +135,7 @@ def characterize(
     axes = [axis for axis in found if isinstance(axis, AxisReport)]
     failures = [failure for failure in found if isinstance(failure, Finding)]
     if not axes:
-        reasons = _reasons(failures) or "the log holds no samples"
+        reasons = _reasons(failures) or "the log has no samples"
         raise DataError(f"{recording.source.path}: no axis can be analysed: {reasons}")
     report = Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
@@ -192,7 +192,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
         finite = series.finite()
         found = findings_or_why_not(
             lambda: not_noise(finite, _temperature_at(finite, recording.temperature)),
-            what="No look for what is not noise",
+            what="The search for disturbances failed",
             code="not-checked",
             axis=series.name,
         )
@@ -270,12 +270,12 @@ def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Fi
         *result.findings,
         *findings_or_why_not(
             lambda: resolution_findings(result, series.n * series.tau0),
-            what="How long a record would do is not known",
+            what="The required record length is unknown",
             code="record-length",
         ),
         *findings_or_why_not(
             lambda: ambiguity_findings(result, density, series.name),
-            what="What the curve can't tell is not known",
+            what="The ambiguity of the curve is unknown",
             code="spectral-ambiguity",
         ),
     )
@@ -290,12 +290,12 @@ def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | Non
         series = clean(series)[0]
     return findings_or_why_not(
         lambda: second_opinion(first, fit_of_curve(series, first, temperature)),
-        what="The Allan curve gives no second opinion",
+        what="The fit of the Allan curve failed",
         code="second-opinion",
         axis=series.name,
     ) + findings_or_why_not(
         lambda: self_check(series, first, temperature),
-        what="Whether one half predicts the other is not known",
+        what="The prediction of one half from the other failed",
         code="predicts-badly",
         axis=series.name,
     )

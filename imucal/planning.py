@@ -162,7 +162,7 @@ def plan(
     elif isinstance(source, NoiseFit):
         axes = (_fit_plan(source, ask(source.rate_hz, None)),)
     elif rate_hz is None:
-        raise ArgumentError("a model has no sampling rate of its own; give rate_hz")
+        raise ArgumentError("a model has no sampling rate; give rate_hz")
     else:
         axes = (_axis_plan(source, [(term, False) for term in source.terms], ask(rate_hz, None)),)
     return Plan(precision=precision, level=level, axes=axes)

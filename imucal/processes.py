@@ -449,7 +449,7 @@ def try_side_work(
 
     That it can't judge some data, as a DataError or a failed calculation says, is a finding. A fault of the
     program is one too, so that it costs nobody hours of data; with IMUCAL_DEBUG set it is raised instead.
-    Its sentence begins with `what`, such as ``The Allan curve gives no second opinion``.
+    Its sentence begins with `what`, such as ``The fit of the Allan curve failed``.
     """
     try:
         return make(), ()

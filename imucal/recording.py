@@ -324,7 +324,9 @@ class Recording(Displayed):
         rates = {one.rate_hz for one in self.series}
         if len(rates) != 1:
             found = ", ".join(f"{one.name} {one.rate_hz:.6g} Hz" for one in self.series) or "no axis"
-            raise DataError(f"{self.source.path}: no common rate: {found}; ask an axis: recording['gyro_x']")
+            raise DataError(
+                f"{self.source.path}: no common rate: {found}; choose an axis: recording['gyro_x']"
+            )
         return rates.pop()
 
     @property

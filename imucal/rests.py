@@ -75,8 +75,8 @@ def at_rest(recording: Recording) -> Recording:
     if not rests:
         longest = max((one.length_s for one in stretches), default=0.0)
         msg = (
-            f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in {time(duration)}, the "
-            f"longest being {time(longest)}; let the IMU stand still for longer"
+            f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in {time(duration)}, "
+            f"the longest being {time(longest)}; leave the IMU alone for longer"
         )
         raise DataError(msg)
     first = rests[0].start_s
@@ -171,9 +171,9 @@ def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[
 #: Why a stretch is not used -> what the finding says of such.
 _WORDS = {
     "short": f"shorter than {_SHORTEST_S:g} s",
-    "shaken": "with louder noise than the quietest, as while an engine runs",
-    "turned": "in which the gyroscope turned steadily",
-    "beyond": f"beyond the {_MOST} longest",
+    "shaken": "with more noise than the quietest, as from a running engine",
+    "turned": "with a steady rotation",
+    "beyond": f"not among the {_MOST} longest",
 }
 
 
@@ -183,13 +183,13 @@ def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration:
     begins = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
     moving = duration - sum(one.length_s for one in stretches)
     text = (
-        f"The fit is over {_rests(len(rests))}, {time(total)} of {time(duration)}, which begin at {begins}. "
-        "Each has its own level, and nothing spans two."
+        f"The fit uses {_rests(len(rests))}, {time(total)} of {time(duration)}, starting at {begins}. Each "
+        "rest has its own level; no average spans two rests."
     )
     if left := "; ".join(_left_out(stretches, moving)):
         text += f" Left out: {left}."
     if rests[0].start_s > 0:
-        text += f" Other times count from {rests[0].start_s:.1f} s, where the first begins."
+        text += f" Other times count from the start of the first rest, {rests[0].start_s:.1f} s."
     return Finding("info", "rests", text)
 
 
@@ -199,7 +199,7 @@ def _rests(count: int) -> str:
 
 def _left_out(stretches: Sequence[_Stretch], moving: float) -> Iterator[str]:
     if moving > 0:
-        yield f"{time(moving)} moved or shaken"
+        yield f"{time(moving)} of motion or vibration"
     for why, words in _WORDS.items():
         own = [one.length_s for one in stretches if one.why == why]
         if own:

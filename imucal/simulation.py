@@ -71,7 +71,7 @@ def simulate_recording(
         for start, length in gaps_s:
             keep[part] &= ~((seconds >= start) & (seconds < start + length))
     if not keep.any():
-        raise ArgumentError("the gaps leave no samples")
+        raise ArgumentError("the gaps remove all samples")
     even = Clock.even(n, rate_hz, source="simulated")
     clock = replace(even, start_ns=START_NS, jitter_s=0.0).keeping(keep)
     room = Room()
@@ -124,7 +124,7 @@ def write_log(recording: Recording, path: Path) -> None:
         known = ", ".join(suffix or "none (a folder)" for suffix in WRITERS)
         raise WriteError(f"{path}: unknown log suffix {path.suffix!r}; expected one of {known}")
     if path.exists():
-        msg = f"{path}: exists already; a log is never overwritten, choose another name or remove it"
+        msg = f"{path}: exists already; choose another name, or remove it"
         raise WriteError(msg)
     with replacing(path) as scratch:
         writer(scratch, _rows(recording))

@@ -245,7 +245,7 @@ def _evaluated(node: ast.expr) -> _Unit:
             return _evaluated(left) ** float(ast.unparse(right))
         case ast.Call(ast.Name("sqrt"), [inside]):
             return _evaluated(inside) ** 0.5
-    raise ValueError(f"{ast.unparse(node)} is no unit")
+    raise ValueError(f"{ast.unparse(node)} is not a unit")
 
 
 def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:

@@ -59,7 +59,7 @@ def test_somebody_elses_file_is_not_replaced(tmp_path: Path) -> None:
 def test_a_device_is_not_replaced() -> None:
     """Moving a file onto it would remove it."""
     with (
-        pytest.raises(WriteError, match="/dev/null: is not a regular file; choose another place"),
+        pytest.raises(WriteError, match="/dev/null: not a regular file; choose another place"),
         replacing(Path("/dev/null")),
     ):
         pass

@@ -169,7 +169,7 @@ def test_reports_made_otherwise_are_noted() -> None:
     a = small_report()
     b = replace(a, axes=(axis_report(GYRO, "x", "N=1e-3", bounds={"B": 1e-4, "K": 1e-4}, rate_hz=100.0),))
     assert compare(a, b).notes == (
-        "A was sampled at 200 Hz, B sampled at 100 Hz; differences may come from that",
+        "A was sampled at 200 Hz, B sampled at 100 Hz; this may cause differences",
     )
     assert compare(a, a).notes == ()
 

@@ -70,7 +70,7 @@ def test_a_good_recording_says_how_well_n_is_known() -> None:
     assert sentence() == "Good: 6 of 6 axes are stationary noise"
     one = judge_findings([], ["gyro_x"], errors={"gyro_x": 0.12})
     assert one.sentence == "Good: 1 of 1 axis is stationary noise, N to ±12 %"
-    assert judge_findings([], []).sentence == "Good: no finding speaks against it"
+    assert judge_findings([], []).sentence == "Good: no problem found"
 
 
 def test_remarks_change_nothing() -> None:

@@ -43,9 +43,7 @@ def test_the_notebook_of_the_docs_runs(tmp_path: Path) -> None:
     assert kinds.count("image/png") == 3
     assert kinds.count("text/html") >= 7
     said = [output.text for output in outputs if output.output_type == "stream"]
-    assert said == [
-        "an array has no sampling rate of its own; give it, such as imucal.fit(samples, rate_hz=200.0)\n"
-    ]
+    assert said == ["an array has no sampling rate; give one, such as imucal.fit(samples, rate_hz=200.0)\n"]
     texts = [output["data"]["text/plain"] for output in outputs if "data" in output]
     assert max(len(text.splitlines()) for text in texts) <= 20
     assert (tmp_path / "imu.yaml").is_file()

@@ -127,7 +127,7 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
     (finding,) = [f for f in report.axes[0].findings if f.code == "second-opinion"]
     assert finding.axis == "gyro_x"
     assert finding.text == (
-        "The Allan curve gives no second opinion: an output filter or lines dominate the Allan variance; "
+        "The fit of the Allan curve failed: an output filter or lines dominate the Allan variance; "
         "found 0 averaging times that show the noise, expected at least 4; record for longer."
     )
 

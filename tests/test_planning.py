@@ -218,7 +218,7 @@ def test_times_have_two_digits(seconds: float, text: str) -> None:
 def test_refuses_what_can_t_be_planned() -> None:
     """A model without a rate, and a precision of nothing."""
     model = NoiseModel.parse("N=1")
-    with pytest.raises(ValueError, match="a model has no sampling rate of its own; give rate_hz"):
+    with pytest.raises(ValueError, match="a model has no sampling rate; give rate_hz"):
         plan(model)
     with pytest.raises(ValueError, match="precision must be positive and level between 0 and 1, got 0 and"):
         plan(model, rate_hz=100, precision=0)

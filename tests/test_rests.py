@@ -73,9 +73,9 @@ def test_rests_are_found_clear_of_the_motion() -> None:
     assert np.all((begin - starts[kept] > 1.5) & (begin - starts[kept] < 5))
     assert np.all((true_end - end > 1.5) & (true_end - end < 5))
     text = said(rests)
-    assert text.startswith("The fit is over 3 rests, ")
+    assert text.startswith("The fit uses 3 rests, ")
     assert "1 rest shorter than 20 s" in text
-    assert "moved or shaken" in text
+    assert "of motion or vibration" in text
     for at in begin:
         assert f"{at:.1f} s" in text
     # One clock is one object.
@@ -123,16 +123,16 @@ def test_what_is_louder_or_turning_is_no_rest() -> None:
     values[spans[0]] += rng.normal(size=(60 * int(RATE), 6)) * 6e-3
     values[spans[2], 2] += 0.1
     text = said(imucal.at_rest(recording_of(values)))
-    assert text.startswith("The fit is over 2 rests, ")
-    assert "1 rest with louder noise than the quietest" in text
-    assert "1 rest in which the gyroscope turned steadily" in text
+    assert text.startswith("The fit uses 2 rests, ")
+    assert "1 rest with more noise than the quietest" in text
+    assert "1 rest with a steady rotation" in text
 
 
 def test_of_many_rests_the_longest_are_taken() -> None:
     """As many as a fit keeps apart."""
     rests = imucal.at_rest(drive([*np.linspace(30, 40, 55)], moving_s=8.0)[0])
     assert len(rests.series[0].clock.segments) == 48
-    assert "7 rests beyond the 48 longest" in said(rests)
+    assert "7 rests not among the 48 longest" in said(rests)
     assert imucal.fit(rests.series[0], model="N")["N"].low <= 1e-3 <= imucal.fit(rests.series[0])["N"].high
 
 
@@ -141,7 +141,7 @@ def test_a_log_at_rest_is_one_rest() -> None:
     rng = np.random.default_rng(8)
     still = recording_of(rng.normal(size=(6000, 6)) * 1e-3 + [0, 0, 0, 0, 0, 9.8])
     rests = imucal.at_rest(still)
-    assert said(rests).startswith("The fit is over 1 rest, 120 s of 120 s, which begin at 0.0 s (120 s)")
+    assert said(rests).startswith("The fit uses 1 rest, 120 s of 120 s, starting at 0.0 s (120 s)")
     assert rests.series[0].n == 6000
     assert imucal.fit(rests.series[0])["N"] == imucal.fit(still.series[0])["N"]
 
@@ -153,7 +153,7 @@ def test_an_axis_that_is_dead_hides_no_rest() -> None:
     values[:, 1] = 0.0
     values[::97, 4] = np.nan
     rests = imucal.at_rest(recording_of(values))
-    assert said(rests).startswith("The fit is over 2 rests, ")
+    assert said(rests).startswith("The fit uses 2 rests, ")
     assert [series.n for series in rests.series[:4]] == [rests.series[0].n] * 4
     assert 0 < rests.series[4].n < rests.series[0].n
 
@@ -176,14 +176,11 @@ def test_a_moved_log_prints_no_numbers_but_what_to_do(tmp_path: Path) -> None:
     assert done.stdout == "Not noise: the IMU was moved; do not use these numbers\n"
     assert "[motion]" in done.stderr
     assert "[model-misfit]" not in done.stderr
-    assert (
-        "moved; do not use these numbers; nothing was written; fit what is at rest with --rests"
-        in done.stderr
-    )
+    assert "moved; do not use these numbers; nothing was written; fit the rests with --rests" in done.stderr
     told = run(*command, "--rests", "-o", "out", "--no-html", "--format", "svg", cwd=tmp_path)
     assert told.returncode == 0
     assert "N  angle random walk" in told.stdout
-    assert "The fit is over 2 rests, " in " ".join(told.stderr.split())
+    assert "The fit uses 2 rests, " in " ".join(told.stderr.split())
     report = imucal.load_report(tmp_path / "out")
     assert report.settings["reading"] == {"rests": True}
     assert [finding.code for finding in report.findings if finding.code == "rests"] == ["rests"]

@@ -98,8 +98,8 @@ def test_a_second_opinion_costs_no_result(
     (axis,) = characterize(_one_axis()).axes
     assert axis.fit["N"].value == pytest.approx(0.1, rel=0.1)
     texts = {finding.code: finding.text for finding in axis.findings}
-    assert texts["second-opinion"] == f"The Allan curve gives no second opinion: {said}."
-    assert texts["record-length"].startswith("How long a record would do is not known: ")
+    assert texts["second-opinion"] == f"The fit of the Allan curve failed: {said}."
+    assert texts["record-length"].startswith("The required record length is unknown: ")
 
 
 @pytest.mark.usefixtures("as_a_user")

@@ -168,7 +168,7 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     most = max(counts.values())
     if not most:
         known = ", ".join(name for name in counts if TARGETS[name].keys)
-        raise LimitsError(f"{path}: found no key of a noise parameter, expected the file of one of {known}")
+        raise LimitsError(f"{path}: found no noise parameter; expected a file of one of {known}")
     return [TARGETS[name] for name, count in counts.items() if count == most]
 
 
@@ -180,9 +180,9 @@ def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: flo
             continue
         same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
         instead = "" if same else setting.with_number(real(rate_hz))
-        text = f"{setting.place('log')} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
+        text = f"{setting.place('log')} is {setting.numbers[0]:g} Hz, and the log has {rate_hz:g} Hz"
         if instead:
-            text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
+            text += f"; unless the IMU has another rate than the log, write '{instead}'"
         verdict: Verdict = "undecided" if instead else "pass"
         yield Row("log", setting.name, verdict, text, instead=instead)
 
@@ -202,7 +202,7 @@ def _noise_rows(
     for key, i, setting in there:
         short = key.sensor.short
         if key.sensor not in numbers.sensors:
-            text = f"{short}: {setting.name}: the report has no {key.sensor}; check against one that has"
+            text = f"{short}: {setting.name}: the report has no {key.sensor}; use a report with one"
             yield Row(short, setting.name, "undecided", text)
             continue
         mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol]
@@ -277,7 +277,7 @@ class _Wanted:
     def judge(self, number: float) -> tuple[Verdict, str]:
         """Return the verdict on a number, and what is to be said of it, if anything."""
         if not 0 < number < math.inf:
-            return "fail", "expected a positive number: no filter takes another"
+            return "fail", "expected a positive number"
         over = (number / self.right) ** (1 / self.key.formula.power)
         slip = self._slip(number)
         if over < _ENOUGH:
@@ -292,16 +292,16 @@ class _Wanted:
         times = f"{self.right / number:.3g} times too small"
         limits = Caution.at(LEVEL, self.axes[0].fit.level) if len(self.axes) == 1 else MEAN
         if self._covers(c, limits):
-            return "pass", "less than is needed alone, but with the sensor's other number it is enough"
+            return "pass", "too small alone, but the file's other number makes up for it"
         if over > _FAR_BELOW_A_BOUND and self._covers(c, _VALUES):
-            said = "unless a term is smaller that the record only bounds; record for longer"
+            said = "unless a term is below its upper bound; record for longer"
             return "undecided", f"{times}, {said}"
         own = self.fitted.get(symbol, 0.0)
-        below = "below the pair that covers the fitted spectrum"
+        below = "below the values that cover the fitted spectrum"
         if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
             return "fail", f"{times}: {symbol} of the fit alone is {below}"
         if over < _ABSURD:
-            return "fail", f"{times}, absurd: {slip or 'no sensor is so good'}"
+            return "fail", f"{times}, absurd: {slip or 'no sensor is this good'}"
         return "fail", f"{times}: {slip or below}"
 
     def _covers(self, c: float, caution: Caution) -> bool:
@@ -351,7 +351,7 @@ class _Wanted:
             turned = (
                 f"g into SI twice{_ON_HABIT}" if key.sensor is Sensor.ACCELEROMETER else "deg/s into SI twice"
             )
-            slips[f"it was turned from {turned}"] = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
+            slips[f"it was converted from {turned}"] = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
             for said, other in slips.items():
                 by = formula.inverse(other, f) / c
                 size = abs(math.log(by))

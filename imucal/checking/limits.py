@@ -129,7 +129,7 @@ def text_of(path: Path, expected: str) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise LimitsError(f"{path}: can't be read ({reason}), expected {expected}") from error
+        raise LimitsError(f"{path}: can't be read ({reason}); expected {expected}") from error
 
 
 def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None) -> Limits:
@@ -140,7 +140,7 @@ def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None)
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        msg = f"{name}: not TOML ({error}), expected limits such as [gyroscope] N = {{ max = 1e-4 }}"
+        msg = f"{name}: not valid TOML ({error}); expected limits such as [gyroscope] N = {{ max = 1e-4 }}"
         raise LimitsError(msg) from error
     file = _Value(document, name)
     sections: dict[str, object] = {section: {} for section in _SECTIONS}
@@ -187,7 +187,7 @@ def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> It
         both: tuple[tuple[Side, _Value], ...] = (("min", least), ("max", most))
         sides = {side: each.number() for side, each in both if each.value is not None}
         if not sides:
-            asked.refuse("neither min nor max", "expected one of them, such as { max = 1e-4 }")
+            asked.refuse("neither min nor max", "expected a limit, such as { max = 1e-4 }")
         if sides.get("min", -math.inf) > sides.get("max", math.inf):
             asked.refuse("min is above max", "swap them")
         for side, value in sides.items():

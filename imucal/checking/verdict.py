@@ -97,11 +97,11 @@ def judge(
     """Return the verdict on one limit, in `unit` as `measured` is; that is None of what the model lacks."""
     verdict: Verdict = "undecided"
     if measured is None:
-        text = f"the model has no {subject}, and no bound on it; fit a model with it, or remove the limit"
+        text = f"the model has no {subject} and no bound for it; fit a model with it, or remove the limit"
     else:
         most, beyond, up = ("largest", "above", 1) if side == "max" else ("smallest", "below", -1)
         allowed = f"the {most} allowed, {limit:.6g}"
-        said = f"the interval holds {allowed}; record for longer to decide"
+        said = f"the interval contains {allowed}; record for longer to decide"
         near, far = (measured.low, measured.high)[::up]
         if up * far <= up * limit:
             verdict, said = "pass", f"not {beyond} {allowed}"
@@ -139,7 +139,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
 
 def _older(rules: Baseline) -> Report:
     if rules.report is None:
-        msg = "the limits have a baseline, but no older report was given; name one in the limits file"
+        msg = "the limits have a baseline without a report; name one in the limits file"
         raise LimitsError(msg)
     return load(rules.report)
 
@@ -154,11 +154,11 @@ def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
     for name in dict.fromkeys(limit.where for limit in limits.limits):
         if "_" not in name and not _axes_of(report, name):
             where = Sensor(name).short if name in tuple(Sensor) else name
-            yield Row(where, "axes", "fail", f"{name}: the report has no axis of it; found {found}")
+            yield Row(where, "axes", "fail", f"{name}: the report has no axis of this sensor; found {found}")
     for sensor, axes in limits.required.items():
         asked = {f"{sensor.short}_{axis}" for axis in axes}
         if asked <= there:
-            text = f"{sensor}: {', '.join(sorted(asked))} are there"
+            text = f"{sensor}: {', '.join(sorted(asked))} are present"
             yield Row(sensor.short, "axes", "pass", text)
 
 
@@ -226,7 +226,7 @@ def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) 
     for key, measured in measure(now, symbol):
         subject = f"{key} / baseline"
         if key not in old:
-            text = f"{now.name}: {key} is not in the baseline's model"
+            text = f"{now.name}: the baseline's model has no {key}"
             yield Row(now.name, subject, "undecided", text)
             continue
         ratio = Quantity.exactly(1.0) if same else relative(measured, old[key])

@@ -72,7 +72,7 @@ class LazyGroup(click.Group):
             purpose, command = self._of_a_log
             # What stands behind the question mark of a URL may be a secret.
             name = shown(name) if is_url(name) else name
-            hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
+            hint = f"to {purpose}, type '{ctx.command_path} {command} {shlex.quote(name)}'"
         else:
             hint = f"expected one of {', '.join(self.table)}"
         raise click.UsageError(f"No such command {name!r}; {hint}", ctx)
@@ -108,15 +108,15 @@ def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
 COMMANDS: dict[str, tuple[str, str]] = {
     "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
-    "info": ("info", "Say what is in a log: topics, rates, duration, units, gaps."),
-    "decompose": ("decompose", "Draw what the bias of every axis did: its smoothed parts."),
+    "info": ("info", "List the topics, rates, duration, units and gaps of a log."),
+    "decompose": ("decompose", "Draw the bias of every axis over time, and its parts."),
     "adev": ("adev", "Print the Allan deviations of every axis as CSV or JSON."),
-    "simulate": ("simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
-    "plan": ("plan", "Say how long to record for a wanted precision."),
+    "simulate": ("simulate", "Write a log with known noise (CSV, MCAP, ROS 1 or ROS 2 bag)."),
+    "plan": ("plan", "Compute how long to record for a given precision."),
     "calibrate": ("calibrate", "Find bias, scale and misalignment from a log of rests and turns."),
-    "drift": ("drift", "Say how far dead reckoning drifts after a rest, with limits."),
-    "check": ("check", "Pass or fail a report or a log against limits (the CI gate)."),
-    "compare": ("compare", "Say which terms of two reports differ significantly."),
+    "drift": ("drift", "Predict the drift of dead reckoning after a rest."),
+    "check": ("check", "Check a report or a log against limits, for CI."),
+    "compare": ("compare", "Find the terms of two reports that differ significantly."),
     "export": ("export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
     "fleet": ("fleet", "Characterise many logs of many units: run, status, report."),
     "completion": ("completion", "Print the shell's completion script (bash, zsh, fish)."),
@@ -161,13 +161,13 @@ def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> No
     is_eager=True,
     expose_value=False,
     callback=_print_version,
-    help="Say which imucal this is.",
+    help="Print the version of imucal.",
 )
 def imucal() -> None:
     """Turn a recording of an IMU at rest into a noise model.
 
-    The main job is `imucal fit LOG`: it reads the log, computes the Allan curves, fits every
-    axis and writes a report.
+    Start with `imucal fit LOG`: it reads the log, computes the Allan curves, fits every axis
+    and writes a report.
     """
 
 
@@ -216,7 +216,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
             return _explain(error, as_json=as_json)
         _drop_output()
-        return _explain(WriteError(f"standard output: can't be written: {error.strerror}; free some space"))
+        return _explain(WriteError(f"can't write to standard output: {error.strerror}; free some space"))
     except (Exception, KeyboardInterrupt) as error:
         if os.environ.get("IMUCAL_DEBUG"):
             raise
@@ -238,14 +238,14 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
             message, code = said.getvalue().rstrip(), error.exit_code
         case ChoiceError():
             hint = options_for(str(error))
-            message, code = f"Error: {error}" + (f"\nSay it with {hint}." if hint else ""), error.exit_code
+            message, code = f"Error: {error}" + (f"\nUse {hint}." if hint else ""), error.exit_code
         case ImucalError():
             message, code = f"Error: {error}", error.exit_code
         case click.Abort() | KeyboardInterrupt():
-            message, code = "Interrupted; nothing was left half written.", 130
+            message, code = "Interrupted; no file is incomplete.", 130
         case MemoryError():
             message, code = (
-                "Error: out of memory; use a part of the log (--skip, --take)",
+                "Error: out of memory; read a part of the log (--skip, --take)",
                 DataError.exit_code,
             )
         case _:
@@ -292,8 +292,8 @@ def _version_lines() -> str:
     except PackageNotFoundError:
         return lines[0]
     lines += [
-        f"The distribution {OTHER} {other}, another project's, is installed too:",
-        "its files and these are mixed in one folder.",
+        f"The distribution {OTHER} {other}, of another project, is installed too:",
+        "its files and imucal's are in one folder.",
         f"Type: pip uninstall {OTHER} {OURS}, and install {OURS} again.",
     ]
     return "\n".join(lines)

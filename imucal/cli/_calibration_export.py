@@ -32,7 +32,7 @@ def require_noise_targets(names: tuple[str, ...], source: str) -> None:
                 find_target(name)
         except ValueError:
             misuse(
-                f"{name} is about a calibration, but {source} is none; run 'imucal calibrate' on a log",
+                f"{name} is for a calibration, and {source} is not one; run 'imucal calibrate' on a log",
                 "--to",
             )
 
@@ -52,7 +52,7 @@ def _texts(
         except DataError as error:
             if not every:
                 raise
-            say(f"{target.name} is left out: {error}")
+            say(f"{target.name} is not written: {error}")
     return texts
 
 
@@ -64,7 +64,7 @@ def export_calibration(path: Path, names: tuple[str, ...], out: Path | None, opt
     several = "all" in names or len(texts) > 1
     if out == Path("-"):
         if several:
-            misuse("standard output takes one format; give a folder", "-o")
+            misuse("standard output takes one format; name a folder", "-o")
         click.echo(next(iter(texts.values())), nl=False)
         return
     place = (out or Path("imucal-exports")) if several else out or Path()
@@ -72,7 +72,9 @@ def export_calibration(path: Path, names: tuple[str, ...], out: Path | None, opt
         try:
             place.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise WriteError(f"{place}: can't be made a folder: {error.strerror}; choose another") from error
+            raise WriteError(
+                f"{place}: can't create this folder: {error.strerror}; choose another"
+            ) from error
     for target, text in texts.items():
         echo(str(write_target(target, text, place)))
     if noise is None and any(target.noise for target in texts):

@@ -48,20 +48,20 @@ def _lines(found: RestsPlan, latitude: float | None) -> Iterator[str]:
         f"{count} rests of {duration(found.rest_s)}, {duration(found.duration_s)} with the turns"
     )
     yield ""
-    yield from wrapped("Expected half-width of the 95 % intervals, of the worst axis")
+    yield from wrapped("Expected half-width of the 95 % interval of the worst axis")
     for name, parameters in (("accelerometer", found.accelerometer), ("gyroscope", found.gyroscope)):
         for kind, shown in _KINDS.items():
             if half := _worst(parameters, kind):
                 yield from wrapped(f"{name:<14}{shown:<14}± {half}", indent=2)
     yield ""
-    yield from wrapped("Attitudes, each near enough by hand")
+    yield from wrapped("Attitudes; turning by hand is precise enough")
     for number, text in enumerate(found.attitudes, start=1):
         first, *others = wrapped(text, indent=5)
         yield from (f"{number:>3}{first[3:]}", *others)
     yield ""
-    yield from wrapped("Nonlinearity and warm-up widen the intervals; turn in different directions.")
+    yield from wrapped("Nonlinearity and warm-up widen the intervals. Turn in different directions.")
     if latitude is None:
-        yield from wrapped("Give --latitude: without it gravity limits the scales.")
+        yield from wrapped("Give --latitude: otherwise the uncertainty of gravity limits the scales.")
 
 
 def _worst(parameters: Mapping[str, Parameter], kind: str) -> str:

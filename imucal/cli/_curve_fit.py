@@ -43,7 +43,7 @@ def _names_an_averaging_time(path: Path) -> bool:
 def fit_curves(request: LogRequest, settings: FitSettings, *, as_json: bool) -> None:
     """Fit every column of a table and print the terms; `mle` needs samples, so gmwm takes its place."""
     if settings.method == "mle":
-        say("A table holds no samples: fitting the curve by gmwm instead of mle.")
+        say("The table has no samples: fitting the curve with gmwm instead of mle.")
         settings = replace(settings, method="gmwm")
     with request.local() as logs:
         path, rate_hz = logs.paths[0], request.reading["rate_hz"]
@@ -59,7 +59,7 @@ def fit_curves(request: LogRequest, settings: FitSettings, *, as_json: bool) -> 
         print_json([_document(named, result) for named, result in results], indent=1)
     else:
         echo("\n\n".join(_table(named, result) for named, result in results))
-    say("A table of deviations has no report folder; --json has all numbers.")
+    say("A table of deviations gets no report folder; use --json for all numbers.")
 
 
 def _unit(named: NamedCurve, symbol: str) -> str:

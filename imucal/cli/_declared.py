@@ -19,6 +19,40 @@ import click
 
 from imucal.errors import SettingError
 
+#: Title in ``--help`` -> names of the parameters below it; all others are below "Options".
+_GROUPS = {
+    "Output": "out as_json opened formats figure no_html no_report no_files datasheet npz junit github apply "
+    "quiet verbose",
+    "Reading a log": "topic time rate_hz columns fields message_definition join skip_s take_s strict",
+    "Units": "time_unit gyro_unit accel_unit gyro_scale accel_scale",
+    "Advanced": "criterion weights segments verify bins curve",
+}
+#: A range such as ``[x>=1]``, which click adds to the help: the error message states it.
+_RANGE = re.compile(r"  \[{0}\]|; {0}(?=\])".format(r"(?:[^\s;[]+<=?)?x(?:[<>]=?[^\s;\]]+)?"))
+
+
+class _Option(click.Option):
+    """An option whose help has no numeric range."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        record = super().get_help_record(ctx)
+        return record and (record[0], _RANGE.sub("", record[1]))
+
+
+class _Command(click.Command):
+    """A command whose ``--help`` lists its options in groups."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        titles = {name: title for title, names in _GROUPS.items() for name in names.split()}
+        groups: dict[str, list[tuple[str, str]]] = {title: [] for title in ("Options", *_GROUPS)}
+        for parameter in self.get_params(ctx):
+            if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)):
+                groups[titles.get(parameter.name or "", "Options")].append(record)
+        for title, records in groups.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records, col_max=formatter.width // 3)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Declared:
@@ -71,7 +105,9 @@ def declared(function: Callable[..., None]) -> click.Command:
     def call(**values: Any) -> object:  # noqa: ANN401
         return whole.value("", values)
 
-    return click.command(params=list(whole.parameters("")), help=text[:start], epilog=below)(call)
+    return click.command(cls=_Command, params=list(whole.parameters("")), help=text[:start], epilog=below)(
+        call
+    )
 
 
 def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
@@ -87,7 +123,7 @@ def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
     metavar = words[-1] if len(names) < len(words) else None
     shown = {"default": default, "show_default": True} if equals else {}
     return _Declared(
-        click.Option, " ".join(names), {"help": text, "type": kind, "metavar": metavar, **shown, **more}
+        _Option, " ".join(names), {"help": text, "type": kind, "metavar": metavar, **shown, **more}
     )
 
 
@@ -129,7 +165,7 @@ def settings_file() -> tuple[Path, dict[str, object]] | None:
         try:
             found: object = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise SettingError(f"{path}: can't be read as TOML ({error}); correct it") from error
+            raise SettingError(f"{path}: not valid TOML ({error}); correct it") from error
         for key in keys:
             found = found.get(key) if isinstance(found, dict) else None
         if isinstance(found, dict):

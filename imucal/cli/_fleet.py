@@ -49,17 +49,17 @@ def say_plan(plan: "FleetPlan", store: "FleetStore") -> None:
     done, again = plan.own("done"), plan.own("again")
     parts = {
         f"{number_of(plan.tasks, 'log')} to do, {data_size(sum(task.size for task in plan.tasks))}": True,
-        f"{len(done)} done before": done,
-        f"{len(again)} tried again": again,
-        f"{number_of(copies, 'copy', 'copies')} of others, counted once": copies,
+        f"{len(done)} already done": done,
+        f"{len(again)} to try again": again,
+        f"{number_of(copies, 'copy', 'copies')} of other logs, counted once": copies,
     }
     say("; ".join(text for text, said in parts.items() if said))
     for log in copies:
         say(f"  {log.path}: same content as {log.copy_of}")
     # Labels that the store has stay where a run gives none.
     if not any(log.labels.get("unit") for log in plan.logs) and not store.logs()["unit"].count():
-        example = "say which units they are: --labels '{model}/{unit}/*.mcap'"
-        say(f"No log has a label unit: logs stand one by one; {example}")
+        example = "label the units with --labels '{model}/{unit}/*.mcap'"
+        say(f"No log has the label unit, so logs are not grouped; {example}")
 
 
 def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> None:
@@ -164,7 +164,7 @@ def _patience(text: str) -> float | None:
     if text == "auto":
         return None
     if not (seconds := seconds_of(text)):
-        raise ValueError("'0' is no time to work; write such as 10min, or auto")
+        raise ValueError("'0' is not a time limit; write a time such as 10min, or auto")
     return seconds
 
 
@@ -172,14 +172,14 @@ def _shard(text: str) -> tuple[int, int]:
     """Return i and n of ``i/n``, i from 1."""
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
     if not match or not 1 <= int(match[1]) <= int(match[2]):
-        raise ValueError(f"{text!r} is no part; write i/n with i from 1 to n, such as 1/8")
+        raise ValueError(f"{text!r} is not a part; write I/N with I from 1 to N, such as 1/8")
     return int(match[1]), int(match[2])
 
 
 #: Types of the options of ``imucal fleet run``.
 PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
 #: Option of commands that take a fleet.
-FLEET_MODEL = option("--fleet-model NAME  Fleet: which sensor model, where it has several.")
+FLEET_MODEL = option("--fleet-model NAME  Sensor model, if the fleet has several.")
 
 
 def is_fleet(path: str | Path) -> bool:

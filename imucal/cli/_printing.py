@@ -89,7 +89,7 @@ _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cy
 def words(finding: Finding, text: str | None = None) -> Words:
     """Return level, code and sentence of a finding, its own text or another, with what to do."""
     option = f"Try {options_to_keep(finding.keep_s)}." if finding.keep_s else ""
-    option = "Say it with --columns." if "columns text" in finding.advice else option
+    option = "Use --columns." if "columns text" in finding.advice else option
     parts = (finding.text if text is None else text, finding.advice, option)
     return finding.level, finding.code, " ".join(filter(None, parts))
 
@@ -116,7 +116,7 @@ def print_findings(findings: Sequence[Finding]) -> None:
         tail = ""
         if others:
             where = " ".join(dict.fromkeys(axis for own in others for axis in own))
-            tail = f" ({len(others)} more like it, on {where}; -v shows all)"
+            tail = f" ({len(others)} more of this kind, on {where}; -v shows all)"
         text.append(printable(f" {said_of(axes, said)}{tail}"), style="not bold default")
         console.print(text)
 
@@ -171,7 +171,7 @@ def refuse(
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
         msg = f"{where}: {sentence}; {consequence}; {remedy}"
     elif is_set("strict") and (codes := {f.code: None for f in findings if f.level != "info"}):
-        msg = f"{where}: {', '.join(codes)} found, and --strict allows no warning"
+        msg = f"{where}: {', '.join(codes)} found; --strict allows no warning"
     else:
         return
     error = DataError(msg)
@@ -220,6 +220,6 @@ def fleet_progress(*, when: bool = True) -> Iterator[Callable[["RunCount"], None
                 # A byte at least, so that logs of unknown size are seen too.
                 count.done_size + count.done,
                 count.size + count.logs,
-                f"{count.done} of {count.logs} logs, {count.failed} failed, {count.running} in hand",
+                f"{count.done} of {count.logs} logs, {count.failed} failed, {count.running} running",
             )
         )

@@ -23,7 +23,7 @@ REPORT = "report.json or its folder"
 
 def _model(sensor: Sensor, option_name: str, example: str) -> Any:  # noqa: ANN401 - declares a parameter
     """Return the option for a model of a sensor."""
-    text = f'{option_name} MODEL  A model of the {sensor} in place of a report, such as "{example}".'
+    text = f'{option_name} MODEL  Use this {sensor} model instead of a report, such as "{example}".'
     return option(text, model_of(sensor))
 
 
@@ -49,18 +49,14 @@ def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
 
 
 def _of_a_log(parameter: click.Parameter) -> None:
-    """Let LOG be a REPORT, and the help of each option of reading say that it is about a log."""
+    """Let LOG be a REPORT, and adapt the help of two options of reading a log."""
     if isinstance(parameter, click.Argument):
         parameter.metavar, parameter.required = "REPORT", False
         parameter.type = click.Path()  # the shell completes it
-    elif not isinstance(parameter, click.Option) or parameter.name in ("quiet", "verbose"):
-        return
-    elif parameter.name == "strict":
-        parameter.help = "Log: Refuse a damaged log."
-    elif parameter.name == "rate_hz":
-        parameter.help = f"Log, model: {parameter.help} A model has none of its own."
-    else:
-        parameter.help = f"Log: {parameter.help}"
+    elif isinstance(parameter, click.Option) and parameter.name == "strict":
+        parameter.help = "Refuse a damaged log."
+    elif isinstance(parameter, click.Option) and parameter.name == "rate_hz":
+        parameter.help = f"{parameter.help} Required with a model."
 
 
 #: REPORT, the options of reading a log, and those of models, which make a `LogRequest`.
@@ -84,13 +80,13 @@ def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "RE
             raise click.MissingParameter(param_hint=f"'{name}'", param_type="argument")
         return dict(models)
     if not is_model(source):
-        misuse(f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other")
+        misuse(f"{shown(source)} is a path; give either a path or models (--gyro, --accel)")
     if Sensor.GYROSCOPE in models:
-        misuse(f"{source!r} is a model of the gyroscope, and so is --gyro; give one of them")
+        misuse(f"{source!r} is a gyroscope model, and --gyro is another; give one")
     try:
         NoiseModel.parse(source)
     except ValueError as error:
-        misuse(f"{source!r} is no file or folder, nor a model of a gyroscope: {error}")
+        misuse(f"{source!r} is neither a file, a folder nor a gyroscope model: {error}")
     return {Sensor.GYROSCOPE: source, **models}
 
 
@@ -99,7 +95,7 @@ def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
     from imucal.report.given import model_as_report
 
     if rate_hz is None:
-        misuse("a model has no sampling rate of its own; give one, such as --rate 200")
+        misuse("a model has no sampling rate; give one, such as --rate 200")
     return model_as_report(models, rate_hz=rate_hz)
 
 
@@ -131,7 +127,7 @@ def load_report(request: LogRequest) -> Report:
 def _refuse_reading(asked: list[str], what: str) -> None:
     if asked:
         names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
-        misuse(f"{what}, but {names} is about reading a log; run 'imucal fit' on the log with it")
+        misuse(f"{what}, and {names} applies to a log only; use it with 'imucal fit LOG'")
 
 
 def read_report(report: str | Path) -> Report:

@@ -45,7 +45,7 @@ def summary_table(
         lines += _beside_each_other(beside)
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
-    legend = f"[low, high]: {shown} interval; < high: not shown by the data, upper bound"
+    legend = f"[low, high]: {shown} interval; < high: not detected, upper bound"
     lines += _wrapped(legend, columns)
     return "\n".join(lines)
 

@@ -24,21 +24,29 @@ def command(
         dict,
         {
             "taus": option(
-                "--taus SET=octave  octave, decade, decade:20, all, or times such as 0.1,1,10min.", TAUS
+                (
+                    "--taus SET=octave  Averaging times: octave, decade, decade:20, all, or a list such as "
+                    "0.1,1,10min."
+                ),
+                TAUS,
             ),
-            "estimator": option("--estimator=overlapping  Which deviation.", click.Choice(list(ESTIMATORS))),
-            "edf": option("--edf=hybrid  Degrees of freedom of the intervals.", click.Choice(EDF_METHODS)),
+            "estimator": option(
+                "--estimator=overlapping  Kind of deviation.", click.Choice(list(ESTIMATORS))
+            ),
+            "edf": option(
+                "--edf=hybrid  Method for the degrees of freedom of the intervals.", click.Choice(EDF_METHODS)
+            ),
         },
     ),
-    level: float = option("--level=0.95  Confidence level of the intervals.", LEVEL),
-    as_json: bool = flag("--json  Print JSON, with the spectrum of each axis, not CSV."),
+    level: float = option("--level P=0.95  Confidence level of every interval.", LEVEL),
+    as_json: bool = flag("--json  Print JSON instead of CSV, with the spectrum of each axis."),
     _force: bool = FORCE,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 
-    Deviations are of the rate signal, in rad/s and m/s^2; low and high are the limits of their
-    interval, edf its degrees of freedom. Sets of averaging times but "all" stop where a value has
-    some 2 degrees of freedom left.
+    The deviations are those of the rate signal, in rad/s and m/s^2. The columns low and high are the
+    limits of the interval; edf is its degrees of freedom. Averaging times end where about 2 degrees of
+    freedom are left, except with --taus all.
 
     Examples::
       imucal adev log.mcap > curves.csv
@@ -57,7 +65,7 @@ def command(
         except DataError as error:
             failures[series.name] = error
     if not axes:
-        msg = f"{recording.source.path}: no axis of a gyroscope or an accelerometer was found"
+        msg = f"{recording.source.path}: found no axis of a gyroscope or an accelerometer"
         raise next(iter(failures.values()), DataError(msg))
     findings = _findings(recording, failures)
     verdict = judge_findings(findings, [series.name for series in recording.series])

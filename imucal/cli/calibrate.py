@@ -39,22 +39,24 @@ if TYPE_CHECKING:
 def command(
     *,
     request: LogRequest = LOG,
-    noise: Path | None = option(f"--noise REPORT  Noise of a long log at rest: {REPORT}.", PATH),
-    latitude: float | None = option("--latitude DEG  Of the place; gives gravity.", Number(-90, 90)),
-    height: float | None = option("--height M  Of the place above the sea.", Number(-500, 9000)),
-    gravity: float | None = option("--gravity G  Gravity in m/s^2, if you know it.", Number(9.7, 9.9)),
-    rest_at_least: float = option("--rest-at-least TIME=1s  Shortest rest.", DURATION),
-    in_hand: bool = flag("--in-hand  Accept the tremor of a hand as rest."),
+    noise: Path | None = option(f"--noise REPORT  Noise report of a long log at rest: {REPORT}.", PATH),
+    latitude: float | None = option(
+        "--latitude DEG  Latitude of the place, to compute gravity.", Number(-90, 90)
+    ),
+    height: float | None = option("--height M  Height above sea level, in m.", Number(-500, 9000)),
+    gravity: float | None = option("--gravity G  Gravity in m/s^2, if known.", Number(9.7, 9.9)),
+    rest_at_least: float = option("--rest-at-least TIME=1s  Minimum length of a rest.", DURATION),
+    in_hand: bool = flag("--in-hand  Accept a hand-held IMU as at rest."),
     no_gyro: bool = flag("--no-gyro  Calibrate the accelerometer only."),
-    out: Path | None = option("-o --out DIR  Folder of the result. [default: NAME-calibration]", PATH),
+    out: Path | None = option("-o --out DIR  Write the result to DIR. [default: NAME-calibration]", PATH),
     apply_to: Path | None = option(
         "--apply FILE  Also write the corrected log: .csv, .mcap or .bag.", PATH, callback=log_to_write
     ),
-    no_files: bool = flag("--no-files  Write no folder."),
-    no_html: bool = flag("--no-html  Write no page and no pictures."),
-    opened: bool = flag("--open  Show the page in the browser when it is written."),
+    no_files: bool = flag("--no-files  Do not write any files."),
+    no_html: bool = flag("--no-html  Do not write the HTML page and the pictures."),
+    opened: bool = flag("--open  Open the page in the browser."),
     as_json: bool = flag("--json  Print calibration.json on standard output."),
-    _force: bool = option("--force  Write the result although a finding is an error.", is_flag=True),
+    _force: bool = option("--force  Write the result even if a finding is an error.", is_flag=True),
 ) -> None:
     """Calibrate an IMU from a log of rests in many attitudes.
 
@@ -154,8 +156,8 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
     clocks = {(series.clock.segments, series.clock.start_ns, series.rate_hz) for series in corrected.series}
     if len(corrected.series) != len(Sensor) * len(AXES) or len(clocks) != 1:
         msg = (
-            f"{path}: a corrected log needs a gyroscope and an accelerometer with the same stamps; "
-            "apply the calibration in Python: imucal.calibrate(recording).apply(recording)"
+            f"{path}: expected a gyroscope and an accelerometer with the same time stamps; apply the "
+            "calibration in Python: imucal.calibrate(recording).apply(recording)"
         )
         raise DataError(msg)
     write_log(corrected, path)
@@ -169,7 +171,7 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
         advice = "try --no-gyro for the accelerometer alone, or --force"
         error = DataError(f"{where}: {listed} found; nothing was written; {advice}")
     elif codes and is_set("strict"):
-        error = DataError(f"{where}: {listed} found, and --strict allows no warning")
+        error = DataError(f"{where}: {listed} found; --strict allows no warning")
     else:
         return
     # The result is on standard output already.

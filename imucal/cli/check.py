@@ -23,50 +23,55 @@ _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "ye
 @declared
 def command(
     *,
-    limits_file: Path | None = option("--limits FILE  What is allowed, in TOML.", FILE),
+    limits_file: Path | None = option("--limits FILE  Check against the limits in this TOML file.", FILE),
     baseline: str | None = option(
-        f"--baseline REPORT  Older report ({REPORT}); alone it allows 20 % more N, B and K.", click.Path()
+        (
+            f"--baseline REPORT  Compare with an older report ({REPORT}); by default, N, B and K may grow by "
+            "20 %."
+        ),
+        click.Path(),
     ),
-    fleet: Path | None = option("--fleet FLEET  Folder of a fleet: is this unit one of them?", PATH),
+    fleet: Path | None = option("--fleet FLEET  Compare with the units in the folder of a fleet.", PATH),
     config: Path | None = option(
-        "--config FILE  Config of a filter: are its noise parameters right for this sensor?", FILE
+        "--config FILE  Check the noise parameters in a filter's config file.", FILE
     ),
     fleet_model: str | None = FLEET_MODEL,
     undecided: str | None = option(
-        "--undecided  What an interval that holds the limit means. [default: the limits file's, else pass]",
+        "--undecided  Result if the interval contains the limit. [default: from the limits file, or pass]",
         click.Choice(["pass", "fail"]),
     ),
-    as_json: bool = flag("--json  Print the verdicts as JSON."),
+    as_json: bool = flag("--json  Print the verdicts as JSON on standard output."),
     junit: Path | None = option(
-        "--junit FILE  Write JUnit XML too.", click.Path(dir_okay=False, path_type=Path)
+        "--junit FILE  Also write JUnit XML to FILE.", click.Path(dir_okay=False, path_type=Path)
     ),
-    github: bool = flag("--github  Print GitHub annotations too (on standard error with --json)."),
+    github: bool = flag("--github  Also print GitHub annotations (on standard error with --json)."),
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Pass or fail a report, or a log, against limits.
 
-    REPORT is a report.json, its folder, or a log (which is characterised first). A limit passes
-    when the whole interval is within it and fails when the whole interval is beyond it; when the
-    limit lies inside the interval it is undecided: the record is too short to tell. Undecided
-    limits don't fail the check unless --undecided fail, or the limits file, says so.
+    REPORT is a report.json, its folder, or a log, which is characterised first. A limit passes
+    if the whole interval is within it, and fails if the whole interval is beyond it. It is undecided
+    if the interval contains the limit: the log is too short. Undecided limits do not fail the check,
+    except with --undecided fail or the same line in the limits file.
 
-    With --fleet each term must lie where the next unit of that sensor model would: it passes with its
-    whole interval there, and fails with p, adjusted for the number of terms (Holm), below 5 %, as a unit
-    of the fleet does with that probability. Any other is undecided.
+    --fleet compares each term with the range of the fleet's units. It passes if its whole interval is
+    in the range. It fails if p is below 5 %, adjusted for the number of terms (Holm): a unit of the
+    fleet fails with that probability. Otherwise it is undecided.
 
-    With --config the noise parameters of a filter's file are held to the numbers that 'imucal export'
-    writes: too small fails, and so does too large where it is a slip, such as a factor of the rate,
-    degrees, g, a square, or another term's number. Each is said with the line to write instead.
+    --config compares the noise parameters of a filter's file with the values that 'imucal export'
+    writes. Too small a value fails. Too large a value fails if it matches a common mistake: a factor of
+    the rate, degrees, g, a square, or the number of another term. Each row contains the line to write
+    instead.
 
     Limits (TOML)::
-      undecided = "pass"       # what an interval that holds the limit means
+      undecided = "pass"       # result if the interval contains the limit
       [gyroscope]              # or accelerometer, or one axis: [gyro_z]
-      N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; SI unless said
+      N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; default: SI
       minimum = { max = 10, unit = "deg/h" }      # also mean, std
       [log]
       duration = { min = 2, unit = "h" }          # also rate, gaps, missing
       [findings]
-      level = "warning"        # forbid these and graver; also forbid, allow
+      level = "warning"        # forbid this and more severe; also forbid, allow
       [baseline]
       report = "golden/report.json"
       max_increase = 0.2
@@ -135,7 +140,7 @@ def _limits(
     from imucal.checking import read_limits
 
     if fleet is None and model is not None:
-        misuse("--fleet-model is about a fleet; give --fleet FLEET too")
+        misuse("--fleet-model needs a fleet; give --fleet FLEET too")
     if fleet is not None and not is_fleet(fleet):
         expected = "expected the folder of a fleet that imucal fleet run writes"
         raise ReadError(f"{fleet}: found no manifest.parquet, {expected}")
@@ -147,7 +152,7 @@ def _limits(
     if baseline is not None:
         limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=Path(baseline)))
     elif limits.baseline is not None and limits.baseline.report is None:
-        misuse(f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT')
+        misuse(f'{limits_file}: [baseline] has no report; add report = "…", or give --baseline REPORT')
     return limits
 
 

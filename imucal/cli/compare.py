@@ -29,27 +29,28 @@ def command(
     b: str | None = argument("B", click.Path(), required=False),
     models: dict[Sensor, str] = MODELS,
     alpha: float = option(
-        "--alpha=0.05  Probability of calling any term different when none is.",
+        "--alpha P=0.05  Probability of a false alarm in any term.",
         Number(0, 1, min_open=True, max_open=True),
     ),
     tolerance: float = option(
-        "--tolerance FRACTION=0.0  Relative difference that doesn't count, such as 0.05.", Number(min=0)
+        "--tolerance FRACTION=0.0  Relative difference to ignore, such as 0.05.", Number(min=0)
     ),
-    no_fail: bool = flag("--no-fail  End with exit code 0 even if a term differs."),
+    no_fail: bool = flag("--no-fail  Exit with code 0 even if a term differs."),
     fleet_model: str | None = FLEET_MODEL,
     _datasheet: bool = DATASHEET,
-    as_json: bool = flag("--json  Print the comparison as JSON (SI)."),
+    as_json: bool = flag("--json  Print the comparison as JSON (SI) on standard output."),
     _quiet: bool = QUIET,
 ) -> None:
-    """Say which noise terms of two reports differ significantly.
+    """Find the noise terms of two reports that differ significantly.
 
-    A and B are reports: a report.json (also by URL) or its folder. p is adjusted for the number of terms that
-    were tested (Holm), so that two records of one unchanged sensor show any difference with
-    probability --alpha. The intervals know the noise of one record, not how a sensor changes from
-    run to run; --tolerance says how much of that is all right.
+    A and B are reports: a report.json (also by URL) or its folder. p is adjusted for the number of
+    tested terms (Holm): two records of one unchanged sensor show any difference with probability
+    --alpha. The intervals describe the noise of one record, not changes of the sensor between runs;
+    allow for these with --tolerance.
 
-    Of two fleets (folders of 'imucal fleet run') the median units are compared. Either may be a model,
-    such as a data sheet's: as an argument the gyroscope's, --gyro and --accel in place of B.
+    For two fleets (folders of 'imucal fleet run') the median units are compared. A or B may be a
+    model, such as a data sheet's: give the gyroscope's as an argument, or --gyro and --accel instead
+    of B.
 
     Examples::
       imucal compare monday-imucal tuesday-imucal
@@ -79,7 +80,7 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
     """Return two reports: of logs, of models, or the median units of two fleets."""
     fleets = [path is not None and is_fleet(path) for path in (a, b)]
     if fleet is not None and not any(fleets):
-        misuse(f"{shown_address(a)} is no fleet, but --fleet-model is about one")
+        misuse(f"{shown_address(a)} is not a fleet; omit --fleet-model")
     if b is None or models or is_model(a) or is_model(b):
         return _with_models(a, b, models)
     if not any(fleets):
@@ -87,8 +88,8 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
     if not all(fleets):
         folder, other = (a, b) if fleets[0] else (b, a)
         misuse(
-            f"{folder} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
-            f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(folder)}"
+            f"{folder} is a fleet and {shown_address(other)} is not; compare two fleets, or check one log: "
+            f"imucal check {_typed(other)} --fleet {_typed(folder)}"
         )
     from imucal.fleet_report.as_report import fleet_as_report
 

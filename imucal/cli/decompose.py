@@ -34,26 +34,26 @@ _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 def command(
     *,
     request: LogRequest = LOG,
-    out: Path | None = option("-o --out DIR  Folder of the files. [default: NAME-decomposed]", PATH),
+    out: Path | None = option("-o --out DIR  Write the files to DIR. [default: NAME-decomposed]", PATH),
     axes: tuple[str, ...] = option(
-        "--axis  Only this axis; may be repeated.", click.Choice(_AXES), multiple=True
+        "--axis  Use only this axis; may be repeated.", click.Choice(_AXES), multiple=True
     ),
-    model: str = option('--model TEXT=auto  Terms to fit, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
+    model: str = option('--model TEXT=auto  Fit these terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
     every: float | None = option(
         "--every TIME  Time between rows of the CSV. [default: at most 10000 rows]", DURATION
     ),
-    npz: bool = flag("--npz  Write NAME.npz too: everything at the samples' rate."),
+    npz: bool = flag("--npz  Also write NAME.npz, with a value for every sample."),
     formats: tuple[str, ...] = PICTURES,
-    no_clean: bool = flag("--no-clean  Take spikes for samples, instead of leaving them out."),
+    no_clean: bool = flag("--no-clean  Keep spikes instead of leaving them out."),
     as_json: bool = flag("--json  Print decomposition.json on standard output."),
     _force: bool = FORCE,
 ) -> None:
-    """Draw what the bias of every axis of LOG did.
+    """Draw the bias of every axis of LOG over time, and its parts.
 
-    The noise model of each axis is fitted; then the bias at every moment, and each of its parts
-    (random walk, flicker, Gauss-Markov, ramp), is estimated from all samples before and after,
-    with its standard error. AXIS.png shows the bias over the samples, AXIS.csv holds it and its
-    parts with their standard errors (_se), decomposition.json says which model was used.
+    First, a noise model is fitted to each axis. Then the bias at every moment and its parts (random
+    walk, flicker, Gauss-Markov, ramp) are estimated from all samples before and after, with standard
+    errors. AXIS.png shows the bias and the samples. AXIS.csv contains the bias and its parts with
+    standard errors (_se). decomposition.json contains the model.
 
     Examples::
       imucal decompose log.mcap
@@ -69,7 +69,7 @@ def command(
     from imucal.report.figure_bias import SCHEMA, check_folder, write_document
 
     if every == 0:
-        misuse("0 s between rows are no rows; give a time above 0, such as 10s", "--every")
+        misuse("expected a time above 0, such as 10s", "--every")
     folder = out or report_folder(request.logs[0], "decomposed")
     check_folder(folder)
     recording = _only(request.read(), axes)
@@ -128,7 +128,7 @@ def _decompose_axis(
     taken = fit.settings.get("regressors")
     if isinstance(taken, list) and taken:
         named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
-        text = f"the fit took out {' and '.join(named)}; here it is in the bias, as far as the model follows"
+        text = f"the fit removed {' and '.join(named)}; the bias shown here still contains it"
         say(f"{series.name}: {text}")
     with progress(f"decomposing {series.name}", "TaskProgressColumn") as update:
         parts = decompose(series, fit, clean=clean, progress=update)

@@ -24,22 +24,22 @@ def _times(text: str) -> tuple[float, ...]:
 @declared
 def command(
     *,
-    rest: float = option("--rest TIME=60s  How long the bias is averaged before.", DURATION),
+    rest: float = option("--rest TIME=60s  Length of the rest in which the bias is averaged.", DURATION),
     times: tuple[float, ...] = option(
-        "--times LIST=1s,10s,60s,5min  How long nothing aids it then.", Text("times", _times)
+        "--times LIST=1s,10s,60s,5min  Times without aiding after the rest.", Text("times", _times)
     ),
-    all_axes: bool = flag("--all-axes  Each axis by itself, instead of each sensor's worst."),
-    out: Path | None = option("-o --out FILE  Draw a picture too: .png, .svg or .pdf.", PATH),
-    as_json: bool = flag("--json  Print JSON (SI)."),
+    all_axes: bool = flag("--all-axes  Show every axis instead of each sensor's worst."),
+    out: Path | None = option("-o --out FILE  Also draw a picture to FILE: .png, .svg or .pdf.", PATH),
+    as_json: bool = flag("--json  Print the drift as JSON (SI) on standard output."),
     _force: bool = FORCE,
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
-    """Say how far dead reckoning drifts after a rest.
+    """Predict the drift of dead reckoning after a rest.
 
-    REPORT is a report.json, its folder, or a log, which is characterised first. At rest the bias is
-    averaged, then nothing aids it: angles err by the gyroscope's noise, velocity and position by the
-    accelerometer's and, through tilt, by g times the gyroscope's. Each is one standard deviation with its
-    limits, and the term that makes most of it.
+    REPORT is a report.json, its folder, or a log, which is characterised first. The bias is averaged
+    during the rest; then nothing aids the IMU. Angles drift with the gyroscope's noise. Velocity and
+    position drift with the accelerometer's noise and, through tilt, with g times the gyroscope's.
+    The table shows one standard deviation with its limits, and the dominant term.
 
     Examples::
       imucal drift still-imucal
@@ -51,7 +51,11 @@ def command(
     """
     form = out.suffix.lstrip(".") if out else FORMATS[0]
     if form not in FORMATS:
-        misuse(f"{out} is no picture's name; end it with one of .{', .'.join(FORMATS)}", "-o", "--out")
+        misuse(
+            f"{out} is not the name of a picture; use one of the endings .{', .'.join(FORMATS)}",
+            "-o",
+            "--out",
+        )
     report = load_report(request)
     refuse(report.verdict, request.logs[0], "nothing was predicted", remedy=remedy(report.all_findings))
     try:
@@ -88,7 +92,7 @@ def to_document(found: Drift) -> dict[str, object]:
 def _table(found: Drift) -> str:
     said = f"Drift without aiding after a rest of {duration(found.rest_s)}: one standard deviation"
     lines = wrapped(f"{said} [{100 * found.level:.4g} % limits]")
-    lines += [f"{found.vertical} is vertical, by the accelerometer"] if found.vertical else []
+    lines += [f"{found.vertical} is vertical (by the accelerometer)"] if found.vertical else []
     for quantity in found.quantities:
         lines += ["", quantity.name]
         for point in quantity.points:
@@ -101,6 +105,6 @@ def _table(found: Drift) -> str:
             said = "  ".join(makes)
             lines += [f"{row}{said}".rstrip()] if width() >= FULL else [row.rstrip(), f"    {said}"]
     if any(point.seen is False for quantity in found.quantities for point in quantity.points):
-        few = f"the log is not {STRETCHES} times as long as rest and time together"
-        lines += ["", *wrapped(f"extrapolated: {few}; its terms are taken to go on")]
+        few = f"the log is shorter than {STRETCHES} times rest plus time"
+        lines += ["", *wrapped(f"extrapolated: {few}; the model is assumed to remain valid")]
     return "\n".join(lines)

@@ -62,7 +62,7 @@ def _factors(text: str) -> dict[str, float]:
             factors[name] = 0.0
         if name not in exports.INFLATABLE or not 0 < factors[name] < math.inf:
             names = ", ".join(exports.INFLATABLE)
-            raise ValueError(f"{part!r} is not one of {names} with a factor, such as white=2,walk=10")
+            raise ValueError(f"{part!r} is not a factor of {names}; write such as white=2,walk=10")
     return factors
 
 
@@ -74,64 +74,65 @@ _LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
 def command(
     *,
     targets: tuple[str, ...] = option(
-        "--to NAME  Format, from the list below, or all; may be repeated.",
+        "--to NAME  Write this format (see below), or all; may be repeated.",
         Text("target", _target_name),
         shell_complete=_complete_target,
         multiple=True,
         required=True,
     ),
     out: Path | None = option(
-        "-o --out PATH  File, or folder, or - for standard output. [default: the format's own name here; for "
-        f"several the folder {_FOLDER}]",
+        "-o --out PATH  Write to this file or folder, or - for standard output. [default: the format's "
+        f"file name; for several formats the folder {_FOLDER}]",
         click.Path(path_type=Path, allow_dash=True),
     ),
     options: dict[str, Any] = together(
         dict,
         {
             "axis_policy": option(
-                "--axis-policy=worst  For formats with one number a sensor: the largest of the axes, the "
-                "root of their mean variance, or one axis.",
+                "--axis-policy=worst  For formats with one number per sensor, write the largest of the "
+                "axes, their root mean square, or one axis.",
                 click.Choice(get_args(exports.AxisPolicy)),
             ),
             "inflate": option(
-                "--inflate FACTORS  Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; "
-                "said in the file.",
+                "--inflate FACTORS  Multiply white (N), walk (K) or flicker (B, GM), such as "
+                "white=2,walk=10.",
                 Text("inflation", _factors),
                 default={},
             ),
             "unidentified": option(
-                "--unidentified=bound  A term that the data don't show: write its upper bound, or refuse.",
+                "--unidentified=bound  Write the upper bound of a term that the data do not show, or refuse.",
                 click.Choice(get_args(exports.Unidentified)),
             ),
             "numbers": option(
-                "--numbers=covered  For formats with white noise and a walk: the least that cover the fitted "
-                "spectrum, flicker and bounds included, or N and K of the fit.",
+                "--numbers=covered  For formats with white noise and a walk, write the smallest values "
+                "that cover the fitted spectrum, or N and K of the fit.",
                 click.Choice(get_args(exports.Basis)),
             ),
             "horizon_s": option(
-                "--horizon TIME  How long the filter may coast. [default: 60s with cameras and lidars, else "
-                "300s]",
+                "--horizon TIME  Longest time without aiding. [default: 60s with cameras and lidars, "
+                "otherwise 300s]",
                 DURATION,
             ),
-            "step_s": option("--step TIME=1s  How often the filter is aided.", DURATION),
+            "step_s": option("--step TIME=1s  Time between aiding updates of the filter.", DURATION),
         },
     ),
     value: "FleetValue | None" = option(
-        "--value  Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
-        "[default: tolerance]",
+        "--value  Write a fleet's tolerance bound, which suits every unit, or the median unit. [default: "
+        "tolerance]",
         click.Choice(["tolerance", "median"]),
     ),
     fleet_model: str | None = FLEET_MODEL,
-    rostopic: str | None = option("--rostopic NAME  IMU topic to write. [default: the log's]"),
+    rostopic: str | None = option(
+        "--rostopic NAME  IMU topic to write into the files. [default: the log's topic]"
+    ),
     _force: bool = FORCE,
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
     """Write the config files that filters and simulators read.
 
-    REPORT is a report.json, its folder, a log (which is characterised first), the folder of a fleet, or
-    that of a calibration.
-    Every file says in a comment which number is continuous or discrete, by which formula, and from which
-    axis.
+    REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a
+    fleet or a calibration. Comments in each file show which numbers are continuous or discrete, their
+    formula, and the axis.
 
     Examples::
       imucal export still-imucal --to kalibr -o imu.yaml
@@ -158,8 +159,8 @@ def command(
     refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
     if (axes := vague_axes(report)) and not is_set("force"):
         msg = (
-            f"{request.logs[0]}: N of {', '.join(axes)} is not known to a factor of 10; "
-            "nothing was exported; record for longer, or --force"
+            f"{request.logs[0]}: N of {', '.join(axes)} is uncertain by more than a factor of 10; nothing "
+            "was exported; record for longer, or --force"
         )
         raise DataError(msg)
     options["topic"] = rostopic
@@ -168,7 +169,7 @@ def command(
     several = len(names) > 1
     if out == Path("-"):
         if several:
-            misuse("standard output takes one format; give a folder", "-o")
+            misuse("standard output takes one format; name a folder", "-o")
         click.echo(texts[0], nl=False)
     else:
         place = _folder(out or _FOLDER) if several else out or Path()
@@ -181,7 +182,7 @@ def command(
 command.epilog = f"""\b
 Formats:
 {_LISTED}
-  all        each of them, into a folder
+  all        all formats, into a folder
 Formats of a calibration, with noise numbers if it was made with --noise:
   {_OF_CALIBRATION}
 
@@ -193,14 +194,12 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
     folder = request.logs[0]
     if is_fleet(folder):
         if len(request.logs) > 1 or request.settings():
-            misuse(f"{folder} is a fleet; give it alone, without options of reading a log")
+            misuse(f"{folder} is a fleet; give it alone, without options for a log")
         from imucal.fleet_report.as_report import fleet_as_report
 
         return fleet_as_report(read_fleet(folder, model), value=value or "tolerance")
     if value or model is not None:
-        misuse(
-            f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
-        )
+        misuse(f"{shown_address(folder)} is not a fleet; omit --{'value' if value else 'fleet-model'}")
     return load_report(request)
 
 
@@ -219,7 +218,7 @@ def _folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = "it is a file" if path.is_file() else error.strerror or error
-        raise WriteError(f"{path}: can't be made a folder: {reason}; choose another place") from error
+        raise WriteError(f"{path}: can't create this folder: {reason}; choose another place") from error
     return path
 
 
@@ -228,18 +227,18 @@ def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
     if warned := dict.fromkeys(
         f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect"}
     ):
-        yield from (f"warning: {text} Every exported number of it depends on that." for text in warned)
+        yield from (f"warning: {text} All exported numbers of this sensor depend on it." for text in warned)
     if numbers == "covered":
         yield (
-            "White noise and walk of a filter cover the fitted spectrum, so they are larger than N and K; "
-            "the files say by how much (--numbers as-fitted for N and K)"
+            "The exported white noise and walk cover the fitted spectrum, so they are larger than N and "
+            "K; the files show by how much (--numbers as-fitted writes N and K)"
         )
     for symbol in ("N", "K") if numbers == "as-fitted" else ():
         if axes := [axis.name for axis in report.axes if axis.fit[symbol].value is None]:
             yield (
-                f"{symbol} was not identified on {', '.join(axes)}; where a file needs it, its upper bound "
-                "stands there, with a comment (--unidentified refuse to refuse)"
+                f"{symbol} was not identified on {', '.join(axes)}; files that need it contain its upper "
+                "bound, with a comment (--unidentified refuse writes none)"
             )
     for sensor in Sensor:
         if sensor not in report.by_sensor:
-            yield f"there is no {sensor} in this log; its numbers are left out, as the comment says"
+            yield f"the report has no {sensor}; the files omit its numbers"

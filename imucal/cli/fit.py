@@ -23,57 +23,64 @@ if TYPE_CHECKING:
 def command(
     *,
     request: LogRequest = LOG,
-    out: Path | None = option("-o --out DIR  Folder of the report. [default: NAME-imucal]", PATH),
-    rests: bool = flag("--rests  LOG is a drive with several rests: fit those together, each by itself."),
+    out: Path | None = option("-o --out DIR  Write the report to DIR. [default: NAME-imucal]", PATH),
+    rests: bool = flag("--rests  Fit all rests of a drive together."),
     choices: dict[str, Any] = together(
         dict,
         {
-            "model": option('--model TEXT=auto  Terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
-            "method": option("--method=mle  Estimator.", click.Choice(METHODS)),
-            "level": option("--level=0.95  Confidence level of every interval.", LEVEL),
-            "criterion": option("--criterion --ic=chance  What chooses the model.", click.Choice(CRITERIA)),
-            "weights": option("--weights=full  Weights of gmwm.", click.Choice(WEIGHTS)),
-            "segments": option(
-                "--segments N=8  Parts whose noise is compared; 1 for none.", click.IntRange(1, MOST_SEGMENTS)
+            "model": option(
+                '--model TEXT=auto  Fit these terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE
             ),
-            "taus": option("--taus SET=octave  octave, decade, decade:20 or all.", TAU_SET),
+            "method": option(
+                "--method=mle  Estimator: likelihood, wavelet moments or slopes.", click.Choice(METHODS)
+            ),
+            "level": option("--level P=0.95  Confidence level of every interval.", LEVEL),
+            "criterion": option(
+                "--criterion --ic=chance  Criterion for choosing the model.", click.Choice(CRITERIA)
+            ),
+            "weights": option("--weights=full  Weights of the gmwm fit.", click.Choice(WEIGHTS)),
+            "segments": option(
+                "--segments N=8  Compare the noise of N parts of the log; 1 disables this.",
+                click.IntRange(1, MOST_SEGMENTS),
+            ),
+            "taus": option("--taus SET=octave  Averaging times: octave, decade, decade:20 or all.", TAU_SET),
             "edf": option(
-                "--edf=hybrid  Degrees of freedom of the curve's intervals.",
+                "--edf=hybrid  Method for the degrees of freedom of the intervals.",
                 click.Choice(["hybrid", "model", "greenhall"]),
             ),
         },
     ),
-    no_clean: bool = flag("--no-clean  Fit spikes too, instead of leaving them out."),
+    no_clean: bool = flag("--no-clean  Keep spikes instead of leaving them out."),
     verify: bool = flag("--verify  Check the fit against the exact likelihood (slower)."),
     datasheet: bool = DATASHEET,
     formats: tuple[str, ...] = PICTURES,
     figure: str = option(
-        "--figure=report  paper: curves for one column of a paper too (NAME-paper.pdf; --format svg for "
-        "SVG).",
+        "--figure=report  paper: also draw curves for one column of a paper (NAME-paper.pdf; SVG with "
+        "--format svg).",
         click.Choice(["report", "paper"]),
     ),
-    no_html: bool = flag("--no-html  Write no HTML page."),
-    opened: bool = flag("--open  Show the page in the browser when it is written."),
-    no_report: bool = flag("--no-report  Write no files at all."),
+    no_html: bool = flag("--no-html  Do not write the HTML page."),
+    opened: bool = flag("--open  Open the page in the browser."),
+    no_report: bool = flag("--no-report  Do not write any files."),
     jobs: int | None = option(
-        "--jobs N  Axes fitted at a time, each in a process of its own. [default: as many as there are "
-        "processors]",
+        "--jobs N  Number of axes to fit in parallel. [default: number of processors]",
         click.IntRange(1),
     ),
-    bins: bool = flag("--bins  Put each axis's binned spectrum into report.json, to pool logs."),
+    bins: bool = flag("--bins  Add binned spectra to report.json, for pooling logs."),
     as_json: bool = flag("--json  Print report.json on standard output."),
-    curve: bool = flag("--curve  LOG is a table of tau and Allan deviations, without headings."),
+    curve: bool = flag("--curve  Read LOG as a table of tau and Allan deviations without headings."),
     _force: bool = FORCE,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
     LOG is a CSV or other text, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, NPY,
-    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin, .tlog) file, a URL of one (https://, s3://,
-    gs://, az://), or - for text on standard input. Several LOGs are read as one recording if
-    each continues the one before (splits of a bag, rotated tables), or with --join. The table
-    on standard output holds the noise terms of each axis with their intervals; the report
-    folder holds report.json, report.html and the pictures. Both begin with a verdict: good,
-    look first, or not noise, which ends with exit code 4.
+    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin, .tlog) file, its URL (https://, s3://,
+    gs://, az://), or - for text on standard input. Several LOGs are joined to one recording if
+    each continues the one before (splits of a bag, rotated tables), or with --join.
+
+    The table on standard output lists the noise terms of each axis with their intervals. The
+    report folder contains report.json, report.html and the pictures. Table and report begin with a
+    verdict: good, look first or not noise. With not noise, the exit code is 4.
 
     Examples::
       imucal fit log.mcap
@@ -125,7 +132,7 @@ def command(
             click.launch(str(page))
         if report.verdict.usable:
             say(_next_step(report, folder))
-    written = "nothing was written" if no_report else f"{folder} says so"
+    written = "nothing was written" if no_report else f"see {folder}"
     where = report.source.path
     findings = (*report.all_findings, *missing)
     refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), told=True)
@@ -143,7 +150,7 @@ def _next_step(report: "Report", folder: Path) -> str:
         options = " and ".join(f"--{axis}-unit" for axis in given)
         return f"Next: run again without {options} if the log's own unit is right; if not, {export}"
     if axes := vague_axes(report):
-        return f"Next: record for longer; N of {', '.join(axes)} is not known to a factor of 10"
+        return f"Next: record for longer; N of {', '.join(axes)} is uncertain by more than a factor of 10"
     return f"Next: {export}"
 
 

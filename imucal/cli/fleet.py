@@ -37,8 +37,8 @@ from imucal.grading import GRADES
 #: Command -> module that holds it, and the line that --help prints.
 _COMMANDS = {
     "run": ("fleet:run", "Fit one noise model to many logs, on this machine or a cluster."),
-    "report": ("fleet:report", "Say what the units of each sensor model are like: page, JSON, CSV."),
-    "status": ("fleet:status", "Say what of a fleet is done, what failed and why, what is left."),
+    "report": ("fleet:report", "Describe the units of each sensor model: page, JSON, CSV."),
+    "status": ("fleet:status", "List the logs that are done, failed or left."),
 }
 
 
@@ -54,7 +54,7 @@ Examples:
   imucal fleet report fleet""",
 )
 def command() -> None:
-    """Characterise many logs of many units, and the model of the sensor that they are units of.
+    """Characterise many logs of many units, and each sensor model.
 
     `imucal fleet run LOGS…` fits the same noise model to every log and keeps the results in a folder.
     """
@@ -73,50 +73,57 @@ def _any_number(parameter: click.Parameter) -> None:
 @declared
 def run(
     *,
-    out: Path = option("-o --out DIR=fleet  Folder of the fleet; what it has is not done again.", PATH),
+    out: Path = option("-o --out DIR=fleet  Write the results to DIR; logs already in it are skipped.", PATH),
     manifest: Path | None = option(
-        "--manifest CSV  Table with a column path; model, unit, temperature_c, started; arguments of "
-        "imucal.read.",
+        "--manifest CSV  Read logs from a table with the column path; optional: model, unit, "
+        "temperature_c, started, arguments of imucal.read.",
         FILE,
     ),
     given: dict[str, Any] = together(
         dict,
         {
-            "labels": option("--labels TEXT  Labels in paths, such as '{model}/{unit}/*.mcap'."),
-            "model": option(f"--model TEXT  Terms, for every log. [default: {_MODEL}]"),
-            "level": option(f"--level  Confidence level of every interval. [default: {_LEVEL}]", LEVEL),
-            "jobs": option("--jobs N  Logs at a time. [default: all processors]", click.IntRange(1, 4096)),
-            "scheduler": option("--scheduler ADDRESS  Dask scheduler of a cluster, such as tls://head:8786."),
-            "shard": option("--shard I/N  Do part I of N, log by log.", SHARD),
-            "memory": option("--memory SIZE  Memory of each log, such as 2GB."),
-            "timeout_s": option("--timeout TIME=auto  Time of each log, such as 10min.", PATIENCE),
-            "reports": option("--reports=failed  Reports of logs.", click.Choice(["none", "failed", "all"])),
-            "fresh": flag("--fresh  Forget what the folder has, and do every log anew."),
+            "labels": option("--labels TEXT  Take labels from the paths, such as '{model}/{unit}/*.mcap'."),
+            "model": option(f"--model TEXT  Fit these terms to every log. [default: {_MODEL}]"),
+            "level": option(f"--level P  Confidence level of every interval. [default: {_LEVEL}]", LEVEL),
+            "jobs": option(
+                "--jobs N  Number of logs to fit in parallel. [default: number of processors]",
+                click.IntRange(1, 4096),
+            ),
+            "scheduler": option(
+                "--scheduler ADDRESS  Use the Dask scheduler of a cluster, such as tls://head:8786."
+            ),
+            "shard": option("--shard I/N  Do part I of N of the logs.", SHARD),
+            "memory": option("--memory SIZE  Memory limit per log, such as 2GB."),
+            "timeout_s": option("--timeout TIME=auto  Time limit per log, such as 10min.", PATIENCE),
+            "reports": option(
+                "--reports=failed  Keep reports of these logs.", click.Choice(["none", "failed", "all"])
+            ),
+            "fresh": flag("--fresh  Discard the results in the folder and do every log again."),
         },
     ),
     max_failed: float = option(
-        "--max-failed SHARE=5%  Share of logs that may fail before the exit code is 4.",
+        "--max-failed SHARE=5%  Exit with code 4 if more than this share of logs fails.",
         Number(0, 1, percent=True),
     ),
-    dry_run: bool = flag("--dry-run  Print what would be done; write nothing."),
+    dry_run: bool = flag("--dry-run  Print the plan without writing anything."),
     topic: tuple[str, ...] = TOPIC,
     asked: Asked = replace(READING, change=_any_number),
     part: dict[str, object] = together(
         dict,
         {
-            "skip_s": option("--skip TIME  Leave out the start of each log.", DURATION, default=0.0),
-            "take_s": option("--take TIME  Use only so much of each log, such as 2h.", DURATION),
+            "skip_s": option("--skip TIME  Skip the start of each log, such as 5min.", DURATION, default=0.0),
+            "take_s": option("--take TIME  Read only this much of each log, such as 2h.", DURATION),
             "strict": flag("--strict  Refuse damaged logs."),
         },
     ),
     _quiet: bool = QUIET,
 ) -> None:
-    """Fit the same noise model to every one of many LOGS, and keep the results in a folder.
+    """Fit the same noise model to each of many LOGS, and keep the results in a folder.
 
     LOGS are files, folders of any depth, names with wildcards, URLs, or - for a list on standard
-    input. Each log is by itself. Units need labels: from the paths (--labels) or a table
-    (--manifest). What is done is kept: the same command again does what is left, also after a
-    crash; a log that was changed is done anew, and a content that stands twice counts once.
+    input. Each log is a separate recording. Label the units by the paths (--labels) or a table
+    (--manifest). Finished logs are kept. The same command again does the rest, also after a crash.
+    Changed logs are fitted again; duplicate files count once.
 
     Examples::
       imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
@@ -124,11 +131,11 @@ def run(
       imucal fleet run 'logs/**/*.bag' --dry-run
       imucal fleet run logs --scheduler tls://head:8786
       imucal fleet run logs --shard 3/8        (the third of eight such runs)
-      imucal fleet run -o fleet                (go on with what is left)
+      imucal fleet run -o fleet                (continue with the rest)
 
     Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
     --max-failed, 5 the store can't be written or the workers are gone,
-    130 interrupted. Run it again to go on: what is done stays done.
+    130 interrupted. Run the command again to continue.
     """
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import fleet_settings, planned, prepare
@@ -136,7 +143,7 @@ def run(
     from imucal.fleet_run.running import asking, run_plan
 
     if not (asked.logs or manifest or FleetStore(out).exists):
-        misuse("Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet")
+        misuse("Missing argument 'LOGS...'; name logs, or give --manifest CSV or the folder of a fleet (-o)")
     reading = {**asked.options, "topic": topic, **part}
     settings = fleet_settings(out, {**given, "reading": reading})
     lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in asked.logs)
@@ -166,7 +173,7 @@ def _saying_how_to_go_on(out: Path) -> Iterator[None]:
         typed = click.get_current_context().obj or ()
         kept = [addresses.shown(word) for word in typed if word not in {"--fresh", "-"}]
         resume = shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])
-        echo(f"What is done is kept; to go on: {resume}", err=True)
+        echo(f"Finished logs are kept; to continue: {resume}", err=True)
         raise
 
 
@@ -174,24 +181,25 @@ def _saying_how_to_go_on(out: Path) -> Iterator[None]:
 def report(
     *,
     folder: Path = argument("FLEET", PATH),
-    content: float = option("--content=0.95  Share of all units that the tolerance bound holds.", SHARE),
-    confidence: float = option("--confidence=0.95  How sure that is.", SHARE),
+    content: float = option("--content P=0.95  Share of all units that the tolerance bound covers.", SHARE),
+    confidence: float = option("--confidence P=0.95  Confidence level of the tolerance bound.", SHARE),
     html: bool = option("--html/--no-html  Write fleet.html.", default=True),
-    pictures: bool = option("--pictures/--no-pictures  Write the PNGs.", default=True),
+    pictures: bool = option("--pictures/--no-pictures  Write the pictures (PNG).", default=True),
     _quiet: bool = QUIET,
 ) -> None:
-    """Say what the units of each sensor model are like: FLEET is the folder of 'imucal fleet run'.
+    """Describe the units of each sensor model in FLEET, the folder of 'imucal fleet run'.
 
-    Per model, axis and term: the units with their intervals, the median unit, the spreads between units and
-    between logs of one unit, where the next unit lies, and the number for the config of every unit (the
-    tolerance bound) with what more units would save. Units that are odd or drift are named.
+    Per model, axis and term, the report contains: the units with their intervals, the median unit, the
+    spread between units and between logs of one unit, the range of the next unit, and the number for
+    the config of every unit (the tolerance bound) with the savings from more units. Units that are odd
+    or drift are named.
 
     Examples::
       imucal fleet report fleet
       imucal fleet report fleet --content 0.99 --no-html
       imucal export fleet --value tolerance --to kalibr
 
-    Exit codes: 0 done, 2 usage, 3 the folder is no fleet or can't be read,
+    Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
     4 no log is done, 5 a file can't be written.
     """
     from imucal.fleet_report import load_fleet
@@ -199,17 +207,17 @@ def report(
     fleet = load_fleet(folder, content=content, confidence=confidence)
     write_files(fleet, html=html, pictures=pictures)
     if fleet.loose:
-        say(f"to have them counted, run the fleet with --labels '{fleet.labels}'")
+        say(f"to count them, run the fleet with --labels '{fleet.labels}'")
 
 
 @declared
 def status(
     *,
     folder: Path = argument("FLEET", PATH),
-    as_json: bool = flag("--json  Print it as JSON."),
+    as_json: bool = flag("--json  Print the status as JSON on standard output."),
     _quiet: bool = QUIET,
 ) -> None:
-    """Say what of FLEET is done, what failed and why, and what is left; while it runs, too.
+    """List the logs of FLEET that are done, failed or left, also during a run.
 
     Examples::
       imucal fleet status fleet
@@ -243,4 +251,4 @@ def status(
         say(f"  {path}: same content as {other}, counted once")
     if left:
         left_of = f"{len(left)} of {number_of(manifest.height, 'log')}"
-        echo(f"left: {left_of}; imucal fleet run -o {as_typed(folder)} goes on")
+        echo(f"left: {left_of}; to continue: imucal fleet run -o {as_typed(folder)}")

@@ -39,7 +39,7 @@ _FINDING = "level code axis text advice"
 #: What reading a topic gave: its recording, or why there is none; None of a topic that was not read.
 Reading: TypeAlias = Recording | str | None
 #: When several logs are read as one.
-_JOINED_WHERE = "Together they are read only where each goes on where the one before ends, or with --join."
+_JOINED_WHERE = "imucal fit joins them if each continues the one before, or with --join."
 #: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
 _SMALL = 1 << 26
 #: The same of logs behind a URL, which are downloaded for it.
@@ -53,14 +53,13 @@ def command(
     *,
     as_json: bool = flag("--json  Print JSON on standard output."),
     gaps: bool | None = option(
-        "--gaps/--no-gaps  Read the samples too, to find gaps and what is wrong with clocks (default: logs "
-        "up to 64 MB).",
+        "--gaps/--no-gaps  Also read the samples, to find gaps and clock errors (default: logs up to 64 MB).",
         default=None,
     ),
     asked: Asked = READING,
-    _verbose: bool = flag("-v --verbose  List the fields of messages too."),
+    _verbose: bool = flag("-v --verbose  Also list the fields of messages."),
 ) -> None:
-    """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps.
+    """List the topics, types, counts, rates, duration, units and gaps of each LOG.
 
     Examples::
       imucal info log.mcap
@@ -85,7 +84,7 @@ def command(
         else:
             echo("\n".join(_lines_of_log(contents, found, looked=wanted)))
     for folder, parts in folders.items() if not as_json else ():
-        text = f"{shown(folder)}: {len(parts)} logs without a metadata.yaml that says they are one recording."
+        text = f"{shown(folder)}: {len(parts)} logs without a metadata.yaml that joins them."
         echo("\n".join([*wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
         print_json({"schema": SCHEMA, "logs": entries}, ascii_only=False)
@@ -216,14 +215,14 @@ def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: b
         yield from _topic_table([_without_repeated_note(topic, found.get(topic.name)) for topic in topics])
     for topic in (topic for topic in topics if is_set("verbose") and topic.fields):
         yield ""
-        yield from wrapped(f"{topic.name} has the fields")
+        yield from wrapped(f"Fields of {topic.name}:")
         yield from wrapped(", ".join(topic.fields), indent=2)
     said = set(map(words, contents.findings))
     for topic in contents.imu_topics:
         yield from _what_was_read(topic, found.get(topic.name), said)
     if contents.imu_topics and not looked:
         yield ""
-        yield from wrapped(f"Gaps are not looked for {_why_not(contents.path)}.")
+        yield from wrapped(f"Gaps were not checked {_why_not(contents.path)}.")
     if not contents.imu_topics:
         yield ""
         yield from wrapped(_what_to_give(contents))
@@ -235,8 +234,8 @@ def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: b
 def _what_to_give(contents: LogContents) -> str:
     """Return what would read a log of which nothing can be read as it is."""
     hint = next(filter(None, (options_for(topic.note) for topic in contents.topics)), "")
-    wanted = f"As it is, no samples can be read; give imucal fit {hint}."
-    return wanted if hint else "No gyroscope or accelerometer was found."
+    wanted = f"No samples can be read this way; give imucal fit {hint}."
+    return wanted if hint else "Found no gyroscope or accelerometer."
 
 
 def _why_not(log: str) -> str:

@@ -80,9 +80,9 @@ def _unit_of(sensor: Sensor, text: str) -> str:
     """Return a unit of one sensor's samples, in a spelling that can't be meant otherwise."""
     found = parse_sample_unit(text)
     if text.strip().lower() in _UNCLEAR and found is not None:
-        raise ValueError(f"{text!r} is not clear; did you mean {found[1]!r}?")
+        raise ValueError(f"{text!r} is ambiguous; did you mean {found[1]!r}?")
     if found is None or found[0] is not sensor:
-        msg = f"{text!r} is no unit of the {sensor}; expected one of {', '.join(SAMPLE_UNITS[sensor])}"
+        msg = f"{text!r} is not a unit of the {sensor}; expected one of {', '.join(SAMPLE_UNITS[sensor])}"
         raise ValueError(msg)
     return text
 
@@ -143,14 +143,16 @@ PATH, FILE = click.Path(path_type=Path), click.Path(exists=True, dir_okay=False,
 #: Formats of pictures that can be written.
 FORMATS = ("png", "svg", "pdf")
 
-TOPIC = option("--topic NAME  Topic to read; twice for one a sensor.", multiple=True)
+TOPIC = option("--topic NAME  Topic to read; give one for each sensor if they are separate.", multiple=True)
 QUIET = flag("-q --quiet  Print results only: no progress, findings or paths.")
-FORCE = flag("--force  Continue although the log is not at rest (else exit code 4).")
+FORCE = flag("--force  Continue even if the log is not at rest (otherwise exit code 4).")
 PICTURES = option(
-    "--format  Pictures; may be repeated.",
+    "--format  Format of the pictures; may be repeated.",
     click.Choice(FORMATS), multiple=True, default=("png",), show_default=True,
 )  # fmt: skip
-DATASHEET = option("--datasheet/--si  Units of the table.", default=True, show_default=True)
+DATASHEET = option(
+    "--datasheet/--si  Use datasheet or SI units in the table.", default=True, show_default=True
+)
 
 #: What a fields text starts with.
 _FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
@@ -180,29 +182,32 @@ READING = together(
     {
         # Whether a log can be read is for its reader to say, with the exit code of that.
         "logs": argument("LOG...", click.Path(allow_dash=True, readable=False), nargs=-1, required=True),
-        "time": option("--time CLOCK  'header' or 'log' stamps; a table's time column."),
+        "time": option("--time CLOCK  Time stamps to use: 'header', 'log', or a table's column."),
         "time_unit": option(
-            "--time-unit  Unit of the time, where the log doesn't say.", click.Choice(["s", "ms", "us", "ns"])
+            "--time-unit  Unit of the time stamps, if the log has none.",
+            click.Choice(["s", "ms", "us", "ns"]),
         ),
-        "rate_hz": option("--rate HZ  Sampling rate, where the log's own is missing or wrong.", RATE),
+        "rate_hz": option("--rate HZ  Sampling rate in Hz, if the log's is missing or wrong.", RATE),
         "gyro_unit": option(
-            "--gyro-unit UNIT  rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
+            "--gyro-unit UNIT  Gyroscope unit, if the log has none: rad/s, deg/s, mdeg/s, …",
             _sample_unit(Sensor.GYROSCOPE),
         ),
         "accel_unit": option(
-            "--accel-unit UNIT  m/s^2, g, mg, …, where the log doesn't say.",
+            "--accel-unit UNIT  Accelerometer unit, if the log has none: m/s^2, g, mg, …",
             _sample_unit(Sensor.ACCELEROMETER),
         ),
-        "gyro_scale": option("--gyro-scale X  rad/s per count, for raw counts.", _SCALE),
-        "accel_scale": option("--accel-scale X  m/s^2 per count, for raw counts.", _SCALE),
-        "columns": option("--columns TEXT  Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
+        "gyro_scale": option("--gyro-scale X  Scale of raw gyroscope counts, in rad/s per count.", _SCALE),
+        "accel_scale": option(
+            "--accel-scale X  Scale of raw accelerometer counts, in m/s^2 per count.", _SCALE
+        ),
+        "columns": option("--columns TEXT  Columns of a table, such as t=0,g=1:4,a=4:7 or t=0,gz=1."),
         "fields": option(
             "--fields TEXT  Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v "
             "lists them.",
             multiple=True,
         ),
         "message_definition": option(
-            "--msg FILE  Definition (.msg) of a type the log doesn't define, or a folder of them.",
+            "--msg FILE  Message definition (.msg), or a folder with several, if the log has none.",
             click.Path(exists=True, path_type=Path),
             multiple=True,
         ),
@@ -295,12 +300,12 @@ LOG = together(
     {
         "topic": TOPIC,
         "asked": READING,
-        "join": flag("--join  Take several LOGs as parts of one recording, whatever they look like."),
-        "skip_s": option("--skip TIME  Leave out the start, such as 5min.", DURATION, default=0.0),
-        "take_s": option("--take TIME  Use only so much, such as 2h.", DURATION),
-        "strict": flag("--strict  Refuse a damaged log; end with exit code 4 on a warning."),
+        "join": flag("--join  Read several LOGs as one recording, even if they do not look like it."),
+        "skip_s": option("--skip TIME  Skip the start, such as 5min.", DURATION, default=0.0),
+        "take_s": option("--take TIME  Read only this much, such as 2h.", DURATION),
+        "strict": flag("--strict  Refuse a damaged log; exit with code 4 on a warning."),
         "_quiet": QUIET,
-        "_verbose": flag("-v --verbose  Say how each choice was made."),
+        "_verbose": flag("-v --verbose  Print the reason of each choice."),
     },
 )
 

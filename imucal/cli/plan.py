@@ -25,7 +25,7 @@ def _fraction(text: str) -> float:
     except ValueError:
         fraction = math.nan
     if not 0 < fraction < math.inf:
-        raise ValueError(f"{text!r} is not a precision; write such as 10% or 0.1")
+        raise ValueError(f"{text!r} is not a precision; write for example 10% or 0.1")
     return fraction
 
 
@@ -34,34 +34,34 @@ def command(
     *,
     source: str | None = argument("MODEL_OR_REPORT", required=False),
     models: dict[Sensor, str] = MODELS,
-    rate: float | None = option("--rate HZ  Sampling rate; needed with a model, a report has its own.", RATE),
+    rate: float | None = option("--rate HZ  Sampling rate in Hz; required with a model.", RATE),
     precision: float = option(
-        "--precision FRACTION=10%  Wanted half-width of each term's interval, of its value.",
+        "--precision FRACTION=10%  Relative half-width of each term's interval.",
         Text("fraction", _fraction),
     ),
     level: float | None = option(
-        "--level P  Confidence level of that interval.  [default: one standard deviation, 0.683]", LEVEL
+        "--level P  Confidence level of every interval. [default: 0.683, one standard deviation]", LEVEL
     ),
     duration: float | None = option(
-        "--duration TIME  Also say what a record so long tells, such as 3h.", DURATION
+        "--duration TIME  Also predict the precision of a log of this length, such as 3h.", DURATION
     ),
     rests: int | None = option(
-        "--rests N  Plan a log for imucal calibrate: attitudes and precision.", click.IntRange(9, 1000)
+        "--rests N  Plan a log of N rests for imucal calibrate.", click.IntRange(9, 1000)
     ),
-    rest: float = option("--rest TIME=5s  With --rests: length of each rest.", DURATION),
-    latitude: float | None = option("--latitude DEG  With --rests: of the place.", Number(-90, 90)),
+    rest: float = option("--rest TIME=5s  Length of each rest, with --rests.", DURATION),
+    latitude: float | None = option("--latitude DEG  Latitude of the place, with --rests.", Number(-90, 90)),
     _datasheet: bool = option(
-        "--datasheet/--si  Units of a report's table.", default=True, show_default=True
+        "--datasheet/--si  Use datasheet or SI units in the table.", default=True, show_default=True
     ),
-    as_json: bool = flag("--json  Print the plan as JSON (SI)."),
+    as_json: bool = flag("--json  Print the plan as JSON (SI) on standard output."),
     _quiet: bool = QUIET,
 ) -> None:
-    """Say how long to record for a wanted precision of each noise term.
+    """Compute how long to record for a given precision of each noise term.
 
     MODEL_OR_REPORT is a model of the gyroscope, such as "N=0.3deg/sqrt(h) + B=5deg/h" (numbers without
-    a unit are SI), or a report.json or its folder. Times are from the least error that any method can
-    have (the Cramér-Rao bound), and long enough that about four of five records tell the term from
-    zero; a term that a report only bounds is taken at its bound.
+    a unit are SI), or a report.json or its folder. Times follow from the smallest error that any method
+    can reach (the Cramér-Rao bound). They are long enough that about four of five logs detect the term.
+    If a report contains only an upper bound of a term, the bound is used.
 
     Examples::
       imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
@@ -88,9 +88,9 @@ def command(
     else:
         echo(_table(result))
     if any(need.bounded for axis in result.axes for need in axis.needs):
-        say("< value: not seen; the time is for a term as large as its bound")
+        say("< value: not detected; the time is for a term as large as this bound")
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
-        say("(n of 10): so many records as long show the term; the others only bound it")
+        say("(n of 10): chance that a log this long detects the term")
 
 
 def to_document(result: Plan) -> dict[str, object]:
@@ -121,7 +121,7 @@ def _table(result: Plan) -> str:
             title += f", {describe_time(axis.duration_s)}"
         lines += ["", *wrapped(title)]
         if not narrow:
-            tells = "" if durations == {None} else f"{'this tells':>17}"
+            tells = "" if durations == {None} else f"{'this gives':>17}"
             lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{tells}")
         for need in axis.needs:
             lines += _lines(axis.sensor, need, narrow=narrow)
@@ -136,13 +136,13 @@ def _lines(sensor: Sensor | None, need: Need, *, narrow: bool) -> list[str]:
     time = describe_time(need.needed_s)
     tells = _reached(need)
     if narrow:
-        needs = f"needs {time}{f', tells {tells}' if tells else ''}"
+        needs = f"needs {time}{f', this gives {tells}' if tells else ''}"
         return [f"  {need.name:<10}{value} {unit.name}", *wrapped(needs, indent=4)]
     return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{tells:>17}' if tells else ''}"]
 
 
 def _reached(need: Need) -> str:
-    """Return what a record of the asked length tells, and how often it shows the term; empty without one."""
+    """Return the precision that a log of the given length reaches, and how often it detects the term."""
     if need.reached is None:
         return ""
     if need.reached >= 1:

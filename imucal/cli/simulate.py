@@ -41,35 +41,35 @@ def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Pa
 def command(
     *,
     model: str = argument(None, model_of(Sensor.GYROSCOPE)),
-    accel: str | None = option("--accel MODEL  Model of the accelerometer; MODEL's numbers where not given."),
+    accel: str | None = option("--accel MODEL  Model of the accelerometer. [default: the numbers of MODEL]"),
     out: Path = option(
-        "-o --out FILE  Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
+        "-o --out FILE  Write the log to FILE: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
         PATH,
         callback=log_to_write,
         required=True,
     ),
-    rate: float = option("--rate HZ=200.0  Sampling rate.", RATE),
+    rate: float = option("--rate HZ=200.0  Sampling rate in Hz.", RATE),
     duration: float = option("--duration TIME=10min  Length of the log.", DURATION),
     gaps: tuple[tuple[float, float], ...] = option(
-        "--gap START:LENGTH  Lose samples there; may be repeated.", Text("gap", _gap), multiple=True
+        "--gap START:LENGTH  Omit these samples; may be repeated.", Text("gap", _gap), multiple=True
     ),
     gyro_lsb: float = option("--gyro-lsb X  Resolution of the gyroscope, in rad/s.", _LSB, default=0.0),
     accel_lsb: float = option("--accel-lsb X  Resolution of the accelerometer, in m/s^2.", _LSB, default=0.0),
     rests: int | None = option(
-        "--rests N  Rests in N attitudes with turns between, for imucal calibrate; seed draws the errors.",
+        "--rests N  Simulate N rests and the turns between them, for imucal calibrate.",
         click.IntRange(6, 1000),
     ),
-    rest: float = option("--rest TIME=5s  With --rests: length of each.", DURATION),
-    seed: int = option("--seed N=0  The same seed gives the same log.", click.IntRange(min=0)),
-    as_json: bool = flag("--json  Print the truth as JSON."),
+    rest: float = option("--rest TIME=5s  Length of each rest, with --rests.", DURATION),
+    seed: int = option("--seed N=0  Seed of the random numbers.", click.IntRange(min=0)),
+    as_json: bool = flag("--json  Print the true values as JSON on standard output."),
     _quiet: bool = QUIET,
 ) -> None:
-    r"""Write a log of an IMU at rest whose noise is known.
+    r"""Write a log of an IMU at rest with known noise.
 
     MODEL is a sum of terms with continuous coefficients, the same for the three gyroscope axes:
     N=… (rad/s/√Hz), B=… (rad/s), K=… (rad/s/√s), Q=… (rad), R=… (rad/s²), GM(sigma=…, T=…) (rad/s, s);
     m/s² in place of rad/s for the accelerometer. A number may have another unit, such as
-    N=0.3deg/sqrt(h), or N=60ug/sqrt(Hz) of the accelerometer.
+    N=0.3deg/sqrt(h), or N=60ug/sqrt(Hz) for the accelerometer.
 
     Examples::
       imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
@@ -82,9 +82,9 @@ def command(
 
     length = duration if rests is None else rests * (rest + 2.0)
     if not 1 <= length * rate <= _MOST:
-        misuse(f"{length:g} s at {rate:g} Hz are {length * rate:.3g} samples; expected 1 to {_MOST:g}")
+        misuse(f"{length:g} s at {rate:g} Hz give {length * rate:.3g} samples; expected 1 to {_MOST:g}")
     if rests and gaps:
-        misuse("--gap is not for a log with --rests; leave one of them out")
+        misuse("--gap and --rests exclude each other; omit one")
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:

@@ -136,14 +136,14 @@ def drift(
     given = [_Axis("", 0.0, source)] if isinstance(source, NoiseFit) else source.axes
     axes = [_Axis(axis.axis, axis.mean, axis.fit) for axis in given if axis.fit.sensor is not None]
     if not axes:
-        raise DataError("no axis whose sensor is known, expected a gyroscope's or an accelerometer's")
+        raise DataError("no axis of a known sensor; expected a gyroscope or an accelerometer")
     sample_s = max(1 / axis.fit.rate_hz for axis in axes)
     for time in times_s:
         short, long = min(time, rest_s), max(time, rest_s)
         if not (sample_s < short * (1 + 1e-9) and long <= _MOST_UNLIKE * short < math.inf):
             found = f"rest {rest_s:g} s and time {time:g} s"
             ratio = f"at most {_MOST_UNLIKE:.0f} times the other"
-            raise ArgumentError(f"{found}, expected each a sample ({sample_s:.3g} s) at least and {ratio}")
+            raise ArgumentError(f"{found}; expected at least a sample ({sample_s:.3g} s) each, and {ratio}")
     vertical, whole = _vertical(axes), _Coasts(times_s=tuple(times_s), rest_s=rest_s)
     groups = [[axis] for axis in axes] if each_axis else [axes]
     quantities = tuple(found for group in groups for found in _quantities(group, vertical, whole))

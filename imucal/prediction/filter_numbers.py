@@ -149,9 +149,9 @@ def filter_numbers(
     else:
         goal = _of_spectra(fits, bias, (step_s, horizon_s), join, caution)
     if not np.max(goal.wanted) > 0:
-        raise DataError("found neither a term nor a bound on one, expected noise to cover; record for longer")
+        raise DataError("found no term and no bound; expected noise to cover; record for longer")
     if not np.all(np.isfinite(goal.wanted)):
-        msg = "found a term without an upper limit, expected noise that can be covered; record for longer"
+        msg = "found a term without an upper limit; expected limits for all terms; record for longer"
         raise DataError(msg)
     # A walk that covers everything alone, and every smaller one with the white noise that it lacks.
     walks = float(np.max(goal.wanted / goal.slow)) * np.concatenate(

@@ -121,8 +121,8 @@ def self_check(
         f"(score {worst.score:+.1f})."
     )
     advice = (
-        "The noise changes with time, or is of another kind than the model's: look at temperature and "
-        "vibration, and give a filter more than these numbers, as what comes next may differ as much."
+        "The noise changes with time, or the model is wrong. Check temperature and vibration, and use "
+        "larger numbers in a filter: the noise may change again."
     )
     return (Finding("warning", "predicts-badly", text, advice, axis=series.name),)
 

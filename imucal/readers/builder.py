@@ -56,8 +56,8 @@ class RecordingBuilder:
             usual = RATES[0] * 0.98 <= clock.rate_hz <= RATES[1] * 1.02
             if not given and clock.jitter_s is not None and not usual:
                 raise ChoiceError(
-                    f"{where or self.path}: {clock.source} gives {clock.rate_hz:.6g} Hz; expected a rate of "
-                    f"an IMU, {RATES[0]:g} Hz to {RATES[1]:g} Hz; give the sampling rate"
+                    f"{where or self.path}: {clock.source} gives {clock.rate_hz:.6g} Hz; expected the rate "
+                    f"of an IMU, {RATES[0]:g} Hz to {RATES[1]:g} Hz; give the sampling rate"
                 )
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:

@@ -56,10 +56,11 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     Raises DamagedError if the data are damaged, hold another number of bytes, or claim an impossible one.
     """
     if kind in {"", "none"}:
-        damaged_if(len(data) != size, f"a chunk of {len(data)} bytes claims {size}")
+        damaged_if(len(data) != size, f"a chunk of {len(data)} bytes has a declared size of {size}")
         return data
     damaged_if(
-        size > max(_SMALL, _MAX_RATIO * len(data)), f"a chunk of {len(data)} bytes claims to hold {size}"
+        size > max(_SMALL, _MAX_RATIO * len(data)),
+        f"a chunk of {len(data)} bytes has a declared content of {size}",
     )
     damaged_if(
         kind not in _UNPACK,
@@ -70,7 +71,7 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
         raw = _UNPACK[kind](data, size)
     except _damage() as error:
         raise DamagedError(f"{'an' if kind == 'lz4' else 'a'} {kind} chunk is damaged: {error}") from error
-    damaged_if(len(raw) != size, f"a chunk holds {len(raw)} bytes instead of the {size} it claims")
+    damaged_if(len(raw) != size, f"a chunk contains {len(raw)} bytes; its header declares {size}")
     return memoryview(raw)
 
 
@@ -159,7 +160,7 @@ def _unpack_bz2(data: memoryview, size: int) -> bytes:
     machine = bz2.BZ2Decompressor()
     # One byte more than is wanted: the checksum is only looked at when the end is reached.
     raw = machine.decompress(data, max_length=size + 1)
-    damaged_if(not machine.eof, "a bz2 chunk is longer than it claims, or cut")
+    damaged_if(not machine.eof, "a bz2 chunk is longer than declared, or cut off")
     return raw
 
 

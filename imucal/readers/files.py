@@ -63,7 +63,7 @@ class LogFile:
         """Return the finding of a file whose records were scanned up to `end`, as its index has damage."""
         text = f"The index can't be used ({reason}); all records were scanned instead."
         if end < self.size:
-            text += f" The last {self.size - end} of {self.size} bytes are cut or damaged."
+            text += f" The last {self.size - end} of {self.size} bytes are cut off or damaged."
         code = "truncated" if end < self.size else reason.code
         return Finding("warning", code, text)
 
@@ -74,7 +74,7 @@ class LogFile:
         """
         damaged_if(
             position < 0 or position + len(view) > self.size,
-            f"bytes {position} to {position + len(view)} lie beyond the end of the file",
+            f"bytes {position} to {position + len(view)} are beyond the end of the file",
             "truncated",
         )
         self._fill(position, view)
@@ -83,13 +83,13 @@ class LogFile:
         done = 0
         while done < len(view):
             count = self._read_some(position + done, view[done:])
-            damaged_if(not count, f"the file ended at byte {position + done} while it was read", "truncated")
+            damaged_if(not count, f"the file ended at byte {position + done} during reading", "truncated")
             done += count
 
     def read(self, position: int, size: int) -> bytearray:
         """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
         beyond = size < 0 or position + size > self.size
-        damaged_if(beyond, f"{size} bytes at byte {position} lie beyond the end of the file", "truncated")
+        damaged_if(beyond, f"{size} bytes at byte {position} are beyond the end of the file", "truncated")
         data = bytearray(size)
         self.into(position, memoryview(data))
         return data

@@ -363,8 +363,8 @@ def _refuse_options(path: Path, options: ReadOptions, instances: Sequence[Instan
     for what, value in given.items():
         if value is not None:
             msg = (
-                f"{path}: a flight log has messages with one clock, but {what} {value!r} was asked for; "
-                f"expected nothing, or the name of a message; found {_listed(instances) or 'none of an IMU'}"
+                f"{path}: a flight log has no {what} {value!r}; give the name of a message, or nothing; "
+                f"found {_listed(instances) or 'none of an IMU'}"
             )
             raise ChoiceError(msg)
 
@@ -380,7 +380,7 @@ def _timed(
                 continue
             samples = samples_of(instance, sensor)
             if not samples.stamps.size:
-                msg = f"{path}: {instance.name} holds no samples of the {sensor}; expected a recording"
+                msg = f"{path}: {instance.name} has no samples of the {sensor}; expected a recording"
                 raise DataError(msg)
             same = (read for known, read in done.values() if np.array_equal(known.stamps, samples.stamps))
             reading = next(same, None)
@@ -434,7 +434,7 @@ def _load(path: Path) -> FlightLog:
 def _log_findings(log: FlightLog) -> list[Finding]:
     findings = []
     if log.damaged:
-        text = "Parts of the log are damaged; what could be read around them was read."
+        text = "Parts of the log are damaged; the readable parts were read."
         findings.append(Finding("warning", "damaged", text))
     if log.dropouts:
         lost = sum(log.dropouts) / 1000

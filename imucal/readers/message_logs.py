@@ -110,7 +110,7 @@ def describe_logs(
 def _with_proposal(entry: TopicContents, topic: Topic) -> TopicContents:
     """Return an entry with the fields text that might read it, where nothing else is said of it."""
     text = topic.proposal if topic.count and not entry.note else None
-    return replace(entry, note=f"may be read by a fields text such as {text!r}") if text else entry
+    return replace(entry, note=f"can be read with a fields text such as {text!r}") if text else entry
 
 
 def _contents(containers: Sequence[Container], topic: Topic) -> TopicContents:
@@ -124,7 +124,7 @@ def _contents(containers: Sequence[Container], topic: Topic) -> TopicContents:
         sensors = tuple(sensor for sensor in topic.imu.sensors if sensor in alive)
         silent = [sensor for sensor in topic.imu.sensors if sensor not in alive]
         note = note or (" and ".join(silent) + " constant: no data" if silent else "")
-        note = note or ("read only where it is named" if topic.imu.plain else "")
+        note = note or ("read only if it is named" if topic.imu.plain else "")
     return TopicContents(
         name=topic.name,
         type=topic.type,
@@ -152,7 +152,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
-            why = next(iter(seen), "the log holds none")
+            why = next(iter(seen), "the log has none")
             raise refused(path, f"no message of topic {choice.topic.name} could be read: {why}")
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
     beside = None
@@ -160,7 +160,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         beside = read_temperature(containers, topics, choices[0].topic.name)
     if beside is not None:
         work.temperature, name = beside
-        work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+        work.decisions.append(("temperature", f"{name}: the only one besides the IMU's"))
     _require_samples(work, path, options)
     return work.build(
         topics=[choice.topic.name for choice in choices],
@@ -172,7 +172,7 @@ def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -
     """Refuse a damaged log where that is asked for, and one in which nothing changes."""
     damage = [finding for finding in work.findings if finding.code in DAMAGE]
     if options.strict and damage:
-        raise refused(path, f"the log is damaged, and recovery was not wanted: {damage[0].text}")
+        raise refused(path, f"the log is damaged, and strict reading was requested: {damage[0].text}")
     if not work.series:
         texts = "; ".join(finding.text for finding in work.findings) or "no data"
         raise refused(path, f"no sensor has samples that change: {texts}", DataError)
@@ -182,17 +182,14 @@ def _refuse_options(path: Path, options: ReadOptions) -> None:
     named = parse_fields_text(options.fields)
     if options.time_unit is not None and (named is None or len(named.time) != 1):
         msg = (
-            f"{path}: the time unit {options.time_unit} is given, but stamps are seconds and nanoseconds; "
-            "expected no unit, or a fields text that names a time of one number"
+            f"{path}: the time unit {options.time_unit} does not apply: time stamps are seconds and "
+            "nanoseconds; omit it, or name a time of one number in a fields text"
         )
         raise ChoiceError(msg)
     if options.time not in {None, "header", "log"}:
         raise ChoiceError(f"{path}: messages have no time called {options.time!r}; expected header or log")
     if options.columns is not None:
-        msg = (
-            f"{path}: messages have no columns, but {options.columns!r} was asked for; "
-            "expected the name of a topic, or nothing"
-        )
+        msg = f"{path}: messages have no columns; omit {options.columns!r}, or give the name of a topic"
         raise ChoiceError(msg)
 
 
@@ -204,7 +201,7 @@ def _loss_findings(losses: Sequence[Loss]) -> list[Finding]:
         lost = sum(loss.messages or 0 for loss in same)
         where = f"{len(same)} places" if len(same) > 1 else "one place"
         text = f"The log is damaged in {where}: {same[0].text}"
-        text += f"; about {lost} messages are lost." if lost else "; no message is lost by it."
+        text += f"; about {lost} messages are lost." if lost else "; no message is lost."
         findings.append(Finding("warning", code, text))
     return findings
 
@@ -232,7 +229,7 @@ def _add_topic(
     for sensor, rows in columns.vectors.items():
         if is_constant(rows):
             value = ", ".join(f"{row[0]:g}" for row in rows)
-            text = f"The {sensor} of topic {topic.name} is always ({value}): it has no data."
+            text = f"The {sensor} of topic {topic.name} is always ({value}): no data."
             work.findings.append(Finding("warning", "no-data", text, axis=sensor.short))
             continue
         vector = vectors[sensor]
@@ -252,7 +249,7 @@ def _add_topic(
 def _other_vectors(topic: Topic, imu: ImuFields) -> Iterator[Finding]:
     if imu.others:
         read = " and ".join(vector.field for vector in imu.vectors)
-        text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
+        text = f"Messages of {topic.name} also contain {', '.join(imu.others)}; {read} were read."
         yield Finding("warning", "other-vectors", text)
 
 
@@ -262,8 +259,8 @@ def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
     for decoder in stream.decoders.values():
         lengths |= decoder.lengths if isinstance(decoder, TreeDecoder) else {}
     texts = [
-        f"Messages of {topic.name} hold {count} elements of {name}; one of them was read. If they are "
-        f"samples of one sensor, {name}{EACH} reads them all."
+        f"Messages of {topic.name} contain {count} elements of {name}; one was read. If all are samples of "
+        f"one sensor, use {name}{EACH}."
         for name, count in lengths.items()
         if count > 1
     ]
@@ -325,11 +322,13 @@ def in_time_order(columns: Columns, room: Room) -> list[Finding]:
     for first, order in orders:
         sorted_stamps[first : first + order.size] = columns.stamps[first + order]
     if steps_back(sorted_stamps) > steps_back(columns.stamps):
-        text = f"The log time goes back {late} times; the stamps do not, so the order of the file is kept."
+        text = (
+            f"The log time goes back {late} times and the time stamps do not; the order of the file is kept."
+        )
     else:
         for first, order in orders:
             columns.reorder(first, order)
-        text = f"{late} messages stand in the file before earlier ones; they were put in order of log time."
+        text = f"{late} messages were out of order; they were sorted by log time."
     return [Finding("info", "log-out-of-order", text)]
 
 

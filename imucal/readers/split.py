@@ -100,7 +100,7 @@ def _scales(names: Sequence[str], parts: Sequence[Recording]) -> str:
             elif first.shape[1] == other.shape[1]:
                 found = (_gravity_differs if sensor is Sensor.ACCELEROMETER else _noise_differs)(first, other)
             if found:
-                return f"the {sensor} of {names[0]} and that of {names[i]} differ in scale: {found}"
+                return f"the {sensor}s of {names[0]} and {names[i]} differ in scale: {found}"
     return ""
 
 
@@ -114,7 +114,7 @@ def _gravity_differs(first: FloatArray, other: FloatArray) -> str:
     one, two = median_size(first), median_size(other)
     if first.shape[1] < 3 or max(one, two) < _NO_GRAVITY or _apart(one, two) < _SAME_GRAVITY:
         return ""
-    return f"a usual magnitude of {one:.4g} and {two:.4g} {Sensor.ACCELEROMETER.unit}"
+    return f"median magnitudes of {one:.4g} and {two:.4g} {Sensor.ACCELEROMETER.unit}"
 
 
 def _noise_differs(first: FloatArray, other: FloatArray) -> str:
@@ -125,7 +125,7 @@ def _noise_differs(first: FloatArray, other: FloatArray) -> str:
     ratios = [_apart(float(one), float(two)) for one, two in zip(*noises, strict=True)]
     for factor in _UNIT_FACTORS:
         if all(_apart(ratio, factor) < _LIKE_UNIT for ratio in ratios):
-            return f"the noise of one is {ratios[0]:.3g} times that of the other, as in another unit"
+            return f"their noise differs by a factor of {ratios[0]:.3g}, like two units"
     return ""
 
 
@@ -137,9 +137,9 @@ def _apart(a: float, b: float) -> float:
 def _names(names: Sequence[str]) -> str:
     """Return that names are no series of parts: they differ in more than numbers, or number devices."""
     if len({series_of(name.lower()) for name in names}) > 1:
-        return "their names are no series: they differ in more than a number"
+        return "their names are not a series: they differ in more than a number"
     if all(_DEVICE.search(_ENDINGS.sub("", name.lower())) for name in names):
-        return "their names number devices, not parts"
+        return "the numbers in their names are of devices, not of parts"
     return ""
 
 
@@ -153,7 +153,7 @@ def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
     spans = zip(names, (span_ns(part.series) for part in parts), strict=True)
     for (first, before), (second, after) in pairwise(spans):
         if before is None or after is None:
-            return f"{second if before else first} has no stamps that say when it was recorded"
+            return f"{second if before else first} has no time stamps of the recording"
         pause = (after[0] - before[1]) / 1e9
         if pause > _PAUSE:
             return f"{second} starts {pause:.4g} s after the end of {first}"
@@ -199,9 +199,9 @@ def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) ->
     lines += [f"  and {len(paths) - _MOST} more"] if len(paths) > _MOST else []
     listed = "\n".join(lines)
     return ChoiceError(
-        f"{paths[0]}: {len(paths)} logs are not seen to be one recording: {problem}; found\n{listed}\n"
-        f"expected parts of which each goes on where the one before ends; read one log at a time, such as "
-        f"{paths[0]}, or say that they are parts of one recording"
+        f"{paths[0]}: {len(paths)} logs do not look like one recording: {problem}; "
+        f"found\n{listed}\nexpected parts that each continue the one before; read one log at a time, such "
+        f"as {paths[0]}, or state that they are parts of one recording"
     )
 
 
@@ -232,14 +232,14 @@ def _refuse_others(paths: Sequence[Path], parts: Sequence[Recording]) -> None:
     if any(row != names[0] for row in names):
         rows = zip(paths, names, strict=True)
         found = "; ".join(f"{path}: {', '.join(row)}" for path, row in rows)
-        msg = f"the logs hold different axes ({found}); expected one recording; read one log at a time"
+        msg = f"the logs have different axes ({found}); expected one recording; read one log at a time"
         raise ChoiceError(msg)
     for path, part in zip(paths, parts, strict=True):
         for series, first in zip(part.series, parts[0].series, strict=True):
             if abs(series.rate_hz / first.rate_hz - 1) > _SAME_RATE:
                 msg = (
-                    f"{path}: its rate is {series.rate_hz:.6g} Hz, that of {paths[0]} "
-                    f"{first.rate_hz:.6g} Hz; expected one recording; read one log at a time"
+                    f"{path}: its rate is {series.rate_hz:.6g} Hz, and {paths[0]} has {first.rate_hz:.6g} "
+                    "Hz; expected one recording; read one log at a time"
                 )
                 raise ChoiceError(msg)
 
@@ -258,8 +258,8 @@ def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, lim
         series.append(replace(column[0], samples=samples, clock=clock))
     text = f"{len(paths)} logs are joined as one recording: {', '.join(path.name for path in paths)}."
     if problem:
-        text += f" They were said to be its parts, though {problem}."
-        text += "" if in_order else " They stand one behind the other, whatever their stamps say."
+        text += f" They were joined as requested, although {problem}."
+        text += "" if in_order else " They are joined in the given order, not by their time stamps."
     return replace(
         parts[0],
         source=replace(parts[0].source, files=tuple(file for part in parts for file in part.source.files)),

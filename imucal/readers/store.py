@@ -46,7 +46,7 @@ def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
             return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=dtype)
     except OSError as error:
         where = tempfile.gettempdir()
-        msg = f"{where}: no room for {size / 1e9:.1f} GB of samples: {error.strerror or error}"
+        msg = f"{where}: no space for {size / 1e9:.1f} GB of samples: {error.strerror or error}"
         raise ReadError(msg) from error
 
 

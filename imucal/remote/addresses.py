@@ -44,7 +44,7 @@ def is_url(log: object) -> bool:
     if isinstance(log, Path):
         if (match := _COLLAPSED.match(str(log))) and not log.exists():
             url = str(log).replace(":/", "://", 1)
-            raise refused(url, f"a URL that went through a Path; expected {match[1]}://… as text")
+            raise refused(url, f"a URL that was a Path; expected {match[1]}://… as text")
         return False
     return isinstance(log, str) and _URL.match(log) is not None
 
@@ -279,14 +279,14 @@ def retried(url: str, work: Callable[[], Result]) -> Result:
 
 def missing(url: str, what: str = "object") -> ReadError:
     """Return the error of what is not there."""
-    return refused(url, f"there is no such {what} (404); look at the address")
+    return refused(url, f"there is no such {what} (404); check the address")
 
 
 def forbidden(url: str, code: int = 403) -> ReadError:
     """Return the error of what may not be read."""
     scheme = scheme_of(url)
     if scheme not in _LOG_IN:
-        hint = "a signed address may have run out; make a new one, or give name and password in ~/.netrc"
+        hint = "perhaps a signed address has expired; create a new one, or put name and password in ~/.netrc"
         return refused(url, f"access is denied ({code}); {hint}")
     return refused(url, f"access is denied ({code}) to these credentials; {_LOG_IN[scheme]}")
 
@@ -306,7 +306,7 @@ def explained(error: Exception, url: str) -> Exception:
         return PassingError(passing)
     what = f"can't be read: {text or type(error).__name__}"
     if names & _CREDENTIALS or "Must provide either a connection_string" in text:
-        what = f"no credentials were found, or they are wrong; {_LOG_IN.get(scheme_of(url), 'log in')}"
+        what = f"no credentials, or wrong ones; {_LOG_IN.get(scheme_of(url), 'log in')}"
     elif "SSLCertVerificationError" in names:
         what = f"the server's certificate is not trusted: {text}"
     return refused(url, what)
@@ -317,7 +317,7 @@ def _passing(names: set[str], text: str) -> str:
     if names & (_CREDENTIALS | {"SSLCertVerificationError"}):
         return ""
     if names & {"gaierror", "ClientConnectorDNSError"}:
-        return "the host is not found: no network, or a slip in its name"
+        return "host not found: no network, or a mistake in its name"
     if names & _LATE:
         return f"no answer within {timeout():g} s"
     return f"the connection failed: {text}" if names & _CONNECTION else ""

@@ -157,7 +157,7 @@ def cache_folder() -> Path:
             raise PermissionError(13, os.strerror(13))
     except OSError as error:
         why = error.strerror or error
-        msg = f"{root}: the cache of remote logs can't be used: {why}; set {FOLDER} to a folder of yours"
+        msg = f"{root}: the cache of remote logs can't be used: {why}; set {FOLDER} to a folder that you own"
         raise ReadError(msg) from error
     return root.resolve()
 
@@ -197,7 +197,7 @@ def make_room(root: Path, wanted: int, *, most: int) -> None:
     if _lacks(root, wanted):
         free = shutil.disk_usage(root).free
         msg = (
-            f"{root}: no room for a remote log of {wanted / 1e9:.3g} GB: {free / 1e9:.3g} GB are free; "
+            f"{root}: no space for a remote log of {wanted / 1e9:.3g} GB: {free / 1e9:.3g} GB are free; "
             f"free some space, or set {FOLDER} to a folder on another disk"
         )
         raise ReadError(msg)
@@ -247,7 +247,9 @@ def fetched(
                 yield copy
         except ChangedError:
             if exact and not isinstance(log, str):
-                raise refused(asked.shown, "it has changed since it was looked at; look again") from None
+                raise refused(
+                    asked.shown, "it has changed since the first look; run the command again"
+                ) from None
             asked = identify(asked.url, keep=asked.keep)
         else:
             return
@@ -256,7 +258,7 @@ def fetched(
                 make_room(entry.root, 0, most=cache_size())
             else:
                 entry.remove()
-    raise refused(asked.shown, "it changes while it is read; wait until it is written")
+    raise refused(asked.shown, "it changed during reading; wait until it is complete")
 
 
 @contextmanager
@@ -302,8 +304,8 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
         entry.part.replace(entry.whole)
     except OSError as error:
         msg = (
-            f"{log.shown}: no copy can be written to {entry.root}: {error.strerror or error}; "
-            f"free some space, or set {FOLDER} to a folder on another disk"
+            f"{log.shown}: can't write a copy to {entry.root}: {error.strerror or error}; free some space, "
+            f"or set {FOLDER} to a folder on another disk"
         )
         raise ReadError(msg) from error
     finally:

@@ -55,8 +55,8 @@ def store_of(url: str) -> "Store":
     if scheme in WEB:
         return HttpStore()
     if scheme not in OBJECT_STORES:
-        hint = "; leave file:// out" if scheme == "file" else ""
-        text = f"{scheme}:// is not read; expected s3://, gs://, az://, abfs://, https:// or http://"
+        hint = "; omit file://" if scheme == "file" else ""
+        text = f"{scheme}:// is not supported; expected s3://, gs://, az://, abfs://, https:// or http://"
         raise refused(url, text + hint)
     return ObjectStore(url)
 
@@ -85,8 +85,8 @@ class HttpStore:
                 if body.read(_HEAD).lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
                     # No log begins so.
                     kind = headers.get_content_type()
-                    expected = "expected the address of the file itself, signed where it needs to be"
-                    why = f"the answer is a web page ({kind}), perhaps to log in, and no log; {expected}"
+                    expected = "expected the address of the file itself, signed if necessary"
+                    why = f"the answer is a web page ({kind}), perhaps for login, not a log; {expected}"
                     raise refused(url, why)
             match = _RANGE.match(headers.get("Content-Range", ""))
             length = headers.get("Content-Length", "")
@@ -140,14 +140,14 @@ class _WebRedirects(HTTPRedirectHandler):
         target = scheme_of(urljoin(req.full_url, headers.get("Location", "")))
         if target not in WEB:
             fp.close()
-            raise _led_astray(req.full_url, f"to {target}://" if target else "to no place on the web")
+            raise _led_astray(req.full_url, f"to {target}://" if target else "to an address outside the web")
         return super().http_error_302(req, fp, code, msg, headers)
 
     http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
 
 
 def _led_astray(url: str, where: str) -> ReadError:
-    return refused(url, f"the server leads on {where}, expected a file behind https:// or http://")
+    return refused(url, f"the server redirects {where}; expected a file behind https:// or http://")
 
 
 @contextlib.contextmanager
@@ -182,7 +182,7 @@ def _refusal(url: str, code: int) -> Exception:
         return ChangedError()
     if code in {301, 302, 303, 307, 308}:
         return _led_astray(url, "without end")
-    what = http.client.responses.get(code, "no such code is known")
+    what = http.client.responses.get(code, "unknown code")
     return refused(url, f"the server answers {code} ({what}); expected the file")
 
 
@@ -255,7 +255,7 @@ class ObjectStore:
         if info.get("type") == "directory":
             return None
         if info.get("size") is None:
-            raise refused(url, "its store does not say how large it is; expected an object of known size")
+            raise refused(url, "its store does not report its size; expected an object of known size")
         return RemoteFile(url=url, etag=_entity_tag(info), size=int(info["size"]))
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
@@ -375,7 +375,7 @@ def _expanded(store: Store, url: str) -> list[str]:
             # Such signs may stand in a name.
             if store.look_at(url) is not None:
                 return [url]
-        raise refused(url, "no log has such a name; expected one with an ending such as .mcap, .bag or .csv")
+        raise refused(url, "no log has this name; expected an ending such as .mcap, .bag or .csv")
     logs = _logs_in(store, url)
     names = [name_of(log) for log in logs]
     if _METADATA in names or not any(name.endswith(_MESSAGES) for name in names):
@@ -408,5 +408,5 @@ def _logs_in(store: Store, url: str) -> list[str]:
     logs = [file for file in files if name_of(file) == _METADATA or name_of(file).endswith(_LOGS)]
     if not any(name_of(log) != _METADATA for log in logs):
         inside = ", ".join(name_of(file) for file in files[:10]) or "nothing"
-        raise refused(url, f"a folder that holds {inside}; expected logs, such as .mcap, .bag or .csv files")
+        raise refused(url, f"a folder with {inside}; expected logs, such as .mcap, .bag or .csv files")
     return logs

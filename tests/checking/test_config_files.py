@@ -80,17 +80,17 @@ SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
     "f": (lambda c: c * RATE_HZ, "large: by f = 200 Hz: one factor of the rate too many", BOTH),
     "1/f": (lambda c: c / RATE_HZ, "small: by f = 200 Hz: one factor of the rate is missing", BOTH),
     "degrees": (lambda c: c / DEGREE, r"57.3 times too large: by 57.3: it is in deg/s/sqrt", (GYRO,)),
-    "radians twice": (lambda c: c * DEGREE, "57.3 times too small: by 57.3: it was turned from", (GYRO,)),
+    "radians twice": (lambda c: c * DEGREE, "57.3 times too small: by 57.3: it was converted from", (GYRO,)),
     "deg/h": (lambda c: c / DEGREE * 3600, r"it is in deg/h/sqrt\(..?\)", (GYRO,)),
     "g": (lambda c: c / G0, r"9.81 times too small: by 9.81: it is in g/sqrt\(..?\), not in m/s", (ACCEL,)),
-    "g twice": (lambda c: c * G0, "9.81 times too large: by 9.81: it was turned from g", (ACCEL,)),
+    "g twice": (lambda c: c * G0, "9.81 times too large: by 9.81: it was converted from g", (ACCEL,)),
     "mg": (lambda c: c / G0 * 1e3, r"102 times too large: it is in mg/sqrt\(..?\)", (ACCEL,)),
     "square": (lambda c: c * c, r".\^2, the square of the continuous density", BOTH),
     "variance": (lambda c: c * c * RATE_HZ, r".\^2\*f, the variance of one sample", BOTH),
     "zero": (lambda _: 0.0, "expected a positive number", BOTH),
     "negative": (lambda c: -c, "expected a positive number", BOTH),
-    "tiny": (lambda _: 6.5e-15, "times too small, absurd: no sensor is so good", BOTH),
-    "third": (lambda c: c / 3, "3 times too small: below the pair that covers", BOTH),
+    "tiny": (lambda _: 6.5e-15, "times too small, absurd: no sensor is this good", BOTH),
+    "third": (lambda c: c / 3, "3 times too small: below the values that cover", BOTH),
 }
 
 
@@ -153,12 +153,12 @@ def test_the_fits_own_numbers_are_too_small_where_there_is_flicker(tmp_path: Pat
     rows = read_back(tmp_path, render(report, "kalibr", numbers="as-fitted"), report)
     walk = rows["gyroscope_random_walk"]
     assert walk.verdict == "fail"
-    assert "K of the fit alone is below the pair that covers the fitted spectrum" in walk.text
+    assert "K of the fit alone is below the values that cover the fitted spectrum" in walk.text
     # Flicker is covered by N K >= B²/2; three times the white noise leaves a third for the walk.
     shared = "gyroscope_noise_density: 3e-4\ngyroscope_random_walk: 8e-7\n"
     rows = read_back(tmp_path, shared, report)
     assert {row.verdict for row in rows.values()} == {"pass"}
-    assert "with the sensor's other number it is enough" in rows["gyroscope_random_walk"].text
+    assert "the file's other number makes up for it" in rows["gyroscope_random_walk"].text
     assert rows["gyroscope_random_walk"].limit is None
     assert (
         read_back(tmp_path, shared.replace("8e-7", "4e-7"), report)["gyroscope_random_walk"].verdict == "fail"
@@ -182,7 +182,7 @@ def test_what_a_record_only_bounds_is_undecided(tmp_path: Path) -> None:
     text = "gyroscope_noise_density: 1.1e-4\ngyroscope_random_walk: 3e-7\n"
     row = read_back(tmp_path, text, report)["gyroscope_random_walk"]
     assert row.verdict == "undecided"
-    assert "unless a term is smaller that the record only bounds; record for longer" in row.text
+    assert "unless a term is below its upper bound; record for longer" in row.text
     assert (
         read_back(tmp_path, text.replace("3e-7", "3e-13"), report)["gyroscope_random_walk"].verdict == "fail"
     )
@@ -283,7 +283,7 @@ def test_a_text_in_place_of_a_number_fails(tmp_path: Path) -> None:
 def test_other_files_are_refused(tmp_path: Path) -> None:
     """Missing, no text, no key of a filter: where, what was found, what is expected."""
     with pytest.raises(
-        LimitsError, match=r"no\.yaml: can't be read \(No such file or directory\), expected the config"
+        LimitsError, match=r"no\.yaml: can't be read \(No such file or directory\); expected the config"
     ):
         check_config(tmp_path / "no.yaml", PAIR)
     (tmp_path / "b.yaml").write_bytes(b"\xff\xfe")
@@ -291,6 +291,6 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         check_config(tmp_path / "b.yaml", PAIR)
     (tmp_path / "c.yaml").write_text("camera: 1\n", encoding="utf-8")
     with pytest.raises(
-        LimitsError, match=r"c\.yaml: found no key of a noise parameter, expected the file of one of kalibr,"
+        LimitsError, match=r"c\.yaml: found no noise parameter; expected a file of one of kalibr,"
     ):
         check_config(tmp_path / "c.yaml", PAIR)

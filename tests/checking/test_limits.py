@@ -92,7 +92,7 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[gyroscope\n", "l.toml: not TOML (Expected ']' at the end of a table declaration"),
+        ("[gyroscope\n", "l.toml: not valid TOML (Expected ']' at the end of a table declaration"),
         ("", "l.toml: no limit, write one, such as [gyroscope] N = { max = 1e-4 }"),
         ("[gyro]\nN = { max = 1 }", "l.toml: unknown key 'gyro'; did you mean 'gyroscope'?"),
         ("[gyroscop]\n", "l.toml: unknown key 'gyroscop'; did you mean 'gyroscope'?"),
@@ -111,7 +111,7 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
             "l.toml: gyroscope.N: unknown key 'maximum'; did you mean 'max'?",
         ),
         ("[gyroscope]\nN = 1", "l.toml: gyroscope.N: 1, expected a table, such as { max = 1e-4 }"),
-        ("[gyroscope]\nN = { }", "l.toml: gyroscope.N: neither min nor max, expected one of them"),
+        ("[gyroscope]\nN = { }", "l.toml: gyroscope.N: neither min nor max, expected a limit"),
         ('[gyroscope]\nN = { max = "1" }', "l.toml: gyroscope.N.max: '1', expected a number"),
         ("[gyroscope]\nN = { max = nan }", "l.toml: gyroscope.N.max: nan, expected a number"),
         ("[gyroscope]\nN = { max = true }", "l.toml: gyroscope.N.max: True, expected a number"),
@@ -154,7 +154,7 @@ def test_what_is_wrong_is_said_with_its_place(text: str, message: str) -> None:
 
 def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
     """Missing, and not text."""
-    with pytest.raises(LimitsError, match=r"no\.toml: can't be read \(No such file or directory\), expected"):
+    with pytest.raises(LimitsError, match=r"no\.toml: can't be read \(No such file or directory\); expected"):
         read_limits(tmp_path / "no.toml")
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(LimitsError, match=r"b\.toml: can't be read \(it is not UTF-8 text\)"):

@@ -150,5 +150,5 @@ def test_warnings_of_reading_are_printed_and_end_a_strict_run(tmp_path: Path) ->
     strict = run("adev", log, "--strict", "-q", cwd=tmp_path)
     assert (strict.returncode, strict.stdout, strict.stderr) == (
         *(4, done.stdout),
-        f"Error: {log}: gaps found, and --strict allows no warning\n",
+        f"Error: {log}: gaps found; --strict allows no warning\n",
     )

@@ -48,7 +48,7 @@ def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path
     assert said.count("error [") == 1
     assert "--force" not in said
     options = said.partition("Try ")[2].partition(". ")[0].split()
-    assert said.endswith(f"nothing was written; fit the rest with {' '.join(options)}")
+    assert said.endswith(f"nothing was written; fit the quiet part with {' '.join(options)}")
     kept = run("fit", "carried.csv", "--no-report", *_PLAIN, *options, cwd=tmp_path)
     assert kept.returncode == 0
 
@@ -91,7 +91,7 @@ def test_defaults_come_from_a_file(name: str, text: str, tmp_path: Path) -> None
     [
         ("[adev]\ntau = '1'\n", "imucal.toml: [adev]: there is no option 'tau'; did you mean taus?"),
         ("adev = 3\n", "imucal.toml: [adev] is 3, expected a table of options"),
-        ("[adev\n", "imucal.toml: can't be read as TOML ("),
+        ("[adev\n", "imucal.toml: not valid TOML ("),
     ],
 )
 def test_a_wrong_file_of_defaults_is_named(text: str, said: str, tmp_path: Path) -> None:

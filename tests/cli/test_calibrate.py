@@ -270,14 +270,14 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     assert "read it with --accel-scale and --gyro-scale" in refused.stderr
     every = run("export", "out", "--to", "all", "-o", "every", cwd=tmp_path)
     assert every.returncode == 0
-    assert "px4 is left out: raw.csv: an autopilot corrects samples in m/s²" in every.stderr
+    assert "px4 is not written: raw.csv: an autopilot corrects samples in m/s²" in every.stderr
 
 
 def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
     """--strict ends with 4 after the table; wrong options with 2, a folder of another kind with 5."""
     done = run("calibrate", "poses.csv", "--strict", "--no-files", cwd=folder)
     assert done.returncode == 4
-    assert "gravity-unknown found, and --strict allows no warning" in done.stderr
+    assert "gravity-unknown found; --strict allows no warning" in done.stderr
     assert "scale x" in done.stdout
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("words", encoding="utf-8")
@@ -314,7 +314,7 @@ def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
         ((place, "--to", "rovio"), 2, "no calibration format 'rovio'; choose one of kalibr, openvins"),
         ((place, "--to", "kalbir"), 2, "did you mean kalibr?"),
         ((place, "--to", "c", "--to", "yaml", "-o", "-"), 2, "standard output takes one format"),
-        (("still", "--to", "imu-tk"), 2, "imu-tk is about a calibration, but still is none"),
+        (("still", "--to", "imu-tk"), 2, "imu-tk is for a calibration, and still is not one"),
         ((place, "--to", "kalibr", "-o", "mine.yaml"), 5, "was not written by imucal"),
     ):
         done = run("export", *arguments, cwd=tmp_path)

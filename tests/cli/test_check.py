@@ -117,13 +117,13 @@ def test_a_baseline_of_the_limits_file_is_beside_it(tmp_path: Path) -> None:
     (tmp_path / "ci" / "limits.toml").write_text("[baseline]\n")
     done = run("check", "still-imucal", "--limits", "ci/limits.toml", cwd=tmp_path)
     assert done.returncode == 2
-    assert "the baseline names no report" in done.stderr
+    assert "[baseline] has no report" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("limits", "message"),
     [
-        ("[gyroscope", "Error: limits.toml: not TOML (Expected ']'"),
+        ("[gyroscope", "Error: limits.toml: not valid TOML (Expected ']'"),
         (
             "[gyroscope]\nN = { maks = 1 }",
             "Error: limits.toml: gyroscope.N: unknown key 'maks'; did you mean",

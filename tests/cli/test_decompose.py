@@ -124,7 +124,7 @@ def test_what_is_not_noise_ends_with_code_4_unless_forced(tmp_path: Path) -> Non
     assert done.returncode == 4
     assert done.stderr == (
         "Error: log.csv: not noise: the IMU was moved; do not use these numbers; log-decomposed was written; "
-        "fit the rest with --skip 2.3s --take 17.7s\n"
+        "fit the quiet part with --skip 2.3s --take 17.7s\n"
     )
     assert (tmp_path / "log-decomposed" / "gyro_x.png").exists()
     done = run("decompose", "log.csv", "--model", "N", "--axis", "gyro_x", "-q", "--force", cwd=tmp_path)
@@ -140,5 +140,5 @@ def test_what_the_fit_took_out_is_said(tmp_path: Path) -> None:
     write(tmp_path / "log.csv", stepped)
     done = run("decompose", "log.csv", "--model", "N + K", "--axis", "gyro_x", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    said = "gyro_x: the fit took out a step; here it is in the bias, as far as the model follows"
+    said = "gyro_x: the fit removed a step; the bias shown here still contains it"
     assert said in done.stderr.splitlines()

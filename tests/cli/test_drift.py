@@ -39,8 +39,8 @@ def test_a_report_gives_a_table(tmp_path: Path) -> None:
         "  10 s    0.72 [0.72, 1.68] m             gyro_x    N 100 %  extrapolated",
         "  1 min   76 [76, 385] m                  gyro_x    N 100 %  extrapolated",
         "",
-        "extrapolated: the log is not 5 times as long as rest and time together; its",
-        "  terms are taken to go on",
+        "extrapolated: the log is shorter than 5 times rest plus time; the model is",
+        "  assumed to remain valid",
     ]
 
 
@@ -48,7 +48,7 @@ def test_both_sensors_tell_heading_and_both_parts(tmp_path: Path) -> None:
     """In the order of the library; nothing is extrapolated of three hours."""
     write_report(tmp_path, "a")
     lines = run("drift", "a", cwd=tmp_path).stdout.splitlines()
-    assert lines[1] == "z is vertical, by the accelerometer"
+    assert lines[1] == "z is vertical (by the accelerometer)"
     names = [line for line in lines[2:] if line and not line.startswith(" ")]
     assert names == [one.name for one in imucal.drift(consumer_report()).quantities]
     assert "extrapolated" not in "".join(lines)
@@ -108,9 +108,17 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
     """A name of no picture, times of nothing, no folder; and data that are not noise."""
     write_report(tmp_path, "a", small_report())
     for arguments, code, said in (
-        (("a", "-o", "x.jpg"), 2, "x.jpg is no picture's name; end it with one of .png, .svg, .pdf"),
-        (("a", "--rest", "0"), 2, "rest 0 s and time 1 s, expected each a sample (0.005 s) at least"),
-        (("a", "--times", "1s,x"), 2, "'x' is not a duration; write seconds, or such as 90s, 5min, 2.5h"),
+        (
+            ("a", "-o", "x.jpg"),
+            2,
+            "x.jpg is not the name of a picture; use one of the endings .png, .svg, .pdf",
+        ),
+        (
+            ("a", "--rest", "0"),
+            2,
+            "rest 0 s and time 1 s; expected at least a sample (0.005 s) each",
+        ),
+        (("a", "--times", "1s,x"), 2, "'x' is not a duration; write seconds, or for example 90s, 5min, 2.5h"),
         (("a", "-o", "none/x.png"), 5, "none/x.png: can't be written: No such file or directory"),
         (("none",), 3, "none: can't be opened"),
     ):

@@ -33,7 +33,7 @@ def test_standard_output_takes_one_format(still: str, tmp_path: Path) -> None:
     assert yaml.safe_load(done.stdout)["lio_sam"]["imuGyrNoise"] == 1.3e-4
     done = run("export", still, "--to", "all", "-o", "-", cwd=tmp_path)
     assert done.returncode == 2
-    assert "standard output takes one format; give a folder" in done.stderr
+    assert "standard output takes one format; name a folder" in done.stderr
 
 
 @pytest.mark.parametrize(("targets", "count"), [(("all",), len(TARGETS)), (("px4", "sdf", "px4"), 2)])
@@ -88,11 +88,11 @@ def test_horizon_and_step_reach_the_file(still: str, tmp_path: Path) -> None:
         (("--to", "kalibr", "--horizon", "1"), 2, "1 s is not longer than the --step of 1 s"),
         (("--to", "kalibr", "--horizon", "soon"), 2, "'soon' is not a duration"),
         (("--to", "kalbir"), 2, "no downstream format 'kalbir'; did you mean kalibr?"),
-        (("--to", "kalibr", "--inflate", "pink=2"), 2, "'pink=2' is not one of white, walk, flicker with a"),
+        (("--to", "kalibr", "--inflate", "pink=2"), 2, "'pink=2' is not a factor of white, walk, flicker;"),
         (
             ("--to", "kalibr", "--inflate", "walk=-1"),
             2,
-            "'walk=-1' is not one of white, walk, flicker with a",
+            "'walk=-1' is not a factor of white, walk, flicker;",
         ),
         (("--to", "kalibr", "--axis-policy", "w"), 2, "'w' is not one of 'worst', 'rms', 'x', 'y', 'z'"),
         (("--to", "all", "--unidentified", "refuse", "-o", "out"), 4, "accel_y: K was not identified"),
@@ -100,7 +100,7 @@ def test_horizon_and_step_reach_the_file(still: str, tmp_path: Path) -> None:
         (
             ("--to", "kalibr", "--topic", "/imu"),
             2,
-            "still-imucal is a report, but topic is about reading a log;",
+            "still-imucal is a report, and topic applies to a log only;",
         ),
     ],
 )
@@ -120,7 +120,7 @@ def test_a_report_without_an_accelerometer_gives_its_half(tmp_path: Path) -> Non
     name = write_report(tmp_path, report=small_report())
     done = run("export", name, "--to", "kalibr", cwd=tmp_path)
     assert done.returncode == 0
-    assert "there is no accelerometer in this log; its numbers are left out" in done.stderr
+    assert "the report has no accelerometer; the files omit its numbers" in done.stderr
     data = yaml.safe_load((tmp_path / "kalibr_imu.yaml").read_text())
     assert {key for key in data if "noise" in key} == {"gyroscope_noise_density"}
 

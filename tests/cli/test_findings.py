@@ -30,11 +30,9 @@ def test_one_stands_for_those_that_differ_in_figures(capsys: pytest.CaptureFixtu
     out, err = capsys.readouterr()
     assert out == ""
     assert " ".join(err.split()) == (
-        "error [motion]: It moved. Try --skip 3s --take 67s. "
-        "warning [spikes] gyro_x: 3 spikes were replaced. (2 more like it, on gyro_y accel_z; -v shows all) "
-        "warning [gaps]: 12 samples are missing. Record again. "
-        "warning [tone] gyro_x gyro_z: A tone. "
-        "info [delay]: Messages came late."
+        "error [motion]: It moved. Try --skip 3s --take 67s. warning [spikes] gyro_x: 3 spikes were "
+        "replaced. (2 more of this kind, on gyro_y accel_z; -v shows all) warning [gaps]: 12 samples are "
+        "missing. Record again. warning [tone] gyro_x gyro_z: A tone. info [delay]: Messages came late."
     )
 
 

@@ -83,7 +83,7 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
     """Where no log has a unit."""
     done = run("fleet", "report", "loose", "--no-pictures", cwd=folder)
     assert done.returncode == 0
-    assert "to have them counted, run the fleet with --labels '{unit}.mcap'" in done.stderr
+    assert "to count them, run the fleet with --labels '{unit}.mcap'" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -94,18 +94,22 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
         (
             ("export", "like.npz", "--value", "median", "--to", "kalibr"),
             2,
-            "is no fleet, but --value is about one",
+            "is not a fleet; omit --value",
         ),
         (
             ("export", "fleet", "--fleet-model", "X", "--to", "kalibr"),
             3,
             "expected one of the sensor models: 'ACME-6'",
         ),
-        (("export", "fleet", "--rate", "9", "--to", "kalibr"), 2, "without options of reading a log"),
+        (("export", "fleet", "--rate", "9", "--to", "kalibr"), 2, "without options for a log"),
         (("compare", "fleet", "like.npz"), 2, "imucal check like.npz --fleet fleet"),
         (("compare", "fleet", "https://h/a&b.npz"), 2, "imucal check 'https://h/a&b.npz' --fleet fleet"),
-        (("compare", "a", "b", "--fleet-model", "X"), 2, "is no fleet, but --fleet-model is about one"),
-        (("check", "like.npz", "--fleet", "nothing"), 3, "expected the folder of a fleet"),
+        (("compare", "a", "b", "--fleet-model", "X"), 2, "is not a fleet; omit --fleet-model"),
+        (
+            ("check", "like.npz", "--fleet", "nothing"),
+            3,
+            "expected the folder of a fleet that imucal fleet run writes",
+        ),
         (("check", "like.npz", "--fleet-model", "X"), 2, "give --fleet FLEET too"),
         (("check", "like.npz", "--fleet", "two"), 4, "found 2 units of ACME-6, expected at least 3"),
     ],

@@ -63,7 +63,7 @@ def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
     for arguments in (("logs", *LABELS), ()):
         again = run("fleet", "run", *arguments, "--shard", "1/1", "--max-failed", "20%", cwd=done)
         assert again.returncode == 0, again.stderr
-        assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\n")
+        assert again.stderr.startswith("0 logs to do, 0 kB; 8 already done\n")
     assert sorted((done / "fleet" / "logs").iterdir()) == parts
 
 
@@ -89,15 +89,15 @@ def test_more_failures_than_allowed_end_with_4(done: Path) -> None:
 def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
     """A run without labels keeps those of the first; one of a new folder asks for them."""
     again = run("fleet", "run", "logs", "--shard", "1/1", cwd=done)
-    assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\nunreadable: 1\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 8 already done\nunreadable: 1\n")
     first = run("fleet", "run", "logs/alpha/u00", "-o", "without", "--shard", "1/1", cwd=done)
-    assert "No log has a label unit: logs stand one by one" in first.stderr
+    assert "No log has the label unit, so logs are not grouped" in first.stderr
 
 
 def test_the_help_says_the_defaults_that_hold(tmp_path: Path) -> None:
     """It has a copy of its own of two of them."""
     text = " ".join(run("fleet", "run", "--help", cwd=tmp_path).stdout.split())
-    assert f"Terms, for every log. [default: {MODEL}]" in text
+    assert f"Fit these terms to every log. [default: {MODEL}]" in text
     assert f"Confidence level of every interval. [default: {LEVEL}]" in text
 
 
@@ -143,7 +143,9 @@ def test_a_report_that_cannot_be_written_ends_with_5(
     monkeypatch.setattr("imucal.fleet_report.write_fleet", full)
     ended = run("fleet", "run", "-o", "fleet", "--max-failed", "20%", "-q", cwd=tmp_path / "copy")
     assert ended.returncode == 5
-    assert ended.stderr.startswith("What is done is kept; to go on: imucal fleet run -o fleet --max-failed")
+    assert ended.stderr.startswith(
+        "Finished logs are kept; to continue: imucal fleet run -o fleet --max-failed"
+    )
     assert ended.stderr.endswith("Error: fleet.json: can't be written\n")
 
 
@@ -182,14 +184,18 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ((), 2, "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"),
+        (
+            (),
+            2,
+            "Missing argument 'LOGS...'; name logs, or give --manifest CSV or the folder of a fleet (-o)",
+        ),
         (("*.bag",), 3, "*.bag: no log has this name; expected files, or folders with logs"),
-        (("x", "--shard", "0/4"), 2, "'0/4' is no part; write i/n with i from 1 to n, such as 1/8"),
+        (("x", "--shard", "0/4"), 2, "'0/4' is not a part; write I/N with I from 1 to N, such as 1/8"),
         (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "expected shard or scheduler, not both"),
         (("x", "--labels", "*.csv"), 2, "no label; write for example '{model}/{unit}/*.mcap'"),
         (("x", "--memory", "much"), 2, "memory 'much', expected a size such as 500M or 2G"),
         (("x", "--memory", "100MB"), 2, "memory '100MB', expected a size such as 500M or 2G, 300M or more"),
-        (("x", "--timeout", "0"), 2, "'0' is no time to work; write such as 10min, or auto"),
+        (("x", "--timeout", "0"), 2, "'0' is not a time limit; write a time such as 10min, or auto"),
         (("x", "--model", "auto+"), 2, "model 'auto+'"),
         (
             ("x", "--model", "auto"),
@@ -237,4 +243,4 @@ def test_a_mistyped_command_of_the_group(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     assert "did you mean 'run'?" in run("fleet", "rum", cwd=tmp_path).stderr
     said = run("fleet", "logs", cwd=tmp_path).stderr
-    assert "No such command 'logs'; to characterise a fleet write 'imucal fleet run logs'" in said
+    assert "No such command 'logs'; to characterise a fleet, type 'imucal fleet run logs'" in said

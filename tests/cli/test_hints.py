@@ -26,10 +26,10 @@ def test_a_missing_rate_is_asked_for_with_its_option(tmp_path: Path) -> None:
     table(tmp_path / "log.csv", HEAD)
     done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.endswith("give the sampling rate\nSay it with --rate HZ.\n")
+    assert done.stderr.endswith("give the sampling rate\nUse --rate HZ.\n")
     assert run("adev", "log.csv", "--rate", "100", "-q", cwd=tmp_path).returncode == 0
     listed = run("info", "log.csv", cwd=tmp_path)
-    assert "As it is, no samples can be read; give imucal fit --rate HZ.\n" in listed.stdout
+    assert "No samples can be read this way; give imucal fit --rate HZ.\n" in listed.stdout
     assert "No gyroscope" not in listed.stdout
 
 
@@ -39,7 +39,7 @@ def test_an_open_time_unit_is_asked_for_with_its_options(tmp_path: Path) -> None
     (tmp_path / "log.csv").write_text(f"time,gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}\n", encoding="utf-8")
     done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1] == "Say it with --time-unit UNIT or --rate HZ."
+    assert done.stderr.splitlines()[-1] == "Use --time-unit UNIT or --rate HZ."
     assert "at 10000 Hz" in run("adev", "log.csv", "--time-unit", "us", cwd=tmp_path).stderr
     assert "at 10 Hz" in run("adev", "log.csv", "--rate", "10", cwd=tmp_path).stderr
 
@@ -50,7 +50,7 @@ def test_several_topics_are_asked_for_with_topic(tmp_path: Path) -> None:
     write_mcap(tmp_path / "log.mcap", messages)
     done = run("adev", "log.mcap", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1] == "Say it with --topic NAME."
+    assert done.stderr.splitlines()[-1] == "Use --topic NAME."
     assert run("adev", "log.mcap", "--topic", "/b", "-q", cwd=tmp_path).returncode == 0
 
 
@@ -59,17 +59,17 @@ def test_a_wrong_value_is_answered_with_its_own_option(tmp_path: Path) -> None:
     write_mcap(tmp_path / "log.mcap", imu_messages(samples(100)))
     done = run("adev", "log.mcap", "--time", "moon", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1] == "Say it with --time CLOCK."
+    assert done.stderr.splitlines()[-1] == "Use --time CLOCK."
 
 
 @pytest.mark.parametrize(
     ("option", "unit", "said"),
     [
-        ("--gyro-unit", "furlong", "'furlong' is no unit of the gyroscope; expected one of rad/s, "),
-        ("--gyro-unit", "g", "'g' is no unit of the gyroscope"),
-        ("--gyro-unit", "degs", "'degs' is not clear; did you mean 'deg/s'?"),
-        ("--accel-unit", "furlong", "'furlong' is no unit of the accelerometer; expected one of m/s^2, g"),
-        ("--accel-unit", "rads", "'rads' is not clear; did you mean 'rad/s'?"),
+        ("--gyro-unit", "furlong", "'furlong' is not a unit of the gyroscope; expected one of rad/s, "),
+        ("--gyro-unit", "g", "'g' is not a unit of the gyroscope"),
+        ("--gyro-unit", "degs", "'degs' is ambiguous; did you mean 'deg/s'?"),
+        ("--accel-unit", "furlong", "'furlong' is not a unit of the accelerometer; expected one of m/s^2, g"),
+        ("--accel-unit", "rads", "'rads' is ambiguous; did you mean 'rad/s'?"),
     ],
 )
 def test_a_wrong_unit_is_a_usage_error(option: str, unit: str, said: str, tmp_path: Path) -> None:
@@ -95,14 +95,14 @@ def test_fields_are_asked_for_with_their_option(tmp_path: Path) -> None:
     single(tmp_path)
     done = run("adev", "log.mcap", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1] == "Say it with --fields TEXT."
+    assert done.stderr.splitlines()[-1] == "Use --fields TEXT."
     asked = ("--fields", "gyro=gx,gy,gz accel=ax,ay,az")
     assert "such as 'gyro=gx,gy,gz accel=ax,ay,az'" in done.stderr
     assert run("adev", "log.mcap", *asked, "-q", cwd=tmp_path).returncode == 0
     loose = ("--fields", "gyro=gx,gy,gz", "accel=ax,ay,az", "log.mcap")
     assert "gyro xyz, accel xyz" in run("adev", *loose, cwd=tmp_path).stderr
     listed = run("info", "-v", "log.mcap", cwd=tmp_path).stdout
-    assert "/imu/data has the fields\n  header.stamp.sec int32, " in listed
+    assert "/imu/data:\n  header.stamp.sec int32, " in listed
     assert "header.stamp.sec" not in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
     assert "gyro, accel" in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
 
@@ -112,7 +112,7 @@ def test_a_definition_is_asked_for_with_its_option(tmp_path: Path) -> None:
     undefined(tmp_path)
     package(tmp_path)
     done = run("adev", "log.mcap", "--topic", "/board", cwd=tmp_path)
-    assert done.stderr.splitlines()[-1] == "Say it with --msg FILE."
+    assert done.stderr.splitlines()[-1] == "Use --msg FILE."
     assert run("adev", "log.mcap", "--msg", "src", "-q", cwd=tmp_path).returncode == 0
     assert "/board" in run("info", "log.mcap", "--msg", "src", cwd=tmp_path).stdout
 
@@ -123,7 +123,7 @@ def test_all_that_is_missing_is_asked_for_at_once(tmp_path: Path) -> None:
     done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
     assert done.returncode == 3
     accel, gyro = "--accel-unit UNIT or --accel-scale X", "--gyro-unit UNIT or --gyro-scale X"
-    assert done.stderr.splitlines()[-1] == f"Say it with --rate HZ and {accel} and {gyro}."
+    assert done.stderr.splitlines()[-1] == f"Use --rate HZ and {accel} and {gyro}."
     typed = ["--rate", "100", "--accel-unit", "m/s^2", "--gyro-unit", "deg/s"]
     assert run("adev", "log.csv", *typed, "-q", cwd=tmp_path).returncode == 0
 

@@ -74,7 +74,7 @@ def test_reads_no_samples_where_it_need_not(tmp_path: Path) -> None:
     """The index is enough for what the first table shows."""
     write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
     done = run("info", "--no-gaps", "log.mcap", cwd=tmp_path)
-    assert "Gaps are not looked for in a large log; --gaps reads all samples." in done.stdout
+    assert "Gaps were not checked in a large log; --gaps reads all samples." in done.stdout
     assert "header stamp" not in done.stdout
 
 
@@ -95,7 +95,7 @@ def test_a_finding_is_said_once() -> None:
     whole = Finding(level="info", code="dropouts", text="The logger lost some.", advice="Log less.")
     series = AxisSeries.from_samples(np.arange(9.0), rate_hz=100.0, sensor=Sensor.GYROSCOPE)
     recording = Recording(
-        source=Source(path="log.csv", format="csv", decisions=(("topic", "/a: as asked for"),)),
+        source=Source(path="log.csv", format="csv", decisions=(("topic", "/a: as given"),)),
         series=(series,),
         findings=(replace(gap, axis="gyro"), replace(gap, axis="accel"), whole),
     )
@@ -136,4 +136,4 @@ def test_standard_input_is_described_but_not_read_twice(tmp_path: Path) -> None:
     for options in ((), ("--gaps",)):
         done = run("info", *options, "-", cwd=tmp_path, text=text)
         assert (done.returncode, done.stderr) == (0, "")
-        assert "Gaps are not looked for on standard input.\n" in done.stdout
+        assert "Gaps were not checked on standard input.\n" in done.stdout

@@ -80,7 +80,7 @@ def test_columns_of_a_log_of_messages_are_refused(tmp_path: Path) -> None:
     """An option that would change nothing is not ignored."""
     done = run("adev", str(SAMPLE_LOGS / "too_short.db3"), "--columns", "t=0,g=1:4,a=4:7", cwd=tmp_path)
     assert done.returncode == 3
-    assert "messages have no columns, but 't=0,g=1:4,a=4:7' was asked for" in done.stderr
+    assert "messages have no columns; omit 't=0,g=1:4,a=4:7'" in done.stderr
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_full_disk_under_standard_output_is_said(command: str, tmp_path: Path)
     )  # fmt: skip
     assert done.returncode == 5
     assert done.stderr == (
-        "Error: standard output: can't be written: No space left on device; free some space\n"
+        "Error: can't write to standard output: No space left on device; free some space\n"
     )
 
 
@@ -159,6 +159,6 @@ def test_an_interrupted_command_leaves_nothing_and_says_so(tmp_path: Path) -> No
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert stderr.strip() == "Interrupted; nothing was left half written."
+    assert stderr.strip() == "Interrupted; no file is incomplete."
     assert stdout == ""
     assert list(tmp_path.iterdir()) == []

@@ -77,7 +77,7 @@ def test_fit_and_adev_end_with_code_4_and_one_line(
         done = run(*command, *unit, "-q", cwd=tmp_path)
         assert done.returncode == 4
         (line,) = done.stderr.splitlines()
-        remedy = r"(record again at rest, or --force|fit the rest with --skip [\d.]+s --take [\d.]+s)"
+        remedy = r"(record again at rest, or --force|fit the quiet part with --skip [\d.]+s --take [\d.]+s)"
         ended = f"(nothing was written|the curves were printed); {remedy}"
         assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", line)
         assert done.stdout
@@ -108,8 +108,8 @@ def test_the_report_is_written_and_says_so(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[0] == said
     assert "imucal export" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith(
-        "Error: log.csv: not noise: the IMU was moved; do not use these numbers; log-imucal says so; "
-        "fit the rest with --skip "
+        "Error: log.csv: not noise: the IMU was moved; do not use these numbers; see log-imucal; "
+        "fit the quiet part with --skip "
     )
     report = json.loads((tmp_path / "log-imucal" / "report.json").read_text(encoding="utf-8"))
     assert (report["verdict"], report["verdict_sentence"]) == ("not-noise", said)
@@ -156,7 +156,7 @@ def test_a_strict_run_says_what_it_found(tmp_path: Path) -> None:
     done = run("fit", "log.csv", *QUICK, "-q", "--strict", cwd=tmp_path)
     assert done.returncode == 4
     (line,) = done.stderr.splitlines()
-    assert line == "Error: log.csv: touch found, and --strict allows no warning"
+    assert line == "Error: log.csv: touch found; --strict allows no warning"
 
 
 def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_white_noise_that_is_hardly_known_is_not_exported(tmp_path: Path) -> Non
     command = ("fit", "walk.csv", "--model", "N + K", "--force", "--format", "svg", "--no-html", "-o", "walk")
     done = run(*command, cwd=tmp_path)
     assert done.returncode == 0
-    assert "is not known to a factor of 10" in done.stderr
+    assert "is uncertain by more than a factor of 10" in done.stderr
     assert "imucal export" not in done.stderr
     done = run("export", "walk", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)
     assert done.returncode == 4
@@ -218,7 +218,7 @@ def test_a_given_unit_that_contradicts_the_log_is_repeated(tmp_path: Path) -> No
     assert "Next: run again without --gyro-unit if the log's own unit is right; if not, imucal export" in said
     exported = run("export", "out", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)
     assert exported.returncode == 0
-    assert "warning: The unit of the gyroscope is deg/s as given; the log says rad/s" in exported.stderr
+    assert "warning: The unit of the gyroscope is deg/s as given; the log has rad/s" in exported.stderr
     assert "it warns of: unit-given" in (tmp_path / "x.yaml").read_text(encoding="utf-8")
     again = run(*command, cwd=tmp_path)
     assert "Next: imucal export out" in again.stderr

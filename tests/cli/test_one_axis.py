@@ -74,7 +74,7 @@ def test_it_is_checked_against_limits_of_its_own(bench: Path) -> None:
     (bench / "limits.toml").write_text('[gyroscope]\naxes = ["z"]\nN = { max = 1.0 }\n', encoding="utf-8")
     done = run("check", "report", "--limits", "limits.toml", cwd=bench)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "gyro_z are there" in done.stdout
+    assert "gyro_z are present" in done.stdout
 
 
 @pytest.mark.parametrize("target", sorted(TARGETS))
@@ -82,7 +82,7 @@ def test_no_format_makes_up_what_was_not_measured(target: str, bench: Path) -> N
     """Each leaves the accelerometer out and says so, or says which axis it needs and writes nothing."""
     done = run("export", "report", "--to", target, "-o", "-", cwd=bench)
     if done.returncode == 0:
-        assert "there is no accelerometer in this log; its numbers are left out" in done.stderr
+        assert "the report has no accelerometer; the files omit its numbers" in done.stderr
         return
     assert done.returncode == 4
     assert f", which {target} needs; found gyro_z" in done.stderr

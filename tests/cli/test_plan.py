@@ -13,12 +13,12 @@ def test_a_model_gives_a_table_of_80_columns(tmp_path: Path) -> None:
     """Whole, also through a pipe."""
     done = run("plan", MODEL, "--rate", "100", "--duration", "3h", cwd=tmp_path)
     assert done.returncode == 0
-    assert done.stderr == "(n of 10): so many records as long show the term; the others only bound it\n"
+    assert done.stderr == "(n of 10): chance that a log this long detects the term\n"
     assert done.stdout.splitlines() == [
         "Record length for ±10 % (1 sd) of each term",
         "",
         "gyro  at 100 Hz, 3.0 h",
-        "  term             value  unit                            needs       this tells",
+        "  term             value  unit                            needs       this gives",
         "  N                3.438  deg/sqrt(h)                    0.94 s         ±0.068 %",
         "  K                12.38  deg/h/sqrt(h)                3.9 days  ±83 % (0 of 10)",
     ]
@@ -69,7 +69,7 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
     """A model without a rate, neither model nor report, a log, a precision of nothing."""
     rate = run("plan", MODEL, cwd=tmp_path)
     assert rate.returncode == 2
-    assert "a model has no sampling rate of its own; give one, such as --rate 200" in rate.stderr
+    assert "a model has no sampling rate; give one, such as --rate 200" in rate.stderr
     neither = run("plan", "still", cwd=tmp_path)
     assert neither.returncode == 3
     assert "still: no such file, expected the report.json" in neither.stderr
@@ -79,4 +79,4 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
     assert log.stderr == "Error: log.csv: not a report.json or its folder; run 'imucal fit log.csv' first\n"
     nothing = run("plan", MODEL, "--rate", "100", "--precision", "0", cwd=tmp_path)
     assert nothing.returncode == 2
-    assert "'0' is not a precision; write such as 10% or 0.1" in nothing.stderr
+    assert "'0' is not a precision; write for example 10% or 0.1" in nothing.stderr

@@ -31,7 +31,7 @@ def test_the_truth_is_printed_as_json(tmp_path: Path) -> None:
         (["N=1", "--gap", "5s"], "'5s' is not START:LENGTH, such as 60s:2s"),
         (
             ["N=1", "--duration", "long"],
-            "'long' is not a duration; write seconds, or such as 90s, 5min, 2.5h",
+            "'long' is not a duration; write seconds, or for example 90s, 5min, 2.5h",
         ),
     ],
 )

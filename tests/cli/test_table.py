@@ -40,7 +40,7 @@ def test_both_sensors_stand_side_by_side() -> None:
         "x  3.6  [2.8, 5.0]  at 328 s             x  19  [10, 110]  at 2620 s",
         "y  1.8  [1.1, 4.4]  at 1310 s            y  17  [9, 100]  at 2620 s",
         "",
-        "[low, high]: 95 % interval; < high: not shown by the data, upper bound",
+        "[low, high]: 95 % interval; < high: not detected, upper bound",
     ]
 
 

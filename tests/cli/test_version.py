@@ -41,5 +41,5 @@ def test_the_other_distribution_is_named(tmp_path: Path) -> None:
     done = subprocess.run(  # noqa: S603 - our own words
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=FOLDER.parent
     )
-    assert "The distribution imucal 2.6.0, another project's, is installed too" in done.stdout
+    assert "The distribution imucal 2.6.0, of another project, is installed too" in done.stdout
     assert "Type: pip uninstall imucal imucal-noise" in done.stdout

@@ -87,7 +87,7 @@ def test_progress_is_one_line(columns: int, left: str, monkeypatch: pytest.Monke
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())
     lines = [line.rstrip() for line in re.split("[\r\n]", plain) if line.strip()]
     last = lines[-1]
-    assert last.startswith("15 of 30 logs, 1 failed, 2 in hand")
+    assert last.startswith("15 of 30 logs, 1 failed, 2 running")
     assert left in last
     # The bar of the first moment has no words yet.
     assert all(len(line) <= columns for line in lines)

@@ -145,7 +145,7 @@ def scheduler_killed(bench: Bench) -> str:
         end = ended(run)
     assert end.code == 5, end.err
     assert f"Error: {address}: scheduler or workers are gone; finished logs are kept" in end.err, end.err
-    assert "What is done is kept; to go on: imucal fleet run logs" in end.err
+    assert "Finished logs are kept; to continue: imucal fleet run logs" in end.err
     return _same(bench, "scheduler", bench.finish("scheduler"), first=end)
 
 

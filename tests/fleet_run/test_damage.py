@@ -72,7 +72,7 @@ def test_a_damaged_manifest_is_made_again_of_the_logs(place: Path, tmp_path: Pat
     manifest.unlink()
     done = run("fleet", "run", "logs", *LABELS, cwd=tmp_path / "copy")
     assert done.returncode == 0, done.stderr
-    assert done.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
+    assert done.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
 
 
 def test_damaged_settings_are_not_guessed(place: Path, tmp_path: Path) -> None:

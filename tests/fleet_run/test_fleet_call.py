@@ -56,7 +56,7 @@ def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.Mon
     assert called.settings() == typed.settings()
     # And the command finds nothing to do in the folder of the call, nor the call in that of the command.
     again = run("fleet", "run", "-o", "called", "--shard", "1/1", "--max-failed", "50%", cwd=folder)
-    assert again.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
     parts = sorted(Path("typed/logs").iterdir())
     assert imucal.run_fleet(folder="typed", shard=(1, 1)).asked == 3
     assert sorted(Path("typed/logs").iterdir()) == parts
@@ -225,7 +225,7 @@ def test_labels_may_be_said_later(folder: Path, monkeypatch: pytest.MonkeyPatch)
     typed = ("fleet", "run", "-o", "later", "--labels", fleet.labels)
     assert f"imucal {shlex.join(typed)}" in html.unescape(page)
     said = run(*typed, "--shard", "1/1", "--max-failed", "50%", cwd=folder)
-    assert said.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
+    assert said.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
     manifest = FleetStore("later").manifest()
     assert manifest["unit"].null_count() == 0
     assert sorted(manifest["model"]) == ["alpha", "beta", "gamma"]

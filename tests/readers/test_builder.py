@@ -105,11 +105,11 @@ def test_what_the_log_states_goes_before_what_samples_show() -> None:
 @pytest.mark.parametrize(
     ("options", "wrong"),
     [
-        (ReadOptions(gyro_unit="g"), "'g' is no unit of the gyroscope; expected one of rad/s"),
-        (ReadOptions(gyro_unit="furlong"), "'furlong' is no unit of the gyroscope; expected one of rad/s"),
+        (ReadOptions(gyro_unit="g"), "'g' is not a unit of the gyroscope; expected one of rad/s"),
+        (ReadOptions(gyro_unit="furlong"), "'furlong' is not a unit of the gyroscope; expected one of rad/s"),
         (
             ReadOptions(gyro_unit="rad/s", gyro_scale=2.0),
-            r"both a unit \(rad/s\) and a scale \(2\) are given for the gyroscope; expected one of them",
+            r"both a unit \(rad/s\) and a scale \(2\) are given for the gyroscope; give one",
         ),
     ],
 )

@@ -33,7 +33,7 @@ def test_what_lies_beyond_the_end_is_said(file: LogFile, position: int, size: in
     with pytest.raises(DamagedError) as caught:
         file.read(position, size)
     assert caught.value.code == "truncated"
-    assert str(caught.value) == f"{size} bytes at byte {position} lie beyond the end of the file"
+    assert str(caught.value) == f"{size} bytes at byte {position} are beyond the end of the file"
 
 
 @pytest.mark.parametrize("position", [-1, 17])
@@ -41,7 +41,7 @@ def test_a_buffer_is_filled_from_within_the_file(file: LogFile, position: int) -
     with pytest.raises(DamagedError) as caught:
         file.into(position, memoryview(bytearray(4)))
     assert caught.value.code == "truncated"
-    assert str(caught.value) == f"bytes {position} to {position + 4} lie beyond the end of the file"
+    assert str(caught.value) == f"bytes {position} to {position + 4} are beyond the end of the file"
 
 
 def test_a_system_that_reads_piece_by_piece_gives_the_same(
@@ -65,7 +65,7 @@ def test_a_system_without_positioned_reads_gives_the_same(
 def test_a_file_that_is_cut_while_it_is_read_is_told(file: LogFile, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the byte where it ends; an error of the disk stops the program."""
     file.path.write_bytes(bytes(range(7)))
-    with pytest.raises(DamagedError, match=r"^the file ended at byte 7 while it was read$") as caught:
+    with pytest.raises(DamagedError, match=r"^the file ended at byte 7 during reading$") as caught:
         file.read(2, 11)
     assert caught.value.code == "truncated"
 

@@ -104,7 +104,7 @@ def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
     with pytest.raises(ReadError) as caught:
         read(folder)
     assert str(caught.value) == (
-        f"{folder}: not the folder of a ROS 2 bag: it holds notes.md; expected .mcap or .db3 files"
+        f"{folder}: not the folder of a ROS 2 bag: it contains notes.md; expected .mcap or .db3 files"
     )
 
 
@@ -113,9 +113,9 @@ def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
     [
         (
             "report.json",
-            "is a report of imucal's; fit takes a log; to use the report run 'imucal export REPORT",
+            "is a report of imucal; expected a log; to use the report run 'imucal export REPORT",
         ),
-        ("manifest.parquet", "is a fleet of imucal's; give a log; what takes a fleet is imucal fleet report"),
+        ("manifest.parquet", "is a fleet of imucal; give a log, or run 'imucal fleet report'"),
     ],
 )
 def test_knows_the_folders_that_imucal_writes(file: str, said: str, tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_refuses_files_of_different_rates(tmp_path: Path) -> None:
     with pytest.raises(ReadError) as caught:
         read(first, table, join=True, gyro_unit="rad/s")
     assert str(caught.value) == (
-        f"{first}: its rate is 100 Hz, that of {table} 50 Hz; expected one recording; read one log at a time"
+        f"{first}: its rate is 100 Hz, and {table} has 50 Hz; expected one recording; read one log at a time"
     )
 
 

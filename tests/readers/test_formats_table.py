@@ -229,7 +229,7 @@ READ = (
     ),
 )
 
-NO_RATE = "expected stamps or a rate; give the sampling rate"
+NO_RATE = "expected time stamps or a rate; give the sampling rate"
 
 REFUSED = (
     Known(
@@ -241,29 +241,27 @@ REFUSED = (
     Known(files=("formats/st_unico_datalog.txt",), message=("no time column", NO_RATE)),
     Known(files=("formats/gnss_ins_sim_gyro_deg.csv",), message=("no time column", NO_RATE)),
     Known(files=("formats/gnss_ins_sim_accel.csv",), message=("no time column", NO_RATE)),
-    Known(
-        files=("formats/gnss_ins_sim_time.csv",), message=("no column is named as an axis of a gyroscope",)
-    ),
+    Known(files=("formats/gnss_ins_sim_time.csv",), message=("no column has the name of a gyroscope",)),
     Known(
         files=("formats/px4_ecl_replay_iris_gps.csv",),
-        message=("no header names the 8 columns", "such as t=0,g=5:8@imu,a=2:5@imu"),
+        message=("the 8 columns", "such as t=0,g=5:8@imu,a=2:5@imu"),
     ),
     Known(
         files=("formats/invariant_ekf_tagged.txt",),
-        message=("no header names the 8 columns", "such as t=1,g=2:5@IMU,a=5:8@IMU"),
+        message=("the 8 columns", "such as t=1,g=2:5@IMU,a=5:8@IMU"),
     ),
     Known(files=("formats/manifest.csv",), message=("the header has 7 names and the rows 8 cells",)),
-    Known(files=("formats/euroc_kimera_sensor.yaml",), message=("no header names the",)),
+    Known(files=("formats/euroc_kimera_sensor.yaml",), message=("columns have no header",)),
     *(
         Known(
             files=(f"real/mpu6050/{name}.csv",),
-            message=("the unit of the accelerometer is open", "integer counts", "has 16384 counts per g"),
+            message=("the unit of the accelerometer is unknown", "integer counts", "has 16384 counts per g"),
         )
         for name in ("example_data_tinit_calc", "imu_static_test", "example_data_calibration")
     ),
     Known(
         files=("real/mpu6050/imu_90_x_rot.csv",),
-        message=("the unit of the gyroscope is open", "integer counts of an unknown scale"),
+        message=("the unit of the gyroscope is unknown", "integer counts of an unknown scale"),
     ),
     *(
         Known(

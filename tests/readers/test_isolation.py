@@ -57,7 +57,7 @@ def test_what_never_ends_is_ended(file: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(isolation, "PATIENCE", 0.5)
     call(file, len, b"")
     start = time.perf_counter()
-    with pytest.raises(ReadError, match=r"log\.bin: not a readable test file: reading it takes more than"):
+    with pytest.raises(ReadError, match=r"log\.bin: not a readable test file: reading takes more than"):
         call(file, time.sleep, 60)
     assert time.perf_counter() - start < 30
     monkeypatch.undo()
@@ -66,7 +66,7 @@ def test_what_never_ends_is_ended(file: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_what_ends_the_process_is_a_read_error(file: Path) -> None:
     """As an allocation that fails does in polars."""
-    with pytest.raises(ReadError, match="reading it ends the process or takes too much memory"):
+    with pytest.raises(ReadError, match="reading it crashes, or needs too much memory"):
         call(file, os.abort)
     assert call(file, len, b"ab") == 2
 
@@ -137,5 +137,5 @@ def test_a_ulog_on_which_pyulog_hangs(tmp_path: Path, monkeypatch: pytest.Monkey
     data[296:596] = bytes(300)
     path.write_bytes(data)
     monkeypatch.setattr(isolation, "PATIENCE", 2.0)
-    with pytest.raises(ReadError, match=r"flight\.ulg: not a readable ULog file: reading it takes more than"):
+    with pytest.raises(ReadError, match=r"flight\.ulg: not a readable ULog file: reading takes more than"):
         read(path)

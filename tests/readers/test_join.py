@@ -53,7 +53,7 @@ def refusal(paths: Sequence[Path]) -> str:
     message = str(caught.value)
     for path in paths:
         assert f"\n  {path.name}  " in message
-    assert message.endswith("or say that they are parts of one recording")
+    assert message.endswith("or state that they are parts of one recording")
     return message
 
 
@@ -73,14 +73,14 @@ def test_units_that_were_recorded_together_are_refused(kind: str, tmp_path: Path
             paths.append(table(tmp_path / f"unit{i}.csv", chosen))
     message = refusal(paths)
     assert "unit0" in message
-    assert "3 logs are not seen to be one recording: " in message
+    assert "3 logs do not look like one recording: " in message
     assert "overlap in time by 3 s" in message
     joined = read(*paths, join=True)
     assert joined.series[0].rate_hz == pytest.approx(100)
     assert joined.series[0].n == 900
     (finding,) = [finding for finding in joined.findings if finding.code == "joined"]
     assert finding.level == "warning"
-    assert "overlap in time by 3 s. They stand one behind the other" in finding.text
+    assert "overlap in time by 3 s. They are joined in the given order" in finding.text
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
@@ -109,10 +109,10 @@ def test_a_folder_of_unrelated_logs_is_refused(kind: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("names", "why"),
     [
-        (("morning.mcap", "evening.mcap"), "their names are no series: they differ in more than a number"),
-        (("unit1.mcap", "unit2.mcap"), "their names number devices, not parts"),
-        (("rest_imu1.mcap", "rest_imu2.mcap"), "their names number devices, not parts"),
-        (("sn_0017.mcap", "sn_0018.mcap"), "their names number devices, not parts"),
+        (("morning.mcap", "evening.mcap"), "their names are not a series: they differ in more than a number"),
+        (("unit1.mcap", "unit2.mcap"), "the numbers in their names are of devices, not of parts"),
+        (("rest_imu1.mcap", "rest_imu2.mcap"), "the numbers in their names are of devices, not of parts"),
+        (("sn_0017.mcap", "sn_0018.mcap"), "the numbers in their names are of devices, not of parts"),
     ],
 )
 def test_logs_that_only_follow_each_other_are_refused(
@@ -195,18 +195,21 @@ def test_other_scales_are_refused(tmp_path: Path) -> None:
     first = write_mcap(tmp_path / "a_0.mcap", imu_messages(part(0, 300)))
     degrees = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(300, 600, scale=180 / np.pi)))
     message = refusal([first, degrees])
-    assert "the gyroscope of a_0.mcap and that of a_1.mcap differ in scale: the noise of one is 5" in message
+    assert (
+        "the gyroscopes of a_0.mcap and a_1.mcap differ in scale: their noise differs by a factor of 5"
+        in message
+    )
     chosen = part(300, 600)
     in_g = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro, accel=chosen.accel / 9.80665)
     message = refusal([first, write_mcap(tmp_path / "a_2.mcap", imu_messages(in_g))])
-    assert "differ in scale: a usual magnitude of 9.8" in message
+    assert "differ in scale: median magnitudes of 9.8" in message
     for place, times, joined in ((3, 1.1, True), (4, 1.3, False)):
         heavier = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro, accel=times * chosen.accel)
         other = write_mcap(tmp_path / f"a_{place}.mcap", imu_messages(heavier))
         if joined:
             assert read(first, other).series[0].n == 600
         else:
-            assert "differ in scale: a usual magnitude of 9.8" in refusal([first, other])
+            assert "differ in scale: median magnitudes of 9.8" in refusal([first, other])
     stepped = []
     for i, step in enumerate((1e-3, 2e-3)):
         chosen = part(300 * i, 300 * i + 300)
@@ -250,7 +253,7 @@ def test_logs_without_stamps_are_refused(tmp_path: Path) -> None:
         path = tmp_path / f"log_{i}.csv"
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
         paths.append(path)
-    with pytest.raises(ChoiceError, match=r"log_0\.csv has no stamps that say when it was recorded"):
+    with pytest.raises(ChoiceError, match=r"log_0\.csv has no time stamps of the recording"):
         read(*paths, rate_hz=100.0, gyro_unit="rad/s")
     joined = read(*paths, rate_hz=100.0, gyro_unit="rad/s", join=True)
     assert np.array_equal(rows(joined), TRUTH.all[:600])
@@ -306,8 +309,8 @@ def test_what_the_message_says_works(tmp_path: Path) -> None:
     for command in ("adev", "fit"):
         done = run(command, "unit0.mcap", "unit1.mcap", cwd=tmp_path)
         assert done.returncode == 3
-        assert "unit0.mcap: 2 logs are not seen to be one recording" in done.stderr
-        assert done.stderr.endswith("or say that they are parts of one recording\nSay it with --join.\n")
+        assert "unit0.mcap: 2 logs do not look like one recording" in done.stderr
+        assert done.stderr.endswith("or state that they are parts of one recording\nUse --join.\n")
     assert run("adev", "unit0.mcap", "unit1.mcap", "--join", "-q", cwd=tmp_path).returncode == 0
     assert run("adev", "unit0.mcap", "-q", cwd=tmp_path).returncode == 0
     done = run(

@@ -113,7 +113,7 @@ def test_a_member_that_claims_too_much_is_refused(tmp_path: Path) -> None:
         header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
         head = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
         archive.writestr("gx.npy", head + bytes(80))
-    with pytest.raises(ReadError, match=r"gx\.npy claims 8000000000000 bytes, it holds 80"):
+    with pytest.raises(ReadError, match=r"gx\.npy declares 8000000000000 bytes and contains 80"):
         read(path)
 
 
@@ -152,7 +152,7 @@ def test_info_reads_no_samples_of_what_unpacks_to_many(
     monkeypatch.setattr("imucal.cli.info._SMALL", 150_000)
     monkeypatch.setattr(typed_table, "_SMALL", 150_000)
     done = run("info", "log.npz", cwd=tmp_path)
-    assert "Gaps are not looked for in a large log; --gaps reads all samples." in done.stdout
+    assert "Gaps were not checked in a large log; --gaps reads all samples." in done.stdout
     assert "no gaps" in run("info", "--gaps", "log.npz", cwd=tmp_path).stdout
     listed = json.loads(run("info", "--json", "log.npz", cwd=tmp_path).stdout)
     assert listed["logs"][0]["unpacked_bytes"] == 8 * 7 * 3000
@@ -172,9 +172,9 @@ def test_a_matlab_file_that_is_too_large_is_refused(
     with pytest.raises(ReadError) as caught:
         read(path)
     assert str(caught.value) == (
-        f"{path}: its arrays unpack to more than 0.168 MB, and a MAT file is read whole; expected at most a "
-        "quarter of the memory that one step may take; save them as NPZ or CSV, or let IMUCAL_MEMORY be four "
-        "times what they hold"
+        f"{path}: its arrays unpack to more than 0.168 MB, and a MAT file is read as a whole; expected at "
+        "most a quarter of the memory for one step; save them as NPZ or CSV, or set IMUCAL_MEMORY to four "
+        "times their size"
     )
     done = run("info", "log.mat", cwd=tmp_path)
     assert done.returncode == 3

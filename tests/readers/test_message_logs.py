@@ -22,7 +22,7 @@ def test_losses_in_words() -> None:
     ]
     assert [(found.level, found.code, found.text) for found in _loss_findings(losses)] == [
         ("warning", "crc", "The log is damaged in 2 places: a bad sum; about 7 messages are lost."),
-        ("warning", "index", "The log is damaged in one place: a bad index; no message is lost by it."),
+        ("warning", "index", "The log is damaged in one place: a bad index; no message is lost."),
     ]
     assert _loss_findings([]) == []
 
@@ -98,15 +98,13 @@ def test_the_order_of_the_log_time() -> None:
     held = columns([1, 3, 2, 4], [1, 3, 2, 4])
     (found,) = in_time_order(held, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
-    assert found.text == (
-        "1 messages stand in the file before earlier ones; they were put in order of log time."
-    )
+    assert found.text == ("1 messages were out of order; they were sorted by log time.")
     assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
     held = columns([1, 2, 3, 4], [1, 3, 2, 4])
     (found,) = in_time_order(held, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
     assert found.text == (
-        "The log time goes back 1 times; the stamps do not, so the order of the file is kept."
+        "The log time goes back 1 times and the time stamps do not; the order of the file is kept."
     )
     assert held.vectors[GYRO][0].tolist() == [0, 1, 2, 3]
     # As many steps back before and behind: the log time decides.

@@ -76,7 +76,7 @@ def test_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("imucal.readers.store.os.posix_fallocate", full)
-    with pytest.raises(ReadError, match=r"no room for 8\.0 GB of samples: No space left on device"):
+    with pytest.raises(ReadError, match=r"no space for 8\.0 GB of samples: No space left on device"):
         Room(0).empty(10**9, np.float64)
 
 

@@ -84,7 +84,8 @@ def test_accelerations_without_gravity_are_not_taken_for_g() -> None:
     found = infer_accel_unit(carried(0.1))
     assert found.unit is None
     assert re.search(
-        r"is gravity in none of m/s\^2, g and mg, and the vectors' mean is 0\.1\d* long", found.reason
+        r"is not gravity in m/s\^2, g or mg, and the mean vector has the length 0\.1\d*",
+        found.reason,
     )
 
 

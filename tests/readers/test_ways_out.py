@@ -133,9 +133,9 @@ NAMED: dict[str, tuple[bytes, str]] = {
     "log.mip": (b"\x75\x65\x80", "MicroStrain's binary packets; export it as CSV from SensorConnect"),
     "log.gps": (b"\xaa\x44\x12", "NovAtel's binary messages; convert them to ASCII with NovAtel Convert"),
     "clip.mp4": (b"\0\0\0\x18ftypmp42", "a video; extract its telemetry as CSV"),
-    "logs.7z": (b"7z\xbc\xaf\x27\x1c", "an archive; unpack it, and name the log that was in it"),
+    "logs.7z": (b"7z\xbc\xaf\x27\x1c", "an archive; unpack it, and give the log in it"),
     "logs.tar": (b"a.csv".ljust(257, b"\0") + b"ustar", "an archive; unpack it"),
-    "device.dat": (bytes(range(256)), "own format as CSV with its maker's program"),
+    "device.dat": (bytes(range(256)), "export it as CSV with the program of the device's maker"),
 }
 
 
@@ -167,7 +167,7 @@ def test_a_compressed_binary_log_is_unpacked_first(tmp_path: Path) -> None:
     path, plain = tmp_path / "log.parquet.xz", tmp_path / "log.parquet"
     pl.DataFrame(columns()).write_parquet(plain)
     path.write_bytes(lzma.compress(plain.read_bytes()))
-    assert refused(path).endswith("xz of binary data; unpack it, and name the log that was in it")
+    assert refused(path).endswith("xz of binary data; unpack it, and give the log in it")
     is_truth(plain)
 
 
@@ -191,14 +191,14 @@ def write_matlab_object(path: Path, kind: str) -> None:
         ("table", "writetable(T, 'T.csv')"),
         ("timetable", "writetimetable(T, 'T.csv')"),
         ("timeseries", "writematrix([T.Time squeeze(T.Data)], 'T.csv')"),
-        ("MyImu", "its arrays into variables of their own, and save those"),
+        ("MyImu", "its arrays into separate variables, and save those"),
     ],
 )
 def test_objects_of_matlab_are_no_gyroscope(kind: str, way: str, tmp_path: Path) -> None:
     """Their six numbers were offered as one."""
     path = tmp_path / "log.mat"
     write_matlab_object(path, kind)
-    assert refused(path) == f"{path}: T is a {kind} of MATLAB, which no other program reads; type there {way}"
+    assert refused(path) == f"{path}: T is a {kind}, which only MATLAB can read; in MATLAB type {way}"
 
 
 def test_a_table_of_matlab_beside_other_arrays(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_a_table_of_matlab_beside_other_arrays(tmp_path: Path) -> None:
     head = path.read_bytes()
     write_matlab_object(path, "table")
     path.write_bytes(head + path.read_bytes()[128:])
-    with pytest.raises(ChoiceError, match=r"or T is a table of MATLAB.*writetable\(T, 'T\.csv'\)"):
+    with pytest.raises(ChoiceError, match=r"or T is a table, which only MATLAB.*writetable\(T, 'T\.csv'\)"):
         read(path)
     scipy.io.savemat(path, columns())
     head = path.read_bytes()

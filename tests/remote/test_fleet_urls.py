@@ -32,7 +32,7 @@ def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None: 
     }
     assert list(cache.iterdir()) == []
     again = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
-    assert again.stderr.startswith("0 logs to do, 0 kB; 2 done before\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 2 already done\n")
     bucket.pipe_file("logs/mems/u2/still.csv", one_axis(9))
     bucket.pipe_file("logs/mems/u4/still.csv", one_axis(0))
     third = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
@@ -55,7 +55,7 @@ def test_signed_urls_of_a_list(web: WebServer, tmp_path: Path) -> None:
     logs = store.logs()
     assert sorted(logs["status"]) == ["ok", "ok", "unreadable"]
     reasons = [reason for reason in logs["reason"] if reason]
-    assert reasons == [f"{urls[2]}: there is no such object (404); look at the address"]
+    assert reasons == [f"{urls[2]}: there is no such object (404); check the address"]
     said = [
         done.stdout,
         done.stderr,

@@ -144,7 +144,7 @@ def test_a_full_disk_is_named(web: WebServer, cache: Path, monkeypatch: pytest.M
         assert copies(cache) == ["new"]
     url = web.add("/newer", BODY * 4)
     said = (
-        r"no room for a remote log of 0\.00041 GB: 0\.0171 GB are free; free some space, or set IMUCAL_CACHE"
+        r"no space for a remote log of 0\.00041 GB: 0\.0171 GB are free; free some space, or set IMUCAL_CACHE"
     )
     with pytest.raises(imucal.ReadError, match=said) as error:
         imucal.read(url)
@@ -164,7 +164,7 @@ def test_a_disk_that_fills_on_the_way_is_named(web: WebServer, cache: Path) -> N
     out, err = start(f"{url}?sig=SECRET", limited).communicate(timeout=60)
     assert err == ""
     hint = "free some space, or set IMUCAL_CACHE to a folder on another disk"
-    assert out == f"{url}: no copy can be written to {cache}: File too large; {hint}\n"
+    assert out == f"{url}: can't write a copy to {cache}: File too large; {hint}\n"
     assert list(cache.iterdir()) == []
 
 
@@ -188,7 +188,9 @@ def test_the_cache_has_a_place_and_a_size(
     assert error.value.exit_code == 2
     (tmp_path / "file").write_text("", encoding="utf-8")
     monkeypatch.setenv("IMUCAL_CACHE", str(tmp_path / "file"))
-    said = "file: the cache of remote logs can't be used: File exists; set IMUCAL_CACHE to a folder of yours"
+    said = (
+        "file: the cache of remote logs can't be used: File exists; set IMUCAL_CACHE to a folder that you own"
+    )
     with pytest.raises(imucal.ReadError, match=said):
         cache_folder()
 

@@ -85,7 +85,7 @@ def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:
         npt.assert_array_equal(joined.series[0].samples, recording.between(0, 120).series[0].samples)
         assert joined.source.path == "s3://logs/split/a_9.mcap, s3://logs/split/a_10.mcap"
     bucket.copy("logs/split/a_9.mcap", "logs/split/b_9.mcap")
-    with pytest.raises(imucal.ReadError, match=r"^s3://logs/split/a_9\.mcap: 3 logs are not seen to be one"):
+    with pytest.raises(imucal.ReadError, match=r"^s3://logs/split/a_9\.mcap: 3 logs do not look like one"):
         imucal.read("s3://logs/split")
 
 
@@ -93,16 +93,16 @@ def test_signs_of_wildcards_may_stand_in_a_name(bucket: Any) -> None:  # noqa: A
     """What matches nothing is looked for as it is."""
     bucket.pipe_file("logs/run[1].csv", b"t,gx\n")
     assert expand("s3://logs/run[1].csv") == ["s3://logs/run[1].csv"]
-    with pytest.raises(imucal.ReadError, match=r"s3://logs/run\[2\]\.csv: no log has such a name"):
+    with pytest.raises(imucal.ReadError, match=r"s3://logs/run\[2\]\.csv: no log has this name"):
         expand("s3://logs/run[2].csv")
 
 
 @pytest.mark.parametrize(
     ("url", "said"),
     [
-        ("s3://logs/none.mcap", "there is no such object (404); look at the address"),
-        ("s3://other/none.mcap", "there is no such bucket (404); look at the address"),
-        ("s3://logs/notes", "a folder that holds a.md; expected logs, such as .mcap, .bag or .csv files"),
+        ("s3://logs/none.mcap", "there is no such object (404); check the address"),
+        ("s3://other/none.mcap", "there is no such bucket (404); check the address"),
+        ("s3://logs/notes", "a folder with a.md; expected logs, such as .mcap, .bag or .csv files"),
     ],
 )
 def test_what_is_not_there_is_named(bucket: Any, url: str, said: str) -> None:  # noqa: ANN401
@@ -120,9 +120,7 @@ def test_no_credentials(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:  
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
     bucket.clear_instance_cache()
-    said = (
-        "s3://logs/a.csv: no credentials were found, or they are wrong; set AWS_PROFILE, or AWS_ACCESS_KEY_ID"
-    )
+    said = "s3://logs/a.csv: no credentials, or wrong ones; set AWS_PROFILE, or AWS_ACCESS_KEY_ID"
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
         imucal.read("s3://logs/a.csv")
     conf: dict[str, dict[str, object]] = {}

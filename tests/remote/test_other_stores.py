@@ -39,7 +39,7 @@ def test_azure_without_an_account(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("adlfs", reason="adlfs is part of an extra")
     for name in ("AZURE_STORAGE_CONNECTION_STRING", "AZURE_STORAGE_ACCOUNT_NAME"):
         monkeypatch.delenv(name, raising=False)
-    said = r"az://other/a\.csv: no credentials were found, or they are wrong; set AZURE_STORAGE_ACCOUNT_NAME"
+    said = r"az://other/a\.csv: no credentials, or wrong ones; set AZURE_STORAGE_ACCOUNT_NAME"
     pytest.importorskip("fsspec").get_filesystem_class("az").clear_instance_cache()
     with pytest.raises(ReadError, match=said):
         identify("az://other/a.csv")

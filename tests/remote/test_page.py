@@ -143,7 +143,7 @@ CASES: dict[str, Callable[[WebServer, Patch], str]] = {
     "the connection ended after": lambda web, _: web.add("/log.csv", BODY, cuts=[900, *[0] * 9]),
     "…: the server leads on": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
     "…: … is not read": lambda *_: "sftp://host/log.csv",
-    "…: no room for a remote log": _no_room,
+    "…: no space for a remote log": _no_room,
     "…: it changes while it is read": _changing,
 }
 

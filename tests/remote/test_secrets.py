@@ -47,7 +47,7 @@ def test_errors_show_no_secret(web: WebServer, tmp_path: Path, command: str) -> 
     if "--baseline" not in command:
         assert done.returncode == 3
         assert (
-            done.stderr == f"Error: {web.url}/none.mcap: there is no such object (404); look at the address\n"
+            done.stderr == f"Error: {web.url}/none.mcap: there is no such object (404); check the address\n"
         )
     assert "SECRET" not in done.stdout + done.stderr
 
@@ -57,14 +57,14 @@ def test_errors_of_a_reader_name_the_url(web: WebServer, tmp_path: Path) -> None
     url = web.add("/notes.txt", b"Dear diary,\n")
     done = run("fit", f"{url}?{SECRET}", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.startswith(f"Error: {url}: no rows of numbers, the first line is 'Dear diary,'")
+    assert done.stderr.startswith(f"Error: {url}: found no rows of numbers; the first line is 'Dear diary,'")
 
 
 def test_a_forgotten_command_shows_no_secret(tmp_path: Path) -> None:
     """The hint can be typed, with the query added."""
     done = run(f"https://host/log.mcap?{SECRET}", cwd=tmp_path)
     assert done.returncode == 2
-    assert "to fit a log write 'imucal fit https://host/log.mcap'" in done.stderr
+    assert "to fit a log, type 'imucal fit https://host/log.mcap'" in done.stderr
     assert "SECRET" not in done.stderr
 
 

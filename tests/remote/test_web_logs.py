@@ -150,7 +150,9 @@ def test_what_changes_on_its_way_is_taken_anew(web: WebServer) -> None:
         assert copy.log.etag == '"two"'
     log = identify(web.add("/log.csv", TABLE, cuts=Changing([20_000])))
     with (
-        pytest.raises(imucal.ReadError, match=r"log\.csv: it has changed since it was looked at; look again"),
+        pytest.raises(
+            imucal.ReadError, match=r"log\.csv: it has changed since the first look; run the command again"
+        ),
         fetched(log),
     ):
         pass
@@ -169,8 +171,8 @@ def test_busy_servers_are_asked_again(web: WebServer) -> None:
 @pytest.mark.parametrize(
     ("code", "said"),
     [
-        (404, "there is no such object (404); look at the address"),
-        (410, "there is no such object (404); look at the address"),
+        (404, "there is no such object (404); check the address"),
+        (410, "there is no such object (404); check the address"),
         (403, "access is denied (403); a signed address may have run out; make a new one"),
         (401, "access is denied (401); a signed address"),
         (418, "the server answers 418 (I'm a Teapot); expected the file"),
@@ -210,7 +212,7 @@ def test_no_server_and_no_network(web: WebServer, monkeypatch: pytest.MonkeyPatc
         raise socket.gaierror(-2, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(imucal.ReadError, match=r"http://host/log\.csv: the host is not found: no network"):
+    with pytest.raises(imucal.ReadError, match=r"http://host/log\.csv: host not found: no network"):
         imucal.read("http://host/log.csv?sig=SECRET")
     assert url
 
@@ -219,7 +221,7 @@ def test_no_server_and_no_network(web: WebServer, monkeypatch: pytest.MonkeyPatc
 def test_a_web_page_is_no_log(web: WebServer, cache: Path, start: bytes) -> None:
     """A login page comes with code 200."""
     url = web.add("/log.mcap", start + b" " * 9000, kind="text/html; charset=utf-8")
-    said = "log.mcap: the answer is a web page (text/html), perhaps to log in, and no log; expected the"
+    said = "log.mcap: the answer is a web page (text/html), perhaps for login, not a log; expected the"
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
         imucal.read(url)
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
@@ -253,14 +255,14 @@ def test_redirects_are_followed(web: WebServer) -> None:
     [
         ("ftp://127.0.0.1:1/log.csv", "to ftp://"),
         ("file:///etc/passwd", "to file://"),
-        ("data:text/csv,1", "to no place on the web"),
+        ("data:text/csv,1", "to an address outside the web"),
         ("/log.csv", "without end"),
     ],
 )
 def test_redirects_stay_on_the_web(web: WebServer, target: str, where: str) -> None:
     """And come to an end; the secret of the address is not shown."""
     url = web.add("/log.csv", b"", redirect=target)
-    said = f"{url}: the server leads on {where}, expected a file behind https:// or http://"
+    said = f"{url}: the server redirects {where}; expected a file behind https:// or http://"
     with pytest.raises(imucal.ReadError, match=f"^{re.escape(said)}$") as error:
         imucal.read(f"{url}?sig=SECRET")
     assert error.value.exit_code == 3
@@ -293,8 +295,11 @@ def test_names_as_people_type_them(web: WebServer) -> None:
 @pytest.mark.parametrize(
     ("url", "said"),
     [
-        ("s4://bucket/log.mcap", "s4://bucket/log.mcap: s4:// is not read; expected s3://, gs://, az://"),
-        ("file:///logs/log.mcap", "https:// or http://; leave file:// out"),
+        (
+            "s4://bucket/log.mcap",
+            "s4://bucket/log.mcap: s4:// is not supported; expected s3://, gs://, az://",
+        ),
+        ("file:///logs/log.mcap", "https:// or http://; omit file://"),
         ("ftp://me:word@host/log.csv", "ftp://host/log.csv: ftp:// is not read"),
         ("http://host:port/log.csv", "http://host:port/log.csv: can't be read: "),
     ],
@@ -308,7 +313,7 @@ def test_other_schemes_are_refused(url: str, said: str) -> None:
 def test_a_url_is_text() -> None:
     """A Path takes one of its slashes away."""
     with pytest.raises(
-        imucal.ReadError, match=r"^https://host/log\.csv: a URL that went through a Path; expected https://"
+        imucal.ReadError, match=r"^https://host/log\.csv: a URL that was a Path; expected https://"
     ):
         imucal.read(Path("https://host/log.csv?sig=SECRET"))
 
@@ -323,12 +328,10 @@ def test_wildcards_and_folders_of_a_web_server(web: WebServer) -> None:
     web.add("/logs/", PAGE, kind="text/html")
     assert expand(f"{web.url}/logs/a_*.csv") == [f"{web.url}/logs/a_10.csv", f"{web.url}/logs/a_2.csv?sig=1"]
     assert expand(f"{web.url}/logs/") == [f"{web.url}/logs/"]
-    with pytest.raises(imucal.ReadError, match=r"logs/b\*\.csv: no log has such a name"):
+    with pytest.raises(imucal.ReadError, match=r"logs/b\*\.csv: no log has this name"):
         expand(f"{web.url}/logs/b*.csv")
     with pytest.raises(imucal.ReadError, match=r"may have \* in its last part only"):
         expand(f"{web.url}/*/a.csv")
     web.add("/none/", b"<a href='notes.md'>c</a>")
-    with pytest.raises(
-        imucal.ReadError, match=r"none/: a folder that holds notes\.md; expected logs, such as"
-    ):
+    with pytest.raises(imucal.ReadError, match=r"none/: a folder with notes\.md; expected logs, such as"):
         imucal.read(f"{web.url}/none/")

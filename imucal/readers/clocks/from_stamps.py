@@ -50,32 +50,35 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
     same, back, tau, doubled = steps.same, steps.back, period.tau_ns, breaks.doubled.size
     if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
         text = (
-            f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
-            f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
+            f"The time stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling "
+            f"period of {tau / 1e6:.4g} ms; the rate is measured over many samples."
         )
         notes.append(Finding("info", "coarse-stamps", text))
     if period.burst > 1:
         text = (
-            f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
-            f"{1e9 / tau:.6g} Hz."
+            f"Samples arrive in bursts of about {period.burst}; they are evenly spaced at {1e9 / tau:.6g} Hz."
         )
         notes.append(Finding("info", "bursts", text))
     elif same and not period.loose and (doubled or period.resolution_ns < tau / 50):
-        fate = f"{doubled} that are one too many are dropped" if doubled else "all are kept"
-        text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
+        fate = f"{doubled} surplus samples are dropped" if doubled else "all are kept"
+        text = f"{same} of {n} samples repeat the previous time stamp; {fate}."
         notes.append(Finding("warning", "duplicate-stamps", text))
     elif doubled:
-        text = f"{doubled} of {n} samples are one too many for the clock and are dropped."
+        text = f"{doubled} of {n} samples are surplus at this rate and are dropped."
         notes.append(Finding("warning", "extra-samples", text))
     if period.other_ns:
         text = (
-            f"The stamps have two readings: {period.rate_hz:.6g} Hz, which is taken, or "
-            f"{1e9 / period.other_ns:.6g} Hz with {_kind(period)}. N goes with the root of the rate."
+            f"The time stamps fit two rates: {period.rate_hz:.6g} Hz, which is used, or "
+            f"{1e9 / period.other_ns:.6g} Hz with {_kind(period)}. N is proportional to the square root of "
+            "the rate."
         )
-        advice = "Give the sampling rate if it is the other one."
+        advice = "Give the sampling rate if the other one is right."
         notes.append(Finding("warning", "two-readings", text, advice))
     if back:
-        text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
+        text = (
+            f"{back} of {n} time stamps are earlier than the previous one; the samples keep the order of "
+            "the log."
+        )
         notes.append(Finding("info", "stamps-out-of-order", text))
     return notes
 
@@ -83,7 +86,7 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
 def _kind(period: Period) -> str:
     """Return what the other reading of a period says of the samples."""
     if period.other_ns > period.tau_ns:
-        return f"no sample missing, on a clock with ticks of {period.tau_ns / 1e6:.4g} ms"
+        return f"no missing samples and a clock with ticks of {period.tau_ns / 1e6:.4g} ms"
     return f"{1 - period.other_ns / period.tau_ns:.2g} of the samples missing"
 
 
@@ -93,27 +96,31 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
     text = ""
     if period.coherent:
         text = (
-            f"Stamps jitter by {period.jitter:.2g} sampling periods, and samples are missing. The rate, "
-            f"{1e9 / tau:.6g} Hz, is that of the stamps' phases; which samples are missing is not sure."
+            f"The time stamps jitter by {period.jitter:.2g} sampling periods, and samples are missing. The "
+            f"rate, {1e9 / tau:.6g} Hz, follows from the phases of the time stamps; the places of the gaps "
+            "are uncertain."
         )
     elif jitter_ns > tau:
         text = (
-            f"Stamps stray from an even grid by {jitter_ns / tau:.3g} sampling periods (standard deviation): "
-            f"samples were stamped late, not when they were taken. The rate, {1e9 / tau:.6g} Hz, is their "
-            f"mean and good to about {2 * jitter_ns / (tau * n):.1g} of it; N goes with the root of the rate."
+            f"The time stamps differ from an even grid by {jitter_ns / tau:.3g} sampling periods (standard "
+            f"deviation): the samples were stamped late. The rate, {1e9 / tau:.6g} Hz, is the mean, with a "
+            f"relative error of about {2 * jitter_ns / (tau * n):.1g}; N is proportional to the square "
+            "root of the rate."
         )
     elif not period.bounded:
         text = (
-            "Stamps go astray from an even grid: samples were taken at no even times, or most are missing. "
-            f"The rate, {1e9 / tau:.6g} Hz, is that of those there are; N goes with the root of the rate."
+            "The time stamps do not fit an even grid: the sampling was uneven, or most samples are "
+            f"missing. The rate, {1e9 / tau:.6g} Hz, is the mean of the samples in the log; N is "
+            "proportional to the square root of the rate."
         )
     elif period.regular and period.burst == 1 and not period.loose and usual > 1.02 * tau:
         text = (
-            f"Most steps are {usual / 1e6:.4g} ms, as at {1e9 / usual:.6g} Hz, but there are {1e9 / tau:.6g} "
-            "samples a second: some stand between the others, as if interpolated at the stamps of a camera. "
-            f"The rate is the mean; at that of the steps N would be {np.sqrt(usual / tau) - 1:+.1%}."
+            f"Most steps are {usual / 1e6:.4g} ms, as at {1e9 / usual:.6g} Hz, but there are "
+            f"{1e9 / tau:.6g} samples per second: some are between the others, as if interpolated at the "
+            "times of a camera. The mean rate is used; with the rate of the steps, N would change by "
+            f"{np.sqrt(usual / tau) - 1:+.1%}."
         )
-    advice = "Log the samples as the sensor gives them; give the sampling rate if you know it."
+    advice = "Log the samples as the sensor delivers them, or give the sampling rate."
     return [Finding("warning", "uneven-stamps", text, advice)] if text else []
 
 
@@ -126,8 +133,8 @@ def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
     )
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
     text = (
-        f"The clock was set {times}, at most by {step / 1e9:+.6g} s at sample {at}; "
-        "samples before and after are kept apart."
+        f"The clock was set {times}, at most by {step / 1e9:+.6g} s at sample {at}; the samples before and "
+        "after are not joined."
     )
     return [Finding("warning", "clock-jump", text)]
 
@@ -172,14 +179,16 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     some, recorded = stamps[::step], log[::step]
     delay = (recorded - some) / 1e9
     usual, most = median(delay), float(delay.max())
-    text = f"Messages were recorded {usual * 1e3:.4g} ms after their stamps, at most {most * 1e3:.4g} ms."
+    text = (
+        f"Messages were recorded {usual * 1e3:.4g} ms after their time stamps, at most {most * 1e3:.4g} ms."
+    )
     if abs(usual) > 86_400:
-        text = f"Stamps and log time count from different times: {usual:.6g} s apart."
+        text = f"Time stamps and log time have different origins, {usual:.6g} s apart."
     findings = [Finding("info", "delay", text)]
     own, other = (int(some[-1]) - int(some[0])) / 1e9, (int(recorded[-1]) - int(recorded[0])) / 1e9
     if min(own, other) > _SHORTEST and abs(own / other - 1) > _DRIFT:
         ratio = f"{own / other - 1:+.2%}"
-        text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
+        text = f"The time stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
         findings.append(Finding("warning", "clocks-differ", text))
     return findings
 
@@ -255,12 +264,14 @@ class _Stamps:
         elif rate_hz is not None:
             clock = Clock.even(n, float(rate_hz))
         else:
-            less = "one sample" if n == 1 else f"{n} samples whose stamps do not advance"
-            raise DataError(f"{less} ({self.source}); expected stamps that give a rate, or the rate itself")
+            less = "one sample" if n == 1 else f"{n} samples whose time stamps do not increase"
+            raise DataError(
+                f"{less} ({self.source}); expected increasing time stamps; give the sampling rate"
+            )
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
     def _drop(self, repeated: BoolArray, twice: int) -> None:
-        text = f"{twice} of {self.stamps.size} samples repeat the stamp and the values of the one before"
+        text = f"{twice} of {self.stamps.size} samples repeat the previous time stamp and values"
         self.notes.append(Finding("warning", "duplicate-stamps", f"{text}; they are dropped."))
         keep = self.room.made(repeated.size, np.bool_, lambda part: ~repeated[part], repeated)
         self.order = self.room.places(keep)
@@ -276,11 +287,13 @@ class _Stamps:
             other = after if rate == before else before
             seconds = (int(self.stamps[change.end]) - int(self.stamps[0])) / 1e9
             text = (
-                f"The sampling rate changes from {before:.5g} Hz to {after:.5g} Hz at about {seconds:.6g} s. "
-                f"Samples {part.start} to {part.stop - 1} of {n} are read, at {rate:.5g} Hz; the others are "
-                "left out."
+                f"The sampling rate changes from {before:.5g} Hz to {after:.5g} Hz at about {seconds:.6g} "
+                f"s. Samples {part.start} to {part.stop - 1} of {n} are used, at {rate:.5g} Hz; the others "
+                "are left out."
             )
-            advice = f"To read the other part, give its rate, {other:.5g} Hz; two sensors may share one name."
+            advice = (
+                f"To read the other part, give its rate, {other:.5g} Hz. Perhaps two sensors share one name."
+            )
             self.notes.append(Finding("warning", "rate-changes", text, advice))
             keep = self.room.made(n, np.bool_, lambda _: False)
             keep[part] = True
@@ -302,13 +315,13 @@ class _Stamps:
             self._use(self.log_ns, "are all zero" if zeros == n else what)
         elif 0 < zeros <= _ZEROS * n:
             self.stamps = _filled(stamps, self.room)
-            text = f"{zeros} of {n} stamps are zero; those samples are placed between their neighbours."
+            text = f"{zeros} of {n} time stamps are zero; they are interpolated."
             self.notes.append(Finding("info", "zero-stamps", text))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
         """Take log time instead of the stamps."""
-        text = f"The stamps ({self.source}) {why}; the time at which messages were recorded is used instead."
-        advice = "Log time carries the delays of the computer; let the driver stamp the messages."
+        text = f"The time stamps ({self.source}) {why}; the recording time of the messages is used instead."
+        advice = "The recording time includes delays of the computer; let the driver stamp the messages."
         self.notes.append(Finding("warning", "log-time-used", text, advice))
         self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
 
@@ -319,7 +332,7 @@ class _Stamps:
         resets = steps.resets
         if resets.size > max(1000, stamps.size // _RESETS):
             times = f"{resets.size} times in {stamps.size} samples"
-            raise DataError(f"the stamps ({self.source}) go back {times}; expected a clock")
+            raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
         breaks = NO_BREAKS
         stamps = evened(stamps, period, self.room)
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
@@ -339,7 +352,10 @@ class _Stamps:
         notes += jump_notes(stamps, jumps)
         measured = 1e9 / period.tau_ns
         if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
-            text = f"The rate given, {rate_hz:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
+            text = (
+                f"The given rate, {rate_hz:g} Hz, differs from the rate of the time stamps, {measured:.6g} "
+                "Hz."
+            )
             notes.append(Finding("warning", "rate-given", text))
         clock = Clock(
             source=self.source,

@@ -252,10 +252,10 @@ def _nearest(late: Period, missing: Period, rate_hz: float) -> Period:
 
 def _two_readings(missing: Period, late: Period) -> ChoiceError:
     share = 1 - missing.tau_ns / late.tau_ns
-    batches = f"in batches of about {late.burst}" if late.burst > 1 else "with uneven stamps"
+    batches = f"in batches of about {late.burst}" if late.burst > 1 else "with uneven time stamps"
     return ChoiceError(
-        f"the stamps have two readings: {missing.rate_hz:.6g} Hz with {share:.0%} of the samples missing, or "
-        f"{late.rate_hz:.6g} Hz {batches}; expected one; give the sampling rate"
+        f"the time stamps fit two rates: {missing.rate_hz:.6g} Hz with {share:.0%} of the samples missing, "
+        f"or {late.rate_hz:.6g} Hz {batches}; expected one; give the sampling rate"
     )
 
 

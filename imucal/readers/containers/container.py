@@ -149,7 +149,7 @@ def gather(buffer: Bytes, at: IntArray, width: int, offset: int = 0) -> NDArray[
     count = max(len(buffer) - offset - width + 1, 0)
     # As unsigned numbers, negative ones lie beyond any buffer.
     beyond = at.size and int(at.view(np.uint64).max()) >= count
-    damaged_if(beyond, "a message reaches beyond its chunk")
+    damaged_if(beyond, "a message extends beyond its chunk")
     view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=offset, strides=(1,))
     return view[at]
 

@@ -276,7 +276,9 @@ def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
         right &= (length >= _MESSAGE - 9) & (length <= len(raw) - starts - 9)
         if right.all():
             return batch_of(raw, starts.tolist())
-    loss = Loss("index", "a message index points to other records; its chunk was walked instead")
+    loss = Loss(
+        "index", "a message index points to wrong records; all records of its chunk were read instead"
+    )
     return replace(batch_of(raw, walk_records(raw).get(key, [])), loss=loss)
 
 
@@ -470,11 +472,11 @@ class McapFile(MessageFile):
             elif opcode == STATISTICS:
                 (total, *_, chunks, book.start_ns, book.end_ns, counts), _ = parse(opcode, body)
                 book.counts = Counter(counts)
-        damaged_if(end + 9 <= len(summary), "the index is cut")
+        damaged_if(end + 9 <= len(summary), "the index is cut off")
         # An index that leaves out what the statistics count, or points nowhere, is of no use.
         damaged_if(
             len(book.chunks) < chunks or (total and not book.chunks) or not book.channels,
-            "the index leaves out chunks",
+            "the index does not list all chunks",
             "unindexed",
         )
         damaged_if(

@@ -190,7 +190,7 @@ class BagChunkTask:
             if key in indexes:
                 yield key, _indexed(raw, key, indexes[key])
             else:
-                loss = Loss("index", "an index record is missing; its chunk was walked instead")
+                loss = Loss("index", "an index record is missing; all records of its chunk were read instead")
                 yield key, _walked(raw, key, loss if self._chunk.indexed else None)
 
 
@@ -202,7 +202,7 @@ def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
     size = number(entry.head, b"size", 4)
     if cut:
         return memoryview(decompress_prefix(entry.compression, data, size)), entry.end
-    damaged_if(entry.end > len(region), "a chunk is cut", "truncated")
+    damaged_if(entry.end > len(region), "a chunk is cut off", "truncated")
     return decompress(entry.compression, data, size), entry.end
 
 
@@ -268,7 +268,7 @@ def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> B
         for row in np.delete(np.arange(starts.size), rows[alike]).tolist():
             payloads[row], sizes[row] = _message(raw, key, int(starts[row]))
     except DamagedError:
-        loss = Loss("index", "an index points to other records; its chunk was walked instead")
+        loss = Loss("index", "an index points to wrong records; all records of its chunk were read instead")
         return _walked(raw, key, loss)
     return Batch.of(raw, payloads, sizes, log_ns)
 
@@ -281,7 +281,7 @@ def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
         if entry.opcode != CONNECTION:
             break
         at = entry.end
-    raise DamagedError("an index points to another record", "index")
+    raise DamagedError("an index points to a wrong record", "index")
 
 
 def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
@@ -344,7 +344,7 @@ class BagFile(MessageFile):
         damaged_if(not start, "the bag was not closed and has no index", "unindexed")
         damaged_if(
             not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX,
-            "the index lies beyond the end of the file",
+            "the index is beyond the end of the file",
             "truncated",
         )
         section = memoryview(self._file.read(start, self.size - start))
@@ -352,7 +352,7 @@ class BagFile(MessageFile):
         while at < len(section):
             entry = record(section, at)
             head, data, at, opcode = entry.head, section[entry.start : entry.end], entry.end, entry.opcode
-            damaged_if(at > len(section), "the index is cut", "truncated")
+            damaged_if(at > len(section), "the index is cut off", "truncated")
             if opcode == CONNECTION:
                 self._connections[entry.key] = connection(head, data)
             elif opcode == CHUNK_INFO:
@@ -364,7 +364,7 @@ class BagFile(MessageFile):
                 )
         cut = len(self._chunks) < number(bag, b"chunk_count", 4)
         cut |= len(self._connections) < number(bag, b"conn_count", 4)
-        damaged_if(cut, "the index is cut", "truncated")
+        damaged_if(cut, "the index is cut off", "truncated")
         # Each chunk reaches to the next one, the last to the index section.
         starts = sorted({chunk.start for chunk in self._chunks})
         damaged_if(len(starts) != len(self._chunks), "the index lists chunks twice")

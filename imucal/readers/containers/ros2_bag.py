@@ -108,7 +108,7 @@ class _Unpacked(_Wrapped):
             raise type(error)(msg) from error
         self.path, self.size, self.compression = path, size, "zstd, whole file"
         if damage is not None:
-            text = f"The file is cut or damaged: {damage}; what came before is read."
+            text = f"The file is cut off or damaged: {damage}; the part before was read."
             self.findings.append(Finding("warning", "truncated", text))
 
     def close(self) -> None:
@@ -149,7 +149,7 @@ def _decompressed(batch: Batch) -> Batch:
         for frame in batch.messages():
             damaged_if(
                 zstandard.frame_content_size(frame) > _MAX_MESSAGE,
-                "a compressed message claims an impossible size",
+                "a compressed message declares an impossible size",
             )
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
     except (zstandard.ZstdError, MemoryError) as error:

@@ -66,8 +66,8 @@ def connect_alone(path: Path, findings: list[Finding]) -> sqlite3.Connection:
     base = _open(path, "mode=ro&immutable=1")
     wal = _write_ahead_log(path)
     if wal is not None:
-        text = f"{wal.name} can't be read here, so messages that are only in it are left out."
-        advice = "Copy the bag to a folder that can be written to."
+        text = f"{wal.name} can't be read; messages that are only in it are missing."
+        advice = "Copy the bag to a folder with write permission."
         findings.append(Finding("warning", "wal-ignored", text, advice))
     return base
 

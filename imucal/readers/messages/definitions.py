@@ -181,7 +181,7 @@ class Definition:
                 return candidate
         msg = f"type {kind} is not defined"
         if self.more is not None:
-            msg += f"; give its .msg file too, {last[1:]}.msg"
+            msg += f"; also give its .msg file, {last[1:]}.msg"
         raise DefinitionError(msg)
 
     def _take_standard(self, name: str) -> bool:
@@ -339,9 +339,9 @@ def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definit
         return Definition(channel.type, text, ros1=ros1, more=given, assumed=True)
     if standard is not None:
         return Definition(channel.type, standard, ros1=ros1, assumed=True)
-    kind = f" but of kind {channel.definition_kind!r}" if channel.definition_kind else ""
+    kind = f", except one of kind {channel.definition_kind!r}" if channel.definition_kind else ""
     others = ", ".join(sorted(name.strip("/") for name in given)[:8])
-    names = f", those that are given are of {others}" if given else ""
+    names = f"; the given ones define {others}" if given else ""
     last = plain_type(channel.type).rpartition("/")[2]
-    msg = f"the log holds no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
+    msg = f"the log has no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
     raise DefinitionError(msg)

@@ -61,7 +61,7 @@ def _refuse_half_lists(vectors: Sequence[Vector], stamp: Stamp | None) -> None:
     each = [path for path in (*paths, *times) if EACH in path]
     single = [path for path in paths if EACH not in path]
     if each and single:
-        msg = f"{each[0]} is that of each element, {single[0]} is not; expected {EACH} in both, or in none"
+        msg = f"{each[0]} has {EACH} and {single[0]} has not; expected {EACH} in both, or in none"
         raise ChoiceError(msg)
 
 
@@ -71,8 +71,8 @@ def _axis_of(sensor: Sensor, path: str) -> Axis:
     axis = next((axis for axis in AXES if axis == last), None)
     if axis is None:
         msg = (
-            f"the field {path} is one number, and its name does not say of which axis; "
-            f"name the axis, such as {sensor.short}.z={path}"
+            f"the field {path} is one number without an axis in its name; name the axis, such as "
+            f"{sensor.short}.z={path}"
         )
         raise ChoiceError(msg)
     return axis

@@ -133,7 +133,7 @@ class Walker:
         least, most = int(words.min()), int(words.max())
         damaged_if(
             most * max(entry.size * entry.count, 1) > len(buffer),
-            f"{entry.path} claims {most} elements, more than its chunk holds",
+            f"{entry.path} declares {most} elements, more than its chunk contains",
         )
         last = max(self.elements.get(entry.path, {}), default=-1)
         damaged_if(least <= last, f"{entry.path} has {least} elements in a message, and no [{last}]")
@@ -360,7 +360,7 @@ class BinaryDecoder:
             for shape in self._shapes[1:]:
                 if self._fits(shape, few):
                     self._use(shape)
-                    text = "the definition in the log does not fit its messages; the standard one was used"
+                    text = "the definition in the log does not match its messages; the standard one was used"
                     self.notes.append(Loss("definition", text))
 
     def _fits(self, shape: Shape, batch: Batch) -> bool:

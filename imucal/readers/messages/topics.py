@@ -98,7 +98,7 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
     imus = [topic.imu for topic in topics if topic.imu is not None]
     if wanted and wanted.temperature and imus and not any(imu.temperature for imu in imus):
         shown = next(topic.leaves.shown() for topic in topics if topic.imu is not None)
-        msg = f"the temperature {wanted.temperature} is none of the numbers beside the samples; found {shown}"
+        msg = f"there is no temperature {wanted.temperature} in the messages with the samples; found {shown}"
         raise ChoiceError(msg)
     return topics
 
@@ -126,8 +126,8 @@ def _topics(
             if not imus:
                 how = leaves.proposal()
                 reason = (
-                    "it has no angular velocity or linear acceleration by name; say which of its fields they "
-                    f"are by a fields text{f' such as {how!r}' if how else ''}; found {leaves.shown()}"
+                    "it has no fields named as angular velocity or linear acceleration; name them in a "
+                    f"fields text{f' such as {how!r}' if how else ''}; found {leaves.shown()}"
                 )
     except DefinitionError as error:
         reason = str(error)
@@ -160,8 +160,8 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
         return Leaves(schemas.protobuf_leaves(channel))
     if channel.encoding not in _ENCODINGS:
         msg = (
-            f"messages are encoded as {channel.encoding!r}; expected one of {', '.join(_ENCODINGS)}; convert "
-            "the log with what wrote it: to a CSV with a row per message, or to JSON messages"
+            f"messages are encoded as {channel.encoding!r}; expected one of {', '.join(_ENCODINGS)}; "
+            "convert the log to CSV with a row per message, or to JSON messages"
         )
         raise DefinitionError(msg)
     definition = definition_of_channel(channel, given)
@@ -225,7 +225,9 @@ def choose(
     if fitting:
         return _among(path, fitting, live)
     if carrying:
-        why = "no topic carries IMU messages, only vectors that may be anything; choose one of these topics"
+        why = (
+            "no topic carries IMU messages, only vectors without a known meaning; choose one of these topics"
+        )
         raise refused(path, f"{why}\n{table(carrying)}", ChoiceError)
     raise _nothing(path, topics, options)
 
@@ -239,14 +241,14 @@ def _nothing(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
             if topic.leaves.all or topic.reason
         ]
         listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
-        why = "no topic has the fields of the fields text; found in its topics"
+        why = "no topic has the fields in the fields text; found these topics"
         return refused(path, f"{why}\n{listed}", ChoiceError)
     unreadable = [topic for topic in topics if topic.reason and topic.count != 0]
     if unreadable:
         return _unreadable(path, unreadable[0], unreadable[0].reason)
     listed = table(topics) or "  no topics"
     able = [(topic.name, text) for topic in topics if (text := topic.proposal)]
-    how = "".join(f"\n{name} may be read by a fields text such as {text!r}" for name, text in able[:3])
+    how = "".join(f"\n{name} can be read with a fields text such as {text!r}" for name, text in able[:3])
     why = "no topic carries a gyroscope or an accelerometer; found"
     return refused(path, f"{why}\n{listed}{how}", ChoiceError)
 
@@ -293,11 +295,11 @@ def _named(
         if topic.count == 0:
             raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
     if len(found) == 1:
-        return [_whole(found[0], "as asked for")]
+        return [_whole(found[0], "as given")]
     alive = [live(topic) for topic in found]
     for gyro, accel in ((0, 1), (1, 0)):
         if _GYRO in alive[gyro] and _ACCEL in alive[accel]:
-            return _pair(found[gyro], found[accel], "as asked for")
+            return _pair(found[gyro], found[accel], "as given")
     what = "; ".join(
         f"{topic.name}: {' and '.join(sorted(sensors)) or 'no samples that change'}"
         for topic, sensors in zip(found, alive, strict=True)
@@ -322,7 +324,7 @@ def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozens
     gyros = [topic for topic in useful if _GYRO in alive[topic.name]]
     accels = [topic for topic in useful if _ACCEL in alive[topic.name]]
     if len(gyros) == len(accels) == 1 and gyros[0] is not accels[0]:
-        return _pair(gyros[0], accels[0], "the only topic with its samples")
+        return _pair(gyros[0], accels[0], "the only topic of this sensor")
     msg = f"{path}: {len(fitting)} topics carry IMU samples; choose one of these topics\n{table(fitting)}"
     raise ChoiceError(msg)
 

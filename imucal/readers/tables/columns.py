@@ -151,12 +151,12 @@ class NamedTable:
     def ask(self, problem: str, *, example: str = "") -> ColumnsError:
         """Return the error that shows the columns and perhaps a ready text for them."""
         how = (
-            f"such as {example} (places from 0 with the end left out, or three names joined by +)"
+            f"such as {example} (numbers from 0 without the end, or three names joined by +)"
             if example
-            else "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+            else "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
         )
         found = f"{self.path}: {problem}; found columns: {self.listed}"
-        message = f"{found}; say which are which by a columns text {how}"
+        message = f"{found}; name them in a columns text {how}"
         return ColumnsError(message, problem=problem, example=example)
 
 
@@ -218,7 +218,7 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
         indices = tuple(map(table.index_of, value.split("+")))
     missing = next((index for index in indices if index >= count), None)
     if missing is not None:
-        raise ValueError(f"there is no column {missing}, the last is {count - 1}")
+        raise ValueError(f"there is no column {missing}; the last is {count - 1}")
     return indices
 
 
@@ -227,24 +227,24 @@ def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) ->
     if not any(key[0] in "ga" for key in found):
         yield "names neither gyroscope (g) nor accelerometer (a)"
     if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
-        yield "t takes up to three columns, temp one"
+        yield "t takes up to three columns and temp takes one"
     for key in ("g", "a"):
         yield from _problems_of(key, found, rows)
     uses = [(index, rows[key]) for key, indices in found.items() for index in indices]
     for at, (index, own) in enumerate(uses):
         # A column may be the gyroscope's in some rows and the accelerometer's in others.
         if any(index == other and (None in (own, its) or own == its) for other, its in uses[:at]):
-            yield f"column {index} is named twice; a log of one axis has gz={index} alone"
+            yield f"column {index} is named twice; for a log of one axis give gz={index} alone"
 
 
 def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
     """Yield what is wrong with the columns of one sensor."""
     single = [key + axis for axis in AXES if key + axis in found]
     if key in found and single:
-        yield f"{single[0]} is one of the three columns of {key}; name either"
+        yield f"{single[0]} is one of the three columns of {key}; name one of them"
     if any(len(found[one]) != 1 for one in single):
         yield f"{single[0]} takes one column"
     if len({rows[one] for one in single}) > 1:
-        yield f"{' and '.join(single)} are of different rows, expected the same"
+        yield f"{' and '.join(single)} are of different rows; expected the same"
     if key in found and len(found[key]) != 3:
-        yield f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"
+        yield f"{key} names {len(found[key])} columns, expected 3; for one axis write {key}z={found[key][0]}"

@@ -173,7 +173,10 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
             found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
         took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
         if took > most:
-            msg = f"its arrays take {took:.4g} MB, and it is read whole; expected at most {most:.4g} MB"
+            msg = (
+                f"its arrays need {took:.4g} MB, because it is read as a whole; expected at most "
+                f"{most:.4g} MB"
+            )
             raise ValueError(msg)
         # MATLAB writes columns where others write rows.
         found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
@@ -257,7 +260,7 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
         shape, fortran, dtype = read(member)
         header = _Header(info, tuple(shape), bool(fortran), np.dtype(dtype), member.tell())
     held = info.file_size - header.start
-    wrong = f"{info.filename} claims {header.size} bytes, it holds {held}" if header.size > held else ""
+    wrong = f"{info.filename} declares {header.size} bytes and contains {held}" if header.size > held else ""
     if header.dtype.hasobject:
         wrong = OBJECTS_IN_NPZ.said(str(archive.filename))
     if wrong:
@@ -366,9 +369,9 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     if kind in {"MAT", ""}:
         if unpacks_to_more(path, share):
             text = (
-                f"its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read whole; "
-                "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
-                f"or let {MEMORY} be four times what they hold"
+                f"its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read as a whole; "
+                "expected at most a quarter of the memory for one step; save them as NPZ or CSV, or set "
+                f"{MEMORY} to four times their size"
             )
             raise refused(path, text)
         return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
@@ -400,8 +403,8 @@ def _of_arrays(
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
     shapes = [f"{name or 'array'} {array.shape}" for name, array in arrays.items() if array.size != 1]
     ways = [
-        f"{name} is a {kind} of MATLAB, which no other program reads; type there "
-        + _IN_MATLAB.get(kind, "its arrays into variables of their own, and save those").format(name)
+        f"{name} is a {kind}, which only MATLAB can read; in MATLAB type "
+        + _IN_MATLAB.get(kind, "its arrays into separate variables, and save those").format(name)
         for name, kind in (objects or {}).items()
     ]
     return TableFile(

@@ -144,7 +144,7 @@ def _plan(
         plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
         unit, how = triad.unit, "from the column header"
         if unit is None and table.dialect:
-            unit, how = table.dialect.unit_of(triad.sensor), f"as {table.dialect.name} logs it"
+            unit, how = table.dialect.unit_of(triad.sensor), f"as in logs of {table.dialect.name}"
         sensors.append(replace(plan, stated=UnitGuess(how, unit) if unit else None))
     if table.dialect is not None:
         decisions.append(("layout", f"{table.dialect.name}, from the column names"))
@@ -176,7 +176,7 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
 def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
     if len(stamps) < 2:
         found = f"found times: {', '.join(time.name for time in times) or 'none'}"
-        text = f"there is no log time beside the stamps; {found}; name the column to take as time"
+        text = f"there is no log time besides the time stamps; {found}; name the column to take as time"
         raise refused(table.path, text, ChoiceError)
     return stamps[1]
 
@@ -185,11 +185,11 @@ def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
     """Return the error for a table without a complete triad."""
     single = [f"{c.header} ({c.role})" for c in table.columns if c.sensor]
     if not any(column.header for column in table.columns):
-        problem = f"nothing names the {len(table.columns)} columns, and their order is not guessed"
+        problem = f"the {len(table.columns)} columns have no names"
     elif single:
-        problem = f"x, y and z of one sensor are needed, found only {', '.join(single)}"
+        problem = f"expected x, y and z of one sensor, found only {', '.join(single)}"
     else:
-        problem = "no column is named as an axis of a gyroscope or an accelerometer"
+        problem = "no column has the name of a gyroscope or accelerometer axis"
     return table.ask(f"{shape}: {problem}" if shape else problem)
 
 
@@ -231,9 +231,8 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
             named = zip(triad.headers, triad.units, strict=True)
             shown = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
             text = (
-                f"the axes of the {triad.sensor} carry different units ({shown}), so at least one of them is "
-                f"wrong; expected one unit; give the unit of the {triad.sensor}, or correct the header; "
-                f"found columns: {table.listed}"
+                f"the axes of the {triad.sensor} have different units ({shown}); expected one unit; give "
+                f"the unit of the {triad.sensor}, or correct the header; found columns: {table.listed}"
             )
             raise refused(table.path, text, ChoiceError)
 
@@ -315,7 +314,7 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
     sensor = sensor_of_name(name)
     if sensor is None:
         gyro, accel = both.values()
-        problem = f"x, y and z are there ({', '.join(gyro.headers)}), but not of which sensor"
+        problem = f"x, y and z ({', '.join(gyro.headers)}) have no sensor in their names"
         raise table.ask(problem, example=f"{table.columns_text(gyro)} or {table.columns_text(accel)}")
     return {sensor: both[sensor]}, "by the name of the file"
 
@@ -374,8 +373,8 @@ def _in_rows(
     texts = sorted({*column.filled})
     rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
     examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
-    which = f"{len(names)} of them name" if names else "none of them names"
-    said = f"column {column.header or column.index} says whose a row is ({', '.join(texts)})"
+    which = f"{len(names)} tags name" if names else "no tag names"
+    said = f"column {column.header or column.index} has tags of rows ({', '.join(texts)})"
     raise table.ask(f"{said}; {which} the {sensor}", example=" or ".join(examples))
 
 
@@ -403,7 +402,7 @@ def _refuse_instances(table: NamedTable, found: Found) -> None:
         name = column.header.strip("\"'")
         at = name if re.fullmatch(r"\w+", name) else str(column.index)
         texts = [table.columns_text(*found.values(), rows=f"@{at}:{cell}") for cell in devices[:_SHOWN]]
-        problem = f"rows of {len(devices)} sensors, told apart by column {name} ({', '.join(devices)})"
+        problem = f"rows of {len(devices)} sensors, numbered by column {name} ({', '.join(devices)})"
         raise table.ask(problem, example=" or ".join(texts))
 
 
@@ -419,7 +418,7 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
         return ()
     shown = [f"{column.index} {column.header or '(no name)'}" for column in left[:_LISTED]]
     shown += [f"… {len(left) - _LISTED} more"] if len(left) > _LISTED else []
-    listed = f"columns that were not read: {', '.join(shown)}."
+    listed = f"unused columns: {', '.join(shown)}."
     guessed = likely(table, found)
     findings = []
     for sensor, triad in guessed.items():
@@ -428,7 +427,7 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
             missing = Finding("info", "sensor-missing", text, axis=sensor.short)
             if triad is not None:
                 ready = table.columns_text(*_each((found | {sensor: triad}).get).values())
-                advice = f"If it is among them, give a columns text such as {ready}."
+                advice = f"If it is one of them, give a columns text such as {ready}."
                 missing = replace(missing, level="warning", advice=advice)
             findings.append(missing)
         elif triad is not None and triad.axes != AXES:

@@ -356,9 +356,9 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     choice = _single(table, column)
     if len(columns) > 2 or choice is None:
         held = next(filter(None, column.cells), "nothing")
-        problem = f"column {column.index} ({column.header}) is no time: it holds {held!r}"
+        problem = f"column {column.index} ({column.header}) is not a time: it contains {held!r}"
         if len(columns) > 2:
-            problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
+            problem = f"columns {', '.join(map(str, indices))} are not a date, a time of day, and AM or PM"
         raise table.ask(problem)
     return _joined(column, kind="counter") if column.role is Role.COUNTER else choice
 
@@ -401,9 +401,9 @@ def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | No
     """Return the ns per count that the dialect or the name of a column says, and which of them does."""
     name = plain_name(column.header)
     if dialect is not None and (ns := dict(dialect.time_ns).get(name)) is not None:
-        return ns, f"as {dialect.name} counts it"
+        return ns, f"as in logs of {dialect.name}"
     if name == "sampletimefine":
-        return 100_000, "as Xsens counts it"
+        return 100_000, "as in logs of Xsens"
     if _OF_WEEK[0] in column.words:
         return _SECOND, "seconds of the week"
     # A word of more than a letter may be a unit, or end like ustime.

@@ -96,10 +96,10 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         return _counted_clock(work, columns)
     if unit is not None and unit not in TIME_UNITS_NS:
         known = ", ".join(TIME_UNITS_NS)
-        raise refused(work.path, f"{unit!r} is no time unit; expected one of {known}", ChoiceError)
+        raise refused(work.path, f"{unit!r} is not a time unit; expected one of {known}", ChoiceError)
     if unit is not None and plan.time.kind not in {"stamp", "week", "steps", "counter"}:
         has = f"the {plan.triad.sensor} has the time {plan.time.name}, {plan.time.words}"
-        text = f"the time unit {unit} is given, but {has}; expected no unit, or another time column"
+        text = f"the time unit {unit} does not apply: {has}; omit it, or name another time column"
         raise refused(work.path, text, ChoiceError)
     source = f"column {plan.time.name}"
     stamps = _stamps(work, plan, plan.time, columns.time)
@@ -134,10 +134,10 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
         return same
     sensor = columns.plan.triad.sensor
     text = (
-        f"{share:.0%} of the rows of the {sensor} repeat the stamp and the values of the row before: "
-        "the log was written faster than the sensor was read."
+        f"{share:.0%} of the rows of the {sensor} repeat the previous time stamp and values: the log was "
+        "written faster than the sensor was read."
     )
-    advice = "Log each sample once: held samples falsify the curve at short averaging times."
+    advice = "Log each sample once: repeated samples distort the curve at short averaging times."
     _say(work, "warning", "held-samples", text, axis=sensor.short, advice=advice)
     return None
 
@@ -145,8 +145,12 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
 def _compare_rates(work: RecordingBuilder, measured: float) -> None:
     stated = work.rate_hz
     if stated is not None and work.options.rate_hz is None and abs(measured / stated - 1) > 0.02:
-        text = f"The log states {stated:g} Hz, its stamps give {measured:.6g} Hz; the stamps are used."
-        _say(work, "warning", "rate-differs", text, advice="Give the sampling rate if the stamps are wrong.")
+        text = (
+            f"The log declares {stated:g} Hz, its time stamps give {measured:.6g} Hz; the time stamps are "
+            "used."
+        )
+        advice = "Give the sampling rate if the time stamps are wrong."
+        _say(work, "warning", "rate-differs", text, advice=advice)
 
 
 def _stamps(
@@ -167,7 +171,7 @@ def _stamps(
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
             again = f"Column {time.name} started again {wraps} times at the end of its range"
-            _say(work, "info", "wrapped", f"{again}; it was put in order.")
+            _say(work, "info", "wrapped", f"{again}; it was unwrapped.")
     ns = _ns_per_count(work, time, values, plan.triad.sensor)
     if ns is None:
         return None
@@ -188,7 +192,7 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
     if unit is None and rate is not None:
         rates = rates_by_unit(values).items()
         unit = next((name for name, found in rates if abs(found / rate - 1) <= _AS_GIVEN), None)
-        how = "as the given rate has it"
+        how = "from the given rate"
     fits: tuple[str, ...] = ()
     if unit is None:
         unit, fits = infer_time_unit(values)
@@ -202,8 +206,8 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
     if values.dtype.kind == "i" and abs(step - 1) < 1e-3:
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
-    found = f"Column {time.name} goes on by {step:g} a row, which is {rate:g} Hz in no unit"
-    _say(work, "warning", "time-unused", f"{found}; it was left out, so that gaps are not seen.")
+    found = f"Column {time.name} increases by {step:g} per row, which is not {rate:g} Hz in any unit"
+    _say(work, "warning", "time-unused", f"{found}; it is ignored, so gaps are not found.")
     return None
 
 
@@ -225,8 +229,8 @@ def _open_unit(
     # A header names a unit, but what rate an IMU has only the user says.
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{shown}; give the time unit, {named}or give the sampling rate"
-    has = f"the time of the {sensor}, has no unit, and goes on by {typical_step(values):g} a row"
-    which = ways if rates else "no rate in any unit; name another time column"
+    has = f"the time of the {sensor}, has no unit and increases by {typical_step(values):g} per row"
+    which = ways if rates else "not a usual rate in any unit; name another time column"
     return refused(path, f"column {time.name!r}, {has}, which is {which}", ChoiceError)
 
 
@@ -235,11 +239,13 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     plan, n = columns.plan, columns.axes[0].size
     rate, source = work.options.rate_hz, "given rate"
     if rate is None:
-        rate, source = work.rate_hz, "rate that the log states"
+        rate, source = work.rate_hz, "rate in the log"
     if rate is None:
         what = f"only a counter ({plan.time.name})" if plan.time else "no time column"
         sensor = plan.triad.sensor
-        lack = f"and no sampling rate for the {sensor}; expected stamps or a rate; give the sampling rate"
+        lack = (
+            f"and no sampling rate for the {sensor}; expected time stamps or a rate; give the sampling rate"
+        )
         raise refused(work.path, f"{what} {lack}", ChoiceError)
     work.decide("time", f"{rate:g} Hz, the {source}")
     even = ClockReading(clock=Clock.even(n, rate, source=source))
@@ -249,8 +255,8 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     rows = blocks(counts.size - 1, counts)
     single = sum(count(np.diff(counts[part.start : part.stop + 1]) == 1) for part in rows)
     if counts.size < 2 or single < 0.9 * (counts.size - 1):
-        more = f"Counter {plan.time.name} counts more than the samples, so it can't show gaps"
-        _say(work, "info", "counter-unused", f"{more}; the rate alone is used.")
+        more = f"Counter {plan.time.name} does not count samples, so it can't show gaps"
+        _say(work, "info", "counter-unused", f"{more}; only the rate is used.")
         return even
     period, first = _SECOND / rate, int(counts[0])
     reading = clock_from_stamps(
@@ -298,7 +304,7 @@ def assemble(
         plan, n = columns.plan, columns.axes[0].size
         if not n:
             names = f"the columns of the {plan.triad.sensor} ({', '.join(plan.triad.headers)})"
-            raise refused(work.path, f"{names} hold no samples; expected a row per sample", DataError)
+            raise refused(work.path, f"{names} have no samples; expected a row per sample", DataError)
         # Two sensors of one table share the clock where they share the time and the rows.
         key = (plan.time, plan.triad.rows, columns.rows_left, n)
         if key not in clocks:
@@ -356,7 +362,7 @@ def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
     """Refuse topics and fields of messages, as a table has columns, with a ChoiceError."""
     for asked, one in ((options.topics, "topic"), (options.fields, "field")):
         if asked:
-            text = f"{what} has no {one}s, but {', '.join(asked)} was asked for"
+            text = f"{what} has no {one}s such as {', '.join(asked)}"
             raise refused(path, f"{text}; expected no {one}, or a columns text", ChoiceError)
 
 

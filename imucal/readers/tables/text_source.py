@@ -222,7 +222,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         except ReadError as error:
             if plain:
                 raise
-            msg = f"{name}: {self.compression} of binary data; unpack it, and name the log that was in it"
+            msg = f"{name}: {self.compression} of binary data; unpack it, and give the log in it"
             raise ReadError(msg) from error
         wide = self.encoding.startswith("utf-16")
         self._decode = codecs.getincrementaldecoder(self.encoding)("replace") if wide else None
@@ -262,8 +262,8 @@ class TextSource(AbstractContextManager["TextSource"]):
             return f"the text {found}; {way or 'expected a table of numbers'}"
         cut = f"cut -d '{mark}' -f 1-7" if mark != "\t" else "cut -f 1-7"
         return (
-            f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few columns "
-            f"of an IMU; write those to a file of their own, the first seven by {cut} "
+            f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few "
+            f"columns of an IMU; write those to another file, the first seven with {cut} "
             f"{shlex.quote(self.name)} > imu.csv"
         )
 
@@ -313,8 +313,8 @@ class TextSource(AbstractContextManager["TextSource"]):
             if not isinstance(error, _DAMAGE) and type(error).__module__.partition(".")[0] not in _PACKAGES:
                 raise
             self._ended = True
-            found = f"The {self.compression} stream is cut or damaged ({error})"
-            text = f"{found}; what could be unpacked was read."
+            found = f"The {self.compression} stream is cut off or damaged ({error})"
+            text = f"{found}; the part that could be unpacked was read."
             self.findings.append(Finding("warning", "truncated", text))
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 

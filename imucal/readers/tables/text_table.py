@@ -80,7 +80,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     if layout is None or (way and not layout.headers):
         first = next(filter(None, map(str.strip, lines)), "")
         expected = way or "expected a table with a row per sample"
-        raise refused(path, f"no rows of numbers, the first line is {first[:80]!r}; {expected}")
+        raise refused(path, f"found no rows of numbers; the first line is {first[:80]!r}; {expected}")
     layout = name_columns(layout)
     if options.columns is None and not layout.headers:
         raise _unnamed(path, lines, layout, options)
@@ -89,12 +89,9 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
 
 def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
     """Return the error for a table without names, with a columns text that works on it where one is known."""
-    problem = f"no header names the {layout.width} columns, and an order is not guessed"
+    problem = f"the {layout.width} columns have no header"
     if layout.mismatch is not None:
-        problem = (
-            f"the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
-            "belongs to a column"
-        )
+        problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
     tags = _inertial_tags(lines, layout.delimiter)
     rows = rows_of_tag(lines, layout.delimiter, (-1, tags[0])) if tags else ()
     table = _nameless(path, find_layout(rows) or layout)
@@ -463,12 +460,12 @@ def _row_findings(
     good, bad = sum(reader.good for reader in readers), sum(reader.bad for reader in readers)
     if bad:
         first = next(reader.first_bad for reader in readers if reader.bad)
-        found = f"{bad} of {good + bad} rows are no rows of {layout.width} numbers, the first is {first!r}"
+        found = f"{bad} of {good + bad} rows are not {layout.width} numbers; the first is {first!r}"
         if strict or bad > good:
             raise refused(path, f"{found}; expected a table with a row per sample")
         findings.append(Finding("warning", "bad-rows", f"{found}; they were dropped."))
     if cut:
-        found = f"last line has no line end and may be cut ({cut[:60]!r})"
+        found = f"last line has no line end and may be cut off ({cut[:60]!r})"
         if strict:
             raise refused(path, f"the {found}; expected whole lines")
         findings.append(Finding("info", "cut-line", f"The {found}; it was dropped."))
@@ -550,7 +547,9 @@ def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Record
         chosen = [name for name in both if name is not None]
         if not chosen:
             found = f"found {', '.join(members) or 'no text files'}; name the file to read"
-            raise refused(path, f"no file is named as a gyroscope or an accelerometer; {found}", ChoiceError)
+            raise refused(
+                path, f"no file has the name of a gyroscope or an accelerometer; {found}", ChoiceError
+            )
         parts = []
         for name in chosen:
             with members[name][1]() as source:
@@ -567,7 +566,7 @@ def _choose(path: Path, names: Sequence[str], sensor: Sensor) -> str | None:
     exact = ([name for name in found if stems[name] == preferred] for preferred in _PREFERRED[sensor])
     chosen = found if len(found) <= 1 else next((one for one in exact if len(one) == 1), None)
     if chosen is None:
-        several = f"several files hold a {sensor} ({', '.join(found)}) of {', '.join(names)}"
+        several = f"several files contain a {sensor} ({', '.join(found)}) of {', '.join(names)}"
         raise refused(path, f"{several}; unpack it and name the files to read", ChoiceError)
     return next(iter(chosen), None)
 

@@ -104,7 +104,7 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     for sensor in Sensor:
         names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
         if len(names) > 1:
-            two = f"two tables hold a {sensor}: {' and '.join(names[:2])}"
+            two = f"two tables contain a {sensor}: {' and '.join(names[:2])}"
             raise refused(path, f"{two}; expected one; give the columns", ChoiceError)
     return parts
 
@@ -115,8 +115,8 @@ def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
     if not lengths:
         found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
         why = table.way or (
-            f"no columns of samples, found {found}; expected arrays of the gyroscope or the accelerometer "
-            "with a row per sample and up to 64 columns; save those columns alone"
+            f"no columns of samples, found {found}; expected gyroscope or accelerometer arrays with a row "
+            "per sample and up to 64 columns; save only those columns"
         )
         raise refused(path, why)
     return [[column for column in table.columns if column.size == length] for length in lengths]

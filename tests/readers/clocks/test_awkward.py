@@ -90,7 +90,7 @@ def test_both_readings_are_told_and_either_is_read(name: str, tmp_path: Path) ->
     with pytest.raises(ChoiceError) as caught:
         read(path)
     pattern = (
-        r"the stamps have two readings: ([\d.]+) Hz with (\d+)% of the samples missing, or ([\d.]+) Hz in "
+        r"the time stamps fit two rates: ([\d.]+) Hz with (\d+)% of the samples missing, or ([\d.]+) Hz in "
         r"batches of about \d+; expected one; give the sampling rate$"
     )
     found = re.search(pattern, str(caught.value))
@@ -127,7 +127,8 @@ def test_a_rate_of_no_imu_is_for_the_user_to_say(rate: float, tmp_path: Path) ->
     path = tmp_path / "log.csv"
     path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
     text = (
-        f"column t_ns gives {rate:g} Hz; expected a rate of an IMU, 1 Hz to 20000 Hz; give the sampling rate"
+        f"column t_ns gives {rate:g} Hz; expected the rate of an IMU, 1 Hz to 20000 Hz; give the sampling "
+        "rate"
     )
     with pytest.raises(ChoiceError, match=f"{re.escape(text)}$"):
         read(path)
@@ -164,10 +165,10 @@ def test_a_given_rate_chooses_between_trials_and_batches() -> None:
 @pytest.mark.parametrize(
     ("case", "taken", "other"),
     [
-        (throttled(200.0, 9, 10), "200 Hz, which is taken, or 180 Hz with no sample missing", 180.0),
-        (throttled(100.0, 9, 10), "Hz, which is taken, or 100 Hz with 0.1 of the samples missing", 100.0),
-        (coarse(200.0, 4.0 * MS), "250 Hz, which is taken, or 200 Hz with no sample missing", 200.0),
-        (throttled(1000.0, 100, 400, 40_000), "250 Hz, which is taken, or 1000 Hz with 0.75 of", 1000.0),
+        (throttled(200.0, 9, 10), "200 Hz, which is used, or 180 Hz with no missing samples", 180.0),
+        (throttled(100.0, 9, 10), "Hz, which is used, or 100 Hz with 0.1 of the samples missing", 100.0),
+        (coarse(200.0, 4.0 * MS), "250 Hz, which is used, or 200 Hz with no missing samples", 200.0),
+        (throttled(1000.0, 100, 400, 40_000), "250 Hz, which is used, or 1000 Hz with 0.75 of", 1000.0),
     ],
 )
 def test_two_readings_are_named(case: Awkward, taken: str, other: float) -> None:
@@ -294,12 +295,12 @@ def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
     (note,) = (f for f in clock_of(even(200.0, jitter=1.5)).findings if f.code == "uneven-stamps")
     assert note.level == "warning"
     assert note.text.startswith(
-        "Stamps stray from an even grid by 1.51 sampling periods (standard deviation)"
+        "The time stamps differ from an even grid by 1.51 sampling periods (standard deviation)"
     )
-    assert "The rate, 200.001 Hz, is their mean and good to about 0.0005 of it" in note.text
+    assert "The rate, 200.001 Hz, is the mean, with a relative error of about 0.0005" in note.text
     (note,) = (f for f in clock_of(KINDS["interpolated"]).findings if f.code == "uneven-stamps")
-    assert note.text.startswith("Most steps are 5 ms, as at 200 Hz, but there are 219.3 samples a second")
-    assert note.text.endswith("The rate is the mean; at that of the steps N would be +4.7%.")
+    assert note.text.startswith("Most steps are 5 ms, as at 200 Hz, but there are 219.3 samples per second")
+    assert note.text.endswith("The mean rate is used; with the rate of the steps, N would change by +4.7%.")
 
 
 @pytest.mark.parametrize("jitter", [0.125, 0.15, 0.2])
@@ -312,7 +313,7 @@ def test_losses_hide_in_no_jitter(rate: float, share: float, jitter: float) -> N
     clock = reading.clock
     assert clock.rate_hz == pytest.approx(rate, rel=1e-4)
     (said,) = (finding.text for finding in reading.findings if finding.code == "uneven-stamps")
-    assert said.startswith("Stamps jitter by 0.")
+    assert said.startswith("The time stamps jitter by 0.")
     lost = 4000 - case.stamps.size
     assert abs(clock.missing - lost) <= 4 + 0.04 * lost
     assert clock.n >= 0.99 * case.stamps.size

@@ -44,7 +44,8 @@ def test_coarse_stamps(resolution: int, same: int, coarse: bool) -> None:  # noq
 
 
 _COARSE = (
-    "Stamps have a resolution of 1 ms at a sampling period of 5 ms; the rate is measured over many samples."
+    "The time stamps have a resolution of 1 ms at a sampling period of 5 ms; the rate is measured over "
+    "many samples."
 )
 
 
@@ -56,31 +57,31 @@ _COARSE = (
             {"burst": 2, "same": 3, "doubled": 4},
             "info",
             "bursts",
-            "Samples arrive in bursts of about 2; they are taken as evenly spaced at 200 Hz.",
+            "Samples arrive in bursts of about 2; they are evenly spaced at 200 Hz.",
         ),
         (
             {"same": 3},
             "warning",
             "duplicate-stamps",
-            "3 of 1000 samples carry the stamp of the one before; all are kept.",
+            "3 of 1000 samples repeat the previous time stamp; all are kept.",
         ),
         (
             {"same": 3, "doubled": 2, "resolution": TAU // 50},
             "warning",
             "duplicate-stamps",
-            "3 of 1000 samples carry the stamp of the one before; 2 that are one too many are dropped.",
+            "3 of 1000 samples repeat the previous time stamp; 2 surplus samples are dropped.",
         ),
         (
             {"doubled": 1},
             "warning",
             "extra-samples",
-            "1 of 1000 samples are one too many for the clock and are dropped.",
+            "1 of 1000 samples are surplus at this rate and are dropped.",
         ),
         (
             {"back": 1},
             "info",
             "stamps-out-of-order",
-            "1 of 1000 stamps are earlier than the one before; samples keep the log's order.",
+            "1 of 1000 time stamps are earlier than the previous one; the samples keep the order of the log.",
         ),
     ],
 )
@@ -102,7 +103,7 @@ def test_settings_of_the_clock() -> None:
     (note,) = jump_notes(stamps, {3: 1})
     assert (note.level, note.code) == ("warning", "clock-jump")
     assert note.text == (
-        "The clock was set once, at most by -1 s at sample 3; samples before and after are kept apart."
+        "The clock was set once, at most by -1 s at sample 3; the samples before and after are not joined."
     )
     (note,) = jump_notes(stamps, {3: 1, 2: 1})
     assert note.text.startswith("The clock was set 2 times, at most by +2 s at sample 2;")
@@ -157,12 +158,12 @@ def test_the_delay_of_messages() -> None:
     two = STAMPS[:2]
     (note,) = compare_clocks(two, two + np.array([1_000_000, 3_000_000]))
     assert (note.level, note.code) == ("info", "delay")
-    assert note.text == "Messages were recorded 2 ms after their stamps, at most 3 ms."
+    assert note.text == "Messages were recorded 2 ms after their time stamps, at most 3 ms."
     (note,) = compare_clocks(two, two + 86_400 * 10**9)
-    assert note.text == "Messages were recorded 8.64e+07 ms after their stamps, at most 8.64e+07 ms."
+    assert note.text == "Messages were recorded 8.64e+07 ms after their time stamps, at most 8.64e+07 ms."
     for sign in (1, -1):
         (note,) = compare_clocks(two, two + sign * (86_400 * 10**9 + 10**8))
-        assert note.text == f"Stamps and log time count from different times: {sign * 86_400.1:.6g} s apart."
+        assert note.text == f"Time stamps and log time have different origins, {sign * 86_400.1:.6g} s apart."
 
 
 @pytest.mark.parametrize(
@@ -189,6 +190,6 @@ def test_clocks_that_differ(n: int, drift: float, ratio: str | None) -> None:
     if ratio:
         assert found[1].level == "warning"
         assert found[1].text == (
-            f"The stamps span {own[-1] / 1e9:.6g} s, the log time {log[-1] / 1e9:.6g} s: "
+            f"The time stamps span {own[-1] / 1e9:.6g} s, the log time {log[-1] / 1e9:.6g} s: "
             f"the clocks differ by {ratio}."
         )

@@ -137,13 +137,13 @@ def test_a_log_recorded_twice_is_read_once() -> None:
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
     npt.assert_array_equal(reading.order, np.arange(0, 2 * N, 2))
     assert codes(reading) == ["duplicate-stamps"]
-    text = f"{N} of {2 * N} samples repeat the stamp and the values of the one before; they are dropped."
+    text = f"{N} of {2 * N} samples repeat the previous time stamp and values; they are dropped."
     assert reading.findings[0].text == text
 
 
 @pytest.mark.parametrize("jump_s", [-3600, 3600, -0.5, 1.6e9])
 def test_a_clock_that_is_set_is_no_gap(jump_s: float) -> None:
-    """The log time shows that nothing is missing; samples before and after are kept apart."""
+    """The log time shows that nothing is missing; the samples before and after are not joined."""
     stamps = EVEN + (PLACE >= N // 2) * int(jump_s * 1e9)
     reading = read(stamps, EVEN + 1000)
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
@@ -168,7 +168,7 @@ def test_stamps_that_never_change_are_replaced_by_log_time(value: int) -> None:
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-12)
     assert codes(reading) == ["log-time-used"]
     what = "are all zero" if value == 0 else "are all the same"
-    text = f"The stamps (header stamp) {what}; the time at which messages were recorded is used instead."
+    text = f"The time stamps (header stamp) {what}; the recording time of the messages is used instead."
     assert reading.findings[0].text == text
 
 
@@ -191,7 +191,7 @@ def test_stamps_that_go_back_are_replaced_by_log_time() -> None:
     """One sample can not tell."""
     reading = read(EVEN[:9][::-1], EVEN[:9])
     assert [note.text.partition(";")[0] for note in reading.findings] == [
-        "The stamps (header stamp) do not advance"
+        "The time stamps (header stamp) do not increase"
     ]
     assert reading.clock.rate_hz == pytest.approx(200)
     with pytest.raises(DataError, match=r"^one sample \(header stamp\)"):
@@ -254,7 +254,10 @@ def test_a_given_rate_wins_and_a_wrong_one_is_told() -> None:
     """The caller knows better, but is told what the stamps say."""
     reading = read(EVEN, rate=100.0)
     assert reading.clock.rate_hz == 100.0
-    assert reading.findings[0].text == "The rate given, 100 Hz, is not the one the stamps show, 200 Hz."
+    assert (
+        reading.findings[0].text
+        == "The given rate, 100 Hz, differs from the rate of the time stamps, 200 Hz."
+    )
 
 
 def test_a_given_rate_makes_up_for_missing_stamps() -> None:
@@ -276,10 +279,10 @@ def test_refuses_what_has_no_rate() -> None:
         DataError, match=re.escape("no samples to take the header stamp of; expected at least two")
     ):
         read(EVEN[:0])
-    message = "one sample (header stamp); expected stamps that give a rate, or the rate itself"
+    message = "one sample (header stamp); expected increasing time stamps; give the sampling rate"
     with pytest.raises(DataError, match=re.escape(message)):
         read(EVEN[:1])
-    message = "9 samples whose stamps do not advance (header stamp); expected stamps that give a rate"
+    message = "9 samples whose time stamps do not increase (header stamp); expected increasing time stamps"
     with pytest.raises(DataError, match=re.escape(message)):
         read(np.zeros(9, dtype=np.int64))
 

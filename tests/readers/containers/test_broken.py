@@ -85,7 +85,7 @@ def test_says_how_much_of_a_cut_file_is_lost(tmp_path: Path) -> None:
         "The index can't be used (the end of the file is missing); all records were scanned instead. "
         "The last "
     )
-    assert finding.text.endswith(f" of {copy.stat().st_size} bytes are cut or damaged.")
+    assert finding.text.endswith(f" of {copy.stat().st_size} bytes are cut off or damaged.")
 
 
 def test_the_zeros_of_a_crash_end_a_file(tmp_path: Path) -> None:
@@ -149,7 +149,9 @@ def test_a_chunk_with_a_wrong_checksum_is_left_out(compression: str, tmp_path: P
     assert damage.text.endswith(f"; about {lost} messages are lost.")
     with pytest.raises(ReadError) as caught:
         read(path, strict=True)
-    assert str(caught.value) == (f"{path}: the log is damaged, and recovery was not wanted: {damage.text}")
+    assert str(caught.value) == (
+        f"{path}: the log is damaged, and strict reading was requested: {damage.text}"
+    )
 
 
 def test_a_wrong_message_index_is_walked_around(tmp_path: Path) -> None:

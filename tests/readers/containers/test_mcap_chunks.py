@@ -104,7 +104,7 @@ def test_an_index_that_points_elsewhere_is_walked_around(
     assert batch.loss is not None
     assert (batch.loss.code, batch.loss.text) == (
         "index",
-        "a message index points to other records; its chunk was walked instead",
+        "a message index points to wrong records; all records of its chunk were read instead",
     )
 
 

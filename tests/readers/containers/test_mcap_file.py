@@ -111,7 +111,7 @@ def test_a_chunk_whose_index_is_damaged_has_no_times(held: Held) -> None:
 
 FOOTER_AT = len(DATA + DATA_END + SUMMARY)
 TWICE, BEYOND = "the index lists chunks twice", "the index points beyond the file"
-LEFT_OUT, POINTS = "the index leaves out chunks", "the footer points beyond the file"
+LEFT_OUT, POINTS = "the index does not list all chunks", "the footer points beyond the file"
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ LEFT_OUT, POINTS = "the index leaves out chunks", "the footer points beyond the 
         ({"start": FOOTER_AT + 1}, POINTS),
         ({"start": FOOTER_AT}, LEFT_OUT),
         ({"crc": 1}, "the index's checksum does not match"),
-        ({"summary": SUMMARY[:-1]}, "the index is cut"),
+        ({"summary": SUMMARY[:-1]}, "the index is cut off"),
         ({"summary": DEFINITIONS + chunk_index(0) + statistics()}, LEFT_OUT),
         ({"summary": DEFINITIONS + statistics(chunks=0)}, LEFT_OUT),
         ({"data": DATA + DEFINITIONS, "summary": statistics() + chunk_index(0) + chunk_index(1)}, LEFT_OUT),

@@ -34,7 +34,7 @@ def lost(book: Bookkeeping) -> int:
         return 0
     assert finding.code == "truncated"
     assert finding.text.startswith(start + " The last ")
-    assert finding.text.endswith(" bytes are cut or damaged.")
+    assert finding.text.endswith(" bytes are cut off or damaged.")
     return int(finding.text.removeprefix(start).split()[2])
 
 
@@ -78,7 +78,7 @@ def test_the_first_definition_of_a_number_stands(held: Held) -> None:
     ],
 )
 def test_where_a_scan_ends(end: bytes, left: int, held: Held) -> None:
-    """At zeros, at a record that is cut or damaged; what is unknown is passed over."""
+    """At zeros, at a record that is cut off or damaged; what is unknown is passed over."""
     book = scanned(held, MESSAGES, end)
     assert lost(book) == left
     assert book.counts == {7: 2, 8: 1}

@@ -114,7 +114,7 @@ def test_messages_lie_inside_their_chunk() -> None:
     assert [bytes(item) for item in gather(buffer, at, 2)] == [b"\x00\x01", b"\x04\x05"]
     assert gather(b"", at[:0], 2).size == 0
     for places, width in (([5], 2), ([-1], 2), ([0], 7)):
-        with pytest.raises(DamagedError, match=r"^a message reaches beyond its chunk$"):
+        with pytest.raises(DamagedError, match=r"^a message extends beyond its chunk$"):
             gather(buffer, np.array(places), width)
 
 

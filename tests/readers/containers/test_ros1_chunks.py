@@ -19,8 +19,8 @@ RAW = CONNECTION + b"".join(MESSAGES)
 FIRST = len(CONNECTION)
 SECOND_AT, THIRD = FIRST + len(MESSAGES[0]), FIRST + len(MESSAGES[0]) + len(MESSAGES[1])
 ONE, TWO = index(1, (SECOND + 5, FIRST), (2 * SECOND + 6, THIRD)), index(2, (7, SECOND_AT))
-WALKED = "an index record is missing; its chunk was walked instead"
-ELSEWHERE = "an index points to other records; its chunk was walked instead"
+WALKED = "an index record is missing; all records of its chunk were read instead"
+ELSEWHERE = "an index points to wrong records; all records of its chunk were read instead"
 
 
 def payloads(batch: Batch) -> list[bytes]:
@@ -141,7 +141,7 @@ def test_what_is_left_of_a_cut_chunk_is_walked(held: Held) -> None:
     """A cut one that should be whole is damage."""
     found = loaded(held, chunk(RAW)[:-1], indexed=False, cut=True)
     assert payloads(found[1]) == [b"abcd"]
-    with pytest.raises(DamagedError, match=r"^a chunk is cut$") as caught:
+    with pytest.raises(DamagedError, match=r"^a chunk is cut off$") as caught:
         loaded(held, chunk(RAW)[:-1], indexed=False)
     assert caught.value.code == "truncated"
 
@@ -156,7 +156,7 @@ def test_chunks_are_unpacked(held: Held) -> None:
     assert bytes(unpack(memoryview(without))[0]) == b"abc"
     with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
         unpack(memoryview(message(1, 2)))
-    with pytest.raises(DamagedError, match=r"claims"):
+    with pytest.raises(DamagedError, match=r"has a declared size"):
         unpack(memoryview(chunk(RAW, size=len(RAW) + 1)))
 
 

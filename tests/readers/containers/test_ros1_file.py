@@ -50,7 +50,7 @@ def lost(bag: BagFile) -> int:
     """Return the bytes that a scan says are lost."""
     text = bag.findings[-1].text
     assert text.startswith("The index can't be used (")
-    assert ("cut or damaged" in text) == (bag.findings[-1].code == "truncated" and "The last" in text)
+    assert ("cut off or damaged" in text) == (bag.findings[-1].code == "truncated" and "The last" in text)
     return int(text.partition("The last ")[2].split()[0]) if "The last" in text else 0
 
 
@@ -77,15 +77,15 @@ def test_the_index_section_says_what_is_in_a_bag(held: Held) -> None:
 @pytest.mark.parametrize(
     ("section", "options", "reason"),
     [
-        (SECTION + infos(HEAD), {}, "the index is cut"),
-        (SECTION + infos(HEAD, HEAD + len(CHUNK)), {"connections": 3}, "the index is cut"),
-        ((SECTION + infos(HEAD, HEAD + len(CHUNK)))[:-1], {}, "the index is cut"),
+        (SECTION + infos(HEAD), {}, "the index is cut off"),
+        (SECTION + infos(HEAD, HEAD + len(CHUNK)), {"connections": 3}, "the index is cut off"),
+        ((SECTION + infos(HEAD, HEAD + len(CHUNK)))[:-1], {}, "the index is cut off"),
         (SECTION + infos(HEAD, HEAD), {}, "the index lists chunks twice"),
         (SECTION + infos(len(MAGIC), HEAD), {}, "the index points beyond the file"),
         (SECTION + infos(HEAD, HEAD + 2 * len(CHUNK)), {}, "the index points beyond the file"),
         (SECTION + record(6, {}, bytes(7)), {}, "a chunk's entry in the index is damaged"),
-        (SECTION, {"at": 10**6}, "the index lies beyond the end of the file"),
-        (SECTION, {"at": len(MAGIC) - 1}, "the index lies beyond the end of the file"),
+        (SECTION, {"at": 10**6}, "the index is beyond the end of the file"),
+        (SECTION, {"at": len(MAGIC) - 1}, "the index is beyond the end of the file"),
         (SECTION, {"at": 0}, "the bag was not closed and has no index"),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_scan_ends_at_the_first_record_that_is_not_whole(end: bytes, left: int
     assert lost(found) == left
     assert [channel.count for channel in found.channels] == [2]
     if left:
-        assert f" {left} of {found.size} bytes are cut or damaged." in found.findings[-1].text
+        assert f" {left} of {found.size} bytes are cut off or damaged." in found.findings[-1].text
 
 
 def test_what_is_left_of_a_cut_chunk_is_counted(held: Held) -> None:
@@ -173,7 +173,10 @@ def test_a_damaged_chunk_is_told_with_its_reason(held: Held) -> None:
     found = scanned(held, chunk(RAW, size=1), CHUNK)
     found.close()
     assert [finding.code for finding in found.findings] == ["damaged", "unindexed"]
-    assert found.findings[0].text == f"The log is damaged in one place: a chunk of {len(RAW)} bytes claims 1."
+    assert (
+        found.findings[0].text
+        == f"The log is damaged in one place: a chunk of {len(RAW)} bytes has a declared size of 1."
+    )
     assert [channel.count for channel in found.channels] == [2]
 
 

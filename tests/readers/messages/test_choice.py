@@ -51,7 +51,7 @@ def test_lists_several_imu_topics(tmp_path: Path) -> None:
     )
     recording = read(path, topic="/imu/raw")
     assert np.array_equal(recording.series[0].samples, other.gyro[:, 0])
-    assert recording.source.decisions[0] == ("topic", "/imu/raw: as asked for")
+    assert recording.source.decisions[0] == ("topic", "/imu/raw: as given")
     assert read(path, topic="imu/data").source.topics == ("/imu/data",)
 
 
@@ -87,7 +87,7 @@ def test_a_sensor_that_never_changes_has_no_data(tmp_path: Path) -> None:
     recording = read(path)
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
     finding = next(finding for finding in recording.findings if finding.code == "no-data")
-    assert finding.text == "The accelerometer of topic /imu/data is always (0, 0, 0): it has no data."
+    assert finding.text == "The accelerometer of topic /imu/data is always (0, 0, 0): no data."
     assert finding.axis == "accel"
 
 
@@ -122,7 +122,7 @@ def test_reads_plain_vectors_only_by_name(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path)
     assert str(caught.value) == (
-        f"{path}: no topic carries IMU messages, only vectors that may be anything; choose one of these "
+        f"{path}: no topic carries IMU messages, only vectors without a known meaning; choose one of these "
         "topics\n"
         "  /imu/gyro   geometry_msgs/msg/Vector3Stamped  120 messages  100 Hz  1.19 s\n"
         "  /imu/accel  geometry_msgs/msg/Vector3Stamped  120 messages  100 Hz  1.19 s"
@@ -158,9 +158,8 @@ def test_names_what_there_is_instead(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, topic="/chatter")
     assert str(caught.value) == (
-        f"{path}: topic /chatter of type std_msgs/String can't be read: it has no angular velocity or "
-        "linear acceleration by name; say which of its fields they are by a fields text; found none with "
-        "numbers"
+        f"{path}: topic /chatter of type std_msgs/String can't be read: it has no fields named as angular "
+        "velocity or linear acceleration; name them in a fields text; found none with numbers"
     )
     path = write_bag(tmp_path / "other.bag", chatter)
     with pytest.raises(ChoiceError) as caught:
@@ -202,9 +201,7 @@ def test_messages_out_of_order_are_sorted_by_log_time(tmp_path: Path) -> None:
     recording = read(write_mcap(tmp_path / "log.mcap", shuffled))
     found = np.array([series.samples for series in recording.series]).T
     assert np.array_equal(found, TRUTH.all)
-    assert recording.findings[0].text == (
-        "1 messages stand in the file before earlier ones; they were put in order of log time."
-    )
+    assert recording.findings[0].text == ("1 messages were out of order; they were sorted by log time.")
 
 
 def test_a_recorder_whose_clock_was_set_back_keeps_its_order(tmp_path: Path) -> None:
@@ -302,5 +299,6 @@ def test_a_second_vector_in_a_message_leaves_a_finding(tmp_path: Path) -> None:
     (finding,) = [finding for finding in recording.findings if finding.code == "other-vectors"]
     assert finding.level == "warning"
     assert finding.text == (
-        "Messages of /pair hold acceleration too; imu.angular_velocity and imu.linear_acceleration were read."
+        "Messages of /pair also contain acceleration; imu.angular_velocity and imu.linear_acceleration "
+        "were read."
     )

@@ -48,8 +48,8 @@ def test_of_several_the_one_whose_samples_change() -> None:
     pair = [topic("/a"), topic("/b")]
     assert chosen(pair, a=()) == [("/b", (GYRO, ACCEL), "the only topic whose samples change")]
     assert chosen(pair, a={ACCEL}, b={GYRO}) == [
-        ("/b", (GYRO,), "gyroscope, the only topic with its samples"),
-        ("/a", (ACCEL,), "accelerometer, the only topic with its samples"),
+        ("/b", (GYRO,), "gyroscope, the only topic of this sensor"),
+        ("/a", (ACCEL,), "accelerometer, the only topic of this sensor"),
     ]
     for live in ({}, {"a": {GYRO}}, {"a": {GYRO}, "b": {GYRO}}, {"a": (), "b": ()}):
         with pytest.raises(ChoiceError, match=r"^log: 2 topics carry IMU samples; choose one"):
@@ -59,7 +59,7 @@ def test_of_several_the_one_whose_samples_change() -> None:
 def test_a_named_topic_is_taken() -> None:
     """With or without its slash; the one of its name that carries samples."""
     topics = [topic("/imu", None), topic("/imu"), topic("/b")]
-    assert chosen(topics, "imu") == [("/imu", (GYRO, ACCEL), "as asked for")]
+    assert chosen(topics, "imu") == [("/imu", (GYRO, ACCEL), "as given")]
     with pytest.raises(ChoiceError, match=r"topic /c of type p/M can't be read: too odd"):
         chosen([topic("/c", None, reason="too odd")], "/c")
     with pytest.raises(ChoiceError, match=r"^log: topic /e has no messages; found"):
@@ -95,7 +95,7 @@ def test_two_named_topics_are_one_for_each_sensor(names: tuple[str, str]) -> Non
 def test_what_is_there_instead_is_said() -> None:
     """Vectors that may be anything, a type that can't be read, or the topics there are."""
     with pytest.raises(
-        ChoiceError, match="only vectors that may be anything; choose one of these topics\n  /p"
+        ChoiceError, match="only vectors without a known meaning; choose one of these topics\n  /p"
     ):
         chosen([topic("/p", PLAIN)])
     with pytest.raises(ChoiceError, match=r"no topic carries a gyroscope .*; found\n  /p"):

@@ -267,7 +267,7 @@ def test_an_encapsulation_takes_four_bytes() -> None:
     """A message of three has none; one of another kind is named."""
     with pytest.raises(DamagedError, match=r"^a message is too short for CDR$"):
         decoder(1).slow(Log(payloads=[b"\0\1\0"]).checked(), columns(1), 2)
-    with pytest.raises(DamagedError, match=r"^a message is shorter than its type$|reaches beyond"):
+    with pytest.raises(DamagedError, match=r"^a message is shorter than its type$|extends beyond"):
         decoder(1).slow(Log(payloads=[b"\0\1\0\0"]).checked(), columns(1), 2)
     with pytest.raises(DamagedError) as caught:
         decoder(1).slow(Log(payloads=[b"\0\x0a\0\0" + bytes(60)]).checked(), columns(1), 2)
@@ -279,7 +279,7 @@ def test_an_encapsulation_takes_four_bytes() -> None:
 
 
 OTHER = "time t\nstring s\nfloat64[3] g\nfloat32 c\nuint32 more"
-USED = "the definition in the log does not fit its messages; the standard one was used"
+USED = "the definition in the log does not match its messages; the standard one was used"
 
 
 @pytest.mark.parametrize(
@@ -339,7 +339,7 @@ def test_a_string_can_not_be_longer_than_its_chunk() -> None:
     """Its length is what is damaged."""
     data = bytearray(payload(0, 1))
     struct.pack_into("<I", data, 12, 1 << 30)
-    with pytest.raises(DamagedError, match=r"^s claims 1073741824 elements, more than its chunk holds$"):
+    with pytest.raises(DamagedError, match=r"^s declares 1073741824 elements, more than its chunk contains$"):
         decoder(1).slow(Log(payloads=[bytes(data)]).checked(), columns(1), 2)
 
 

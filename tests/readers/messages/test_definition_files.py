@@ -63,8 +63,8 @@ def test_a_folder_of_packages(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, topic="/swapped", message_definition=folder)
     assert str(caught.value) == (
-        f"{path}: topic /swapped of type {OTHER} can't be read: the log holds no definition of {OTHER}, "
-        "those that are given are of acme/Board, acme/Pair, other_msgs/Note; give its .msg file, Swapped.msg"
+        f"{path}: topic /swapped of type {OTHER} can't be read: the log has no definition of {OTHER}; the "
+        "given ones define acme/Board, acme/Pair, other_msgs/Note; give its .msg file, Swapped.msg"
     )
 
 

@@ -103,8 +103,8 @@ def test_one_element_alone_is_read_by_its_index(tmp_path: Path) -> None:
     npt.assert_array_equal(axes(recording), TRUTH.gyro[[rows_of(k)[0] for k in range(len(COUNTS))]])
     (found,) = (finding for finding in recording.findings if finding.code == "other-vectors")
     assert found.text == (
-        "Messages of /imu/data hold 8 elements of imus; one of them was read. If they are samples of one "
-        "sensor, imus[] reads them all."
+        "Messages of /imu/data contain 8 elements of imus; one was read. If all are samples of one "
+        "sensor, use imus[]."
     )
     everything = read(path, fields="gyro=imus[].rate", **RAD)
     npt.assert_array_equal(axes(everything), TRUTH.gyro)
@@ -179,9 +179,9 @@ def test_lists_in_protobuf(tmp_path: Path) -> None:
     [
         (
             "gyro=imus[].rate accel=imus[0].force",
-            "imus[].rate[0] is that of each element, imus[0].force.x is not",
+            "imus[].rate[0] has [] and imus[0].force.x has not",
         ),
-        ("gyro=imus[0].rate time=imus[].header.stamp", "imus[].header.stamp.sec is that of each element"),
+        ("gyro=imus[0].rate time=imus[].header.stamp", "imus[].header.stamp.sec has [] and"),
         ("gyro=imus[][].rate", "'gyro=imus[][].rate' can't be read"),
     ],
 )

@@ -210,7 +210,7 @@ def test_what_an_index_lists_wrongly_is_loaded_record_by_record() -> None:
 
 
 def test_what_an_index_leaves_out_comes_behind_all_others() -> None:
-    """There is no room for it in between; messages as many as the room are decoded in it."""
+    """There is no space for it in between; messages as many as the room are decoded in it."""
     values, _ = run(Task({1: batch([1, 2, 3], listed=[1, 2])}, {1: 1}), Task({1: batch([5])}))
     assert values == [5, 1, 2, 3]
     values, _ = run(Task({1: batch([1, 2])}, {1: 1}), Task({1: batch([5])}))

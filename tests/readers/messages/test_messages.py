@@ -169,8 +169,8 @@ def test_fields_behind_a_list_of_texts_are_read_where_they_are_named(tmp_path: P
         read(path)
     text = "gyro=imu.angular_velocity accel=imu.linear_acceleration"
     assert str(caught.value).startswith(
-        f"{path}: topic {TOPIC} of type acme/msg/ImuList can't be read: it has no angular velocity or linear "
-        f"acceleration by name; say which of its fields they are by a fields text such as '{text}'; found "
+        f"{path}: topic {TOPIC} of type acme/msg/ImuList can't be read: it has no fields named as angular "
+        f"velocity or linear acceleration; name them in a fields text such as '{text}'; found "
         "imu.header.stamp.sec int32, "
     )
     check(read(path, fields=text, gyro_unit="rad/s"))
@@ -311,7 +311,7 @@ def test_refuses_an_encoding_with_what_it_is(tmp_path: Path) -> None:
         read(path)
     assert str(caught.value) == (
         f"{path}: topic {TOPIC} of type acme.Imu can't be read: messages are encoded as 'flatbuffer'; "
-        "expected one of cdr, ros1, json, protobuf; convert the log with what wrote it: to a CSV with a row "
+        "expected one of cdr, ros1, json, protobuf; convert the log to CSV with a row "
         "per message, or to JSON messages"
     )
 
@@ -331,7 +331,7 @@ def test_a_definition_file_makes_up_for_a_missing_one(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path)
     assert str(caught.value) == (
-        f"{path}: topic {TOPIC} of type {kind} can't be read: the log holds no definition of {kind}; "
+        f"{path}: topic {TOPIC} of type {kind} can't be read: the log has no definition of {kind}; "
         "give its .msg file, RawImu.msg"
     )
     own, _ = types.generate_msgdef(kind, ros_version=2)
@@ -349,7 +349,7 @@ def test_units_of_a_type_of_ones_own(tmp_path: Path) -> None:
     npt.assert_allclose(axes(recording)[:, :3], np.deg2rad(TRUTH.gyro), rtol=1e-15)
     npt.assert_array_equal(axes(recording)[:, 3:], TRUTH.accel * 0.5)
     with pytest.raises(
-        ChoiceError, match="topic /imu/data: 'furlong' is no unit of the gyroscope; expected one of"
+        ChoiceError, match="topic /imu/data: 'furlong' is not a unit of the gyroscope; expected one of"
     ):
         read(path, gyro_unit="furlong")
 
@@ -389,8 +389,8 @@ def test_takes_the_built_in_definition_for_idl(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path)
     assert str(caught.value) == (
-        f"{path}: topic {TOPIC} of type {kind} can't be read: the log holds no definition of {kind} but of "
-        "kind 'ros2idl'; give its .msg file, Imu.msg"
+        f"{path}: topic {TOPIC} of type {kind} can't be read: the log has no definition of {kind}, "
+        f"except one of kind 'ros2idl'; give its .msg file, Imu.msg"
     )
 
 

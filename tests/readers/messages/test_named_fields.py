@@ -136,7 +136,9 @@ def test_the_axes_may_be_in_any_order(tmp_path: Path) -> None:
 
 def test_units_that_nothing_says_are_asked_for(tmp_path: Path) -> None:
     """Counts of a gyroscope say nothing of it; beside an SI accelerometer it is assumed, and said."""
-    with pytest.raises(ChoiceError, match=r"topic /imu/data: the unit of the gyroscope is open: .* integer"):
+    with pytest.raises(
+        ChoiceError, match=r"topic /imu/data: the unit of the gyroscope is unknown: .* integer"
+    ):
         read(counts(tmp_path), fields="gyro=g accel=a")
     recording = read(single(tmp_path), fields="gyro=gx,gy,gz accel=ax,ay,az")
     is_near(recording, 0)
@@ -164,7 +166,7 @@ def test_fields_that_are_not_there(tmp_path: Path) -> None:
     """The error lists those that are."""
     message = said(single(tmp_path), fields="gyro=wx,wy,wz")
     assert message == (
-        f"{tmp_path / 'log.mcap'}: no topic has the fields of the fields text; found in its topics\n"
+        f"{tmp_path / 'log.mcap'}: no topic has the fields in the fields text; found these topics\n"
         "  /imu/data (acme/msg/Raw): it has no wx,wy,wz; found header.stamp.sec int32, header.stamp.nanosec "
         "uint32, gx float64, gy float64, gz float64, ax float64, ay float64, az float64"
     )
@@ -187,7 +189,7 @@ def test_a_temperature_that_is_named(tmp_path: Path) -> None:
     assert read(path, fields=sensors).temperature is None
     for wrong in ("note", "coldness"):
         problem = said(path, fields=f"{sensors} temp={wrong}")
-        assert f"the temperature {wrong} is none of the numbers beside the samples; found " in problem
+        assert f"there is no temperature {wrong} in the messages with the samples; found " in problem
         assert "warmth float32" in problem
 
 
@@ -221,7 +223,7 @@ def test_a_time_without_unit_is_asked_for(tmp_path: Path) -> None:
     recording = read(path, fields=fields, gyro_unit="rad/s", time_unit="s")
     assert recording.series[0].rate_hz == pytest.approx(100)
     npt.assert_array_equal(axes(recording), TRUTH.gyro)
-    assert "expected no unit, or a fields text that names a time of one number" in said(
+    assert "omit it, or name a time of one number in a fields text" in said(
         path, fields="gyro=w", gyro_unit="rad/s", time_unit="s"
     )
 

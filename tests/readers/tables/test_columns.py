@@ -188,7 +188,7 @@ def test_the_name_of_a_file_tells() -> None:
         found, how = find_bare_triads(named("x", "y", "z"), name)
         assert ([*found], how) == ([sensor], "by the name of the file")
     for name in ("accuracy.csv", "gyro_acc.csv"):
-        with pytest.raises(ChoiceError, match="but not of which sensor"):
+        with pytest.raises(ChoiceError, match="have no sensor in their names"):
             find_bare_triads(named("x", "y", "z"), name)
 
 
@@ -264,7 +264,7 @@ HEADERS = ["stamp", "wx", "wy", "wz", "ax", "ay", "az", "I", "temp"]
     ],
 )
 def test_columns_text(text: str) -> None:
-    """Places from 0 with the end left out, or names joined by +."""
+    """Places from 0 without the end, or names joined by +."""
     sensors, time, _ = parse_columns_text(text, named(*HEADERS))
     assert (time, [spec.indices for spec in sensors]) == ((0,), [(1, 2, 3), (4, 5, 6)])
 
@@ -301,8 +301,8 @@ def test_a_column_may_serve_both_sensors_in_different_rows() -> None:
 
 
 FOUND = (
-    "found columns: 0 stamp, 1 wx, 2 wy, 3 wz, 4 ax, 5 ay, 6 az, 7 I, 8 temp; say which are which by a "
-    "columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+    "found columns: 0 stamp, 1 wx, 2 wy, 3 wz, 4 ax, 5 ay, 6 az, 7 I, 8 temp; name them in a columns text "
+    "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
 )
 
 
@@ -310,24 +310,24 @@ FOUND = (
     ("text", "problem"),
     [
         ("t=0", "names neither gyroscope (g) nor accelerometer (a)"),
-        ("g=1:3", "g names 2 columns, expected 3; one axis alone is gz=1"),
-        ("a=1", "a names 1 columns, expected 3; one axis alone is az=1"),
-        ("g=1+1+1", "column 1 is named twice; a log of one axis has gz=1 alone"),
-        ("g=wx+wy+wx", "column 1 is named twice; a log of one axis has gz=1 alone"),
-        ("g=1:4,a=3:6", "column 3 is named twice; a log of one axis has gz=3 alone"),
-        ("t=1,g=1:4", "column 1 is named twice; a log of one axis has gz=1 alone"),
-        ("g=1:4@I:0,a=1:4@I:0", "column 1 is named twice; a log of one axis has gz=1 alone"),
-        ("g=1:4@I:0,a=1:4", "column 1 is named twice; a log of one axis has gz=1 alone"),
-        ("gx=1,gy=1", "column 1 is named twice; a log of one axis has gz=1 alone"),
+        ("g=1:3", "g names 2 columns, expected 3; for one axis write gz=1"),
+        ("a=1", "a names 1 columns, expected 3; for one axis write az=1"),
+        ("g=1+1+1", "column 1 is named twice; for a log of one axis give gz=1 alone"),
+        ("g=wx+wy+wx", "column 1 is named twice; for a log of one axis give gz=1 alone"),
+        ("g=1:4,a=3:6", "column 3 is named twice; for a log of one axis give gz=3 alone"),
+        ("t=1,g=1:4", "column 1 is named twice; for a log of one axis give gz=1 alone"),
+        ("g=1:4@I:0,a=1:4@I:0", "column 1 is named twice; for a log of one axis give gz=1 alone"),
+        ("g=1:4@I:0,a=1:4", "column 1 is named twice; for a log of one axis give gz=1 alone"),
+        ("gx=1,gy=1", "column 1 is named twice; for a log of one axis give gz=1 alone"),
         ("g=1:4,g=4:7", "g is named twice"),
         ("g=1:4,gz=5", "gz is one of the three columns of g; name either"),
         ("gz=1:3", "gz takes one column"),
-        ("gx=1@a,gz=2@b", "gx and gz are of different rows, expected the same"),
-        ("g=7:10", "there is no column 9, the last is 8"),
+        ("gx=1@a,gz=2@b", "gx and gz are of different rows; expected the same"),
+        ("g=7:10", "there is no column 9; the last is 8"),
         ("g=wx+wy+foo", "there is no column 'foo'"),
         ("q=1:4", "'q=1:4' is not t=…, g=…, a=…, gx=… to az=…, or temp=…"),
         ("g", "'g' is not t=…, g=…, a=…, gx=… to az=…, or temp=…"),
-        ("g=1:4,t=0+1+2+3", "t takes up to three columns, temp one"),
+        ("g=1:4,t=0+1+2+3", "t takes up to three columns and temp takes one"),
         ("g=1:999999999999", "g names 12 columns, expected 3"),
     ],
 )
@@ -353,7 +353,7 @@ def refused(folder: Path, content: str, name: str = "log.csv", **options: object
     return message.removeprefix(f"{path}: ")
 
 
-HOW = "(places from 0 with the end left out, or three names joined by +)"
+HOW = "(numbers from 0 without the end, or three names joined by +)"
 
 
 def test_no_header(tmp_path: Path) -> None:
@@ -362,17 +362,15 @@ def test_no_header(tmp_path: Path) -> None:
     first = [cell if len(cell) < 10 else f"{float(cell):.6g}" for cell in content.split("\n")[0].split()]
     row = ", ".join(f"{i} {cell}" for i, cell in enumerate(first))
     assert refused(tmp_path, content) == (
-        "no header names the 7 columns, and an order is not guessed; found columns: "
-        f"{row}; say which are which by a columns text such as t=0,g=4:7,a=1:4 {HOW}"
+        "the 7 columns have no header; found columns: "
+        f"{row}; name them in a columns text such as t=0,g=4:7,a=1:4 {HOW}"
     )
 
 
 def test_thirty_columns_are_not_always_kitti(tmp_path: Path) -> None:
     """The width alone tells nothing."""
     content = lines("", *[cells(truth().accel[:, 2] * 100)] * 30, mark=" ")
-    assert refused(tmp_path, content).startswith(
-        "no header names the 30 columns, and an order is not guessed;"
-    )
+    assert refused(tmp_path, content).startswith("the 30 columns have no header;")
 
 
 def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
@@ -384,7 +382,7 @@ def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
             rows.append(",".join([tag, str(1000 + 10 * i), *cells(values)]))
     content = "\n".join(rows) + "\n"
     proposal = "t=1,g=2:5@Gyroscope,a=2:5@Accelerometer"
-    assert f"such as {proposal} (places" in refused(tmp_path, content)
+    assert f"such as {proposal} (numbers" in refused(tmp_path, content)
     recording = read(tmp_path / "log.csv", ReadOptions(columns=proposal, gyro_unit="deg/s"))
     assert [series.n for series in recording.series] == [N] * 6
     assert recording.axis("accelerometer", "z").samples[0] == pytest.approx(t.accel[0, 2], rel=1e-12)
@@ -394,9 +392,9 @@ def test_no_sensor(tmp_path: Path) -> None:
     """A table of other things shows its columns."""
     content = lines("time (s),lat,lon,alt", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
-        "no column is named as an axis of a gyroscope or an accelerometer; "
-        "found columns: 0 time (s), 1 lat, 2 lon, 3 alt; say which are which by a columns text of the form "
-        "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+        "no column has the name of a gyroscope or accelerometer axis; "
+        "found columns: 0 time (s), 1 lat, 2 lon, 3 alt; name them in a columns text of the form "
+        "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
     )
 
 
@@ -404,9 +402,9 @@ def test_an_axis_is_missing(tmp_path: Path) -> None:
     """Two numbered axes of three are not enough: nobody knows where they count from."""
     content = lines("time (s),gyro_1,gyro_2,foo", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
-        "x, y and z of one sensor are needed, found only gyro_1 (gyroscope), gyro_2 (gyroscope); "
-        "found columns: 0 time (s), 1 gyro_1, 2 gyro_2, 3 foo; say which are which by a columns text of the "
-        "form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+        "expected x, y and z of one sensor, found only gyro_1 (gyroscope), gyro_2 (gyroscope); "
+        "found columns: 0 time (s), 1 gyro_1, 2 gyro_2, 3 foo; name them in a columns text of the "
+        "form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
     )
 
 
@@ -415,8 +413,8 @@ def test_mixed_units(tmp_path: Path) -> None:
     header = "time (s),xRate (rad/s),yRate (deg/s),zRate (deg/s)"
     content = lines(header, seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
-        "the axes of the gyroscope carry different units (xRate (rad/s) in rad/s, yRate (deg/s) in deg/s, "
-        "zRate (deg/s) in deg/s), so at least one of them is wrong; expected one unit; give the unit of the "
+        "the axes of the gyroscope have different units (xRate (rad/s) in rad/s, yRate (deg/s) in deg/s, "
+        "zRate (deg/s) in deg/s); expected one unit; give the unit of the "
         "gyroscope, or correct the header; found columns: 0 time (s), 1 xRate (rad/s), 2 yRate (deg/s), "
         "3 zRate (deg/s)"
     )
@@ -428,10 +426,10 @@ def test_two_gyroscopes(tmp_path: Path) -> None:
     """Which of two sets of columns is meant is for the user to say; the texts are ready."""
     header = "t,gyroADC[0],gyroADC[1],gyroADC[2],gyroUnfilt[0],gyroUnfilt[1],gyroUnfilt[2]"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
-    assert refused(tmp_path, content).partition("; also, the unit of the gyroscope is open")[0] == (
-        "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], "
-        "2 gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; say which are which "
-        f"by a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
+    assert refused(tmp_path, content).partition("; also, the unit of the gyroscope is unknown")[0] == (
+        "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], 2 "
+        "gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; name them in a "
+        f"columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
     )
 
 
@@ -446,7 +444,7 @@ def test_rows_of_two_sensors(tmp_path: Path) -> None:
     """ArduPilot logs several IMUs in one table: the column I tells them apart."""
     message = refused(tmp_path, two_ardupilots(truth()))
     assert message.startswith(
-        "rows of 2 sensors, told apart by column I (0, 1); found columns: 0 TimeUS, 1 I, "
+        "rows of 2 sensors, numbered by column I (0, 1); found columns: 0 TimeUS, 1 I, "
     )
     assert message.endswith(f"such as t=0,g=2:5@I:0,a=5:8@I:0 or t=0,g=2:5@I:1,a=5:8@I:1 {HOW}")
 
@@ -455,8 +453,8 @@ def test_bare_axes(tmp_path: Path) -> None:
     """x, y, z without a unit or a telling file name could be either sensor."""
     content = lines("time,x,y,z", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
-        "x, y and z are there (x, y, z), but not of which sensor; found columns: 0 time, 1 x, 2 y, 3 z; "
-        f"say which are which by a columns text such as t=0,g=1:4 or t=0,a=1:4 {HOW}"
+        "x, y and z (x, y, z) have no sensor in their names; found columns: 0 time, 1 x, 2 y, 3 z; "
+        f"name them in a columns text such as t=0,g=1:4 or t=0,a=1:4 {HOW}"
     )
 
 
@@ -478,7 +476,7 @@ def test_time_is_never_the_temperature(tmp_path: Path) -> None:
     header = "T,gx (rad/s),gy (rad/s),gz (rad/s)"
     content = lines(header, ["25.5"] * N, *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
-        "no time column and no sampling rate for the gyroscope; expected stamps or a rate; "
+        "no time column and no sampling rate for the gyroscope; expected time stamps or a rate; "
         "give the sampling rate"
     )
     recording = read(tmp_path / "log.csv", ReadOptions(rate_hz=100.0))
@@ -489,10 +487,10 @@ def test_options_that_contradict(tmp_path: Path) -> None:
     """A unit and a scale can't both be right; a unit must be one of the sensor."""
     content = lines("time (s),gx,gy,gz", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content, gyro_unit="deg/s", gyro_scale=0.1) == (
-        "both a unit (deg/s) and a scale (0.1) are given for the gyroscope; expected one of them"
+        "both a unit (deg/s) and a scale (0.1) are given for the gyroscope; give one"
     )
     assert refused(tmp_path, content, gyro_unit="g") == (
-        "'g' is no unit of the gyroscope; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h"
+        "'g' is not a unit of the gyroscope; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h"
     )
     assert refused(tmp_path, content, time="foo") == (
         "there is no time column 'foo'; found columns: 0 time (s), 1 gx, 2 gy, 3 gz"

@@ -76,13 +76,13 @@ def moving(scale: float) -> FloatArray:
 @pytest.mark.parametrize(
     ("rows", "accel", "unit", "reason"),
     [
-        (noise(1e-3), "m/s^2", "rad/s", "nothing in the log says it; SI as the accelerometer beside it"),
-        (noise(1e-3), "g", None, "beside an accelerometer in g, deg/s is likely"),
+        (noise(1e-3), "m/s^2", "rad/s", "the log does not contain it; the accelerometer is in SI units"),
+        (noise(1e-3), "g", None, "the accelerometer is in g, so deg/s is likely"),
         (
             moving(1e-3),
             "g",
             None,
-            "beside an accelerometer in g, but the sensor moves, so it may be either",
+            "the accelerometer is in g, but the sensor moves, so it may be either",
         ),
         (
             moving(1.0),
@@ -90,7 +90,7 @@ def moving(scale: float) -> FloatArray:
             None,
             "the median rate 3.68 is too fast for rad/s at rest, but the sensor moves, so it may be either",
         ),
-        (noise(1e-3), None, None, "nothing in the log says it"),
+        (noise(1e-3), None, None, "the log does not contain it"),
         (
             noise(1e-2, 0.7),
             "m/s^2",
@@ -127,7 +127,7 @@ def test_a_unit_against_the_header_is_a_warning(given: dict[str, Any], said: str
     names = "t (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
     path.write_text(lines(names, seconds(t), *xyz(t.gyro), *xyz(t.accel)), encoding="utf-8")
     findings = [finding for finding in read(path, ReadOptions(**given)).findings if "unit" in finding.code]
-    text = f"The unit of the gyroscope is {said}; the log says rad/s, from the column header."
+    text = f"The unit of the gyroscope is {said}; the log has rad/s, from the column header."
     assert [finding.text for finding in findings] == [text] * bool(said)
     assert all((f.level, f.code, f.axis) == ("warning", "unit-given", "gyro") for f in findings)
 
@@ -139,12 +139,12 @@ def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:
     (finding,) = read(path, ReadOptions()).findings
     assert (finding.level, finding.code, finding.axis) == ("warning", "unit-assumed", "gyro")
     assert finding.text == (
-        "The unit of the gyroscope is taken to be rad/s: nothing in the log says it; SI as the accelerometer "
-        "beside it."
+        "The unit of the gyroscope is assumed to be rad/s: the log does not contain it; the accelerometer "
+        "is in SI units."
     )
     assert (
         finding.advice
-        == "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
+        == "Give its unit if this is wrong: deg/s instead of rad/s changes all results by a factor of 57."
     )
     assert read(path, ReadOptions(gyro_unit="rad/s")).findings == ()
 
@@ -156,9 +156,9 @@ def test_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: the unit of the gyroscope is open: no header says it, and the rates are integer counts of "
-        "an unknown scale; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h; give its unit, or the scale "
-        "of its counts in rad/s per count"
+        f"{path}: the unit of the gyroscope is unknown: no header contains it, and the rates are integer "
+        "counts of an unknown scale; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h; give its unit, "
+        "or the scale of its counts in rad/s per count"
     )
     recording = read(path, ReadOptions(gyro_scale=np.radians(1 / 131), accel_scale=G0 / 16384))
     assert recording.axis("accelerometer", "z").samples.mean() == pytest.approx(G0, rel=1e-3)
@@ -171,8 +171,8 @@ def test_open_accelerometer(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: the unit of the accelerometer is open: no header says it, and median magnitude 4.905 is "
-        "gravity in none of m/s^2, g and mg; expected one of m/s^2, g, mg, ug; give its unit, or the scale "
-        "of its counts in m/s^2 per count"
+        f"{path}: the unit of the accelerometer is unknown: no header contains it, and median magnitude "
+        "4.905 is not gravity in m/s^2, g or mg; expected one of m/s^2, g, mg, ug; give its unit, or "
+        "the scale of its counts in m/s^2 per count"
     )
     assert read(path, ReadOptions(accel_unit="m/s^2")).series[0].n == N

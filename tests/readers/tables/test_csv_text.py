@@ -91,7 +91,7 @@ def test_cut_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> N
     except ReadError as error:
         # A bzip2 block is one piece: all of it or nothing.
         assert compress is bz2.compress
-        assert "The bzip2 stream is cut or damaged" in str(error)  # noqa: PT017
+        assert "The bzip2 stream is cut off or damaged" in str(error)  # noqa: PT017
     else:
         assert codes(recording)[0] == "truncated"
         n = recording.series[0].n
@@ -183,7 +183,7 @@ def test_stamps_that_a_spreadsheet_damaged_are_not_taken_for_times(tmp_path: Pat
     content = lines(
         HEADER.replace("(s)", "[ns]", 1), ["1.40E+18"] * N, *xyz(truth().gyro), *xyz(truth().accel)
     )
-    with pytest.raises(DataError, match="do not advance"):
+    with pytest.raises(DataError, match="do not increase"):
         read(store(tmp_path, content), ReadOptions())
 
 
@@ -194,7 +194,7 @@ def test_cut_last_line_is_dropped_with_a_note(tmp_path: Path) -> None:
     npt.assert_array_equal(table(recording), expected()[:-1])
     (finding,) = recording.findings
     assert (finding.code, finding.level) == ("cut-line", "info")
-    assert finding.text.startswith("The last line has no line end and may be cut ('3.990000,")
+    assert finding.text.startswith("The last line has no line end and may be cut off ('3.990000,")
 
 
 def test_whole_last_line_without_an_end_is_kept(tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def test_bad_rows_are_counted_and_dropped(bad: str, tmp_path: Path) -> None:
     npt.assert_array_equal(table(recording), expected())
     (finding,) = recording.findings
     assert (finding.code, finding.level) == ("bad-rows", "warning")
-    assert finding.text.startswith("2 of 402 rows are no rows of 7 numbers, the first is ")
+    assert finding.text.startswith("2 of 402 rows are not 7 numbers; the first is ")
 
 
 def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
     with pytest.raises(ReadError) as caught:
         read(path, ReadOptions(strict=True))
     assert str(caught.value) == (
-        f"{path}: 1 of 401 rows are no rows of 7 numbers, the first is '1.0,oops,1,1,1,1,1'; "
+        f"{path}: 1 of 401 rows are not 7 numbers; the first is '1.0,oops,1,1,1,1,1'; "
         "expected a table with a row per sample"
     )
 
@@ -253,7 +253,10 @@ def test_strict_refuses_a_cut_end(tmp_path: Path) -> None:
     ):
         read(path, ReadOptions(strict=True))
     path = store(tmp_path, gzip.compress(plain().encode())[:-100])
-    with pytest.raises(ReadError, match=r"The gzip stream is cut or damaged .* Expected an undamaged log"):
+    with pytest.raises(
+        ReadError,
+        match=r"The gzip stream is cut off or damaged .* Expected an undamaged log",
+    ):
         read(path, ReadOptions(strict=True))
 
 
@@ -326,14 +329,14 @@ def test_progress(tmp_path: Path) -> None:
         (bytes(range(256)) * 40, "binary data, not text; expected a table of numbers, or another format"),
         (
             b"hello\nworld\nagain\n",
-            ("no rows of numbers, the first line is 'hello'; expected a table with a row per sample"),
+            ("found no rows of numbers; the first line is 'hello'; expected a table with a row per sample"),
         ),
         (
             b"gx,gy,gz\n" + b"1,2,3,4\n" * 20,
             (
-                "the header has 3 names and the rows 4 cells, so no name belongs to a column; found columns: "
-                "0 1, 1 2, 2 3, 3 4; say which are which by a columns text of the form "
-                "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+                "the header has 3 names and the rows 4 cells; found columns: "
+                "0 1, 1 2, 2 3, 3 4; name them in a columns text of the form "
+                "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
             ),
         ),
     ],
@@ -379,7 +382,7 @@ def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) 
     (topic,) = text_table.describe(store(tmp_path, content), ReadOptions()).topics
     assert topic.sensors == ()
     assert topic.note.startswith(
-        "x, y and z are there (x, y, z), but not of which sensor; found columns: 0 time (s)"
+        "x, y and z (x, y, z) have no sensor in their names; found columns: 0 time (s)"
     )
     with pytest.raises(ReadError, match="no rows of numbers"):
         text_table.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
@@ -393,7 +396,7 @@ def test_what_tables_lack_is_refused(asked: dict[str, tuple[str]], tmp_path: Pat
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(**asked))  # type: ignore[arg-type]
     assert str(caught.value) == (
-        f"{path}: a table of text has no {what}, but {name} was asked for; "
+        f"{path}: a table of text has no {what} such as {name}; "
         f"expected no {what.rstrip('s')}, or a columns text"
     )
 
@@ -410,7 +413,7 @@ def test_damage_within_a_compressed_file_ends_it(compress: Callable[[bytes], byt
     try:
         recording = read(path, ReadOptions(gyro_unit="rad/s"))
     except ReadError as error:
-        assert "stream is cut or damaged" in str(error)  # noqa: PT017 - reading may also succeed
+        assert "stream is cut off or damaged" in str(error)  # noqa: PT017 - reading may also succeed
     else:
         assert recording.series[0].n < 20_000
         assert "truncated" in codes(recording)

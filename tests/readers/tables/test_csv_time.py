@@ -60,7 +60,7 @@ def test_open_unit_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: column 'time', the time of the gyroscope, has no unit, and goes on by 100 a row, which "
+        f"{path}: column 'time', the time of the gyroscope, has no unit and increases by 100 per row, which "
         "is 10000 Hz in us or 10 Hz in ms; give the time unit, name it in the header, such as time_us, or "
         "give the sampling rate"
     )
@@ -77,8 +77,8 @@ def test_counter_needs_a_rate(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: only a counter (sample) and no sampling rate for the gyroscope; expected stamps or a rate; "
-        "give the sampling rate"
+        f"{path}: only a counter (sample) and no sampling rate for the gyroscope; expected time stamps or "
+        "a rate; give the sampling rate"
     )
     clock = read(path, ReadOptions(rate_hz=50.0)).series[0].clock
     assert (clock.rate_hz, clock.missing, clock.start_ns) == (50.0, 5, None)
@@ -100,7 +100,7 @@ def test_rate_of_the_preamble(preamble: str, tmp_path: Path) -> None:
     """A rate in the lines before the header is used, and named as the source."""
     recording = recorded(tmp_path, "sample", list(range(N)), preamble=preamble)
     assert recording.series[0].rate_hz == 100.0
-    assert dict(recording.source.decisions)["time"] == "100 Hz, the rate that the log states"
+    assert dict(recording.source.decisions)["time"] == "100 Hz, the rate in the log"
 
 
 def test_stamps_go_before_the_rate_of_the_preamble(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_stamps_go_before_the_rate_of_the_preamble(tmp_path: Path) -> None:
     assert recording.series[0].rate_hz == pytest.approx(100)
     (finding,) = recording.findings
     assert finding.code == "rate-differs"
-    assert finding.text == "The log states 128 Hz, its stamps give 100 Hz; the stamps are used."
+    assert finding.text == "The log declares 128 Hz, its time stamps give 100 Hz; the time stamps are used."
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32])
@@ -136,7 +136,7 @@ def test_wrapped_time_column(tmp_path: Path) -> None:
     assert recording.series[0].clock.missing == 0
     assert recording.series[0].rate_hz == pytest.approx(100)
     assert [f.text for f in recording.findings] == [
-        "Column time_us started again 1 times at the end of its range; it was put in order."
+        "Column time_us started again 1 times at the end of its range; it was unwrapped."
     ]
 
 
@@ -337,6 +337,6 @@ def test_held_samples_stay_with_a_warning(tmp_path: Path) -> None:
     assert recording.series[0].n == 2 * N
     finding = next(f for f in recording.findings if f.code == "held-samples")
     assert finding.text == (
-        "50% of the rows of the gyroscope repeat the stamp and the values of the row before: "
+        "50% of the rows of the gyroscope repeat the previous time stamp and values: "
         "the log was written faster than the sensor was read."
     )

@@ -42,7 +42,7 @@ def _wrong_units(dialect: Dialect) -> list[str]:
     for sensor, unit in given:
         if unit is not None and unit not in SAMPLE_UNITS[sensor]:
             known = ", ".join(SAMPLE_UNITS[sensor])
-            missing.append(f"{unit!r} is no unit of the {sensor}: write one of {known}")
+            missing.append(f"{unit!r} is not a unit of the {sensor}: write one of {known}")
     return missing
 
 
@@ -120,14 +120,14 @@ WORDS = "## Tables\nHeaders of Acme and others are known.\n## Units"
 def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing else has to be touched for its units to be known."""
     path = write(EXAMPLE, tmp_path)
-    with pytest.raises(ChoiceError, match="the unit of the gyroscope is open"):
+    with pytest.raises(ChoiceError, match="the unit of the gyroscope is unknown"):
         read(path, ReadOptions())
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, ACME))
     assert forgotten(ACME, tmp_path, (*STYLES, EXAMPLE), WORDS) == []
     recording = read(path, ReadOptions())
     npt.assert_allclose(recording.axis("gyroscope", "x").samples, truth().gyro[:, 0], rtol=1e-12)
     npt.assert_allclose(recording.axis("accelerometer", "z").samples, truth().accel[:, 2], rtol=1e-12)
-    assert dict(recording.source.decisions)["gyroscope unit"] == "deg/s, as Acme logs it"
+    assert dict(recording.source.decisions)["gyroscope unit"] == "deg/s, as in logs of Acme"
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: p
             {"gyro_unit": None},
             "no gyro_unit: no sample tells a gyroscope's unit, so take it from the maker's",
         ),
-        ({"accel_unit": "G"}, "'G' is no unit of the accelerometer: write one of m/s^2, g, mg, ug"),
+        ({"accel_unit": "G"}, "'G' is not a unit of the accelerometer: write one of m/s^2, g, mg, ug"),
         ({"headers": ()}, "no headers: it would be found in every table"),
         ({"headers": ("Turn_Gyro_X",)}, "'Turn_Gyro_X' has a capital letter: names are compared in small"),
         ({"headers": ("turn_x",)}, "no example shows this entry with headers ('turn_x',)"),

@@ -66,7 +66,10 @@ def test_matlab_7_3(table: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a pa
 
 def test_a_table_of_matlab_7_3_has_a_way_out(tmp_path: Path) -> None:
     path = write_matlab(tmp_path / "log.mat", {}, table=True)
-    with pytest.raises(ReadError, match=r"T is a table of MATLAB.*type there writetable\(T, 'T\.csv'\)$"):
+    with pytest.raises(
+        ReadError,
+        match=r"T is a table, which only MATLAB can read; in MATLAB type writetable\(T, 'T\.csv'\)$",
+    ):
         read(path)
 
 
@@ -74,7 +77,9 @@ def test_more_than_memory_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     """What a file unpacks to is added up before it is unpacked."""
     path = write_hdf5(tmp_path / "log.h5", {"gyro": np.zeros((1_000_000, 3))}, compression="gzip")
     monkeypatch.setenv("IMUCAL_MEMORY", "40M")
-    with pytest.raises(ReadError, match="its arrays take 24 MB, and it is read whole; expected at most 10"):
+    with pytest.raises(
+        ReadError, match="its arrays need 24 MB, because it is read as a whole; expected at most 10"
+    ):
         read(path)
 
 

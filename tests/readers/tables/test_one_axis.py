@@ -60,7 +60,7 @@ def test_two_axes_and_one(tmp_path: Path) -> None:
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_z", "accel_z"]
     np.testing.assert_allclose(recording.axis("accelerometer", "z").samples, RATES[:, 2] * 9.80665)
     said = [(finding.code, finding.axis, finding.text) for finding in recording.findings]
-    left = "was found in the table; columns that were not read: 4 humidity."
+    left = "was found in the table; unused columns: 4 humidity."
     assert ("axis-missing", "gyro", f"Only x and z of the gyroscope {left}") in said
     assert ("axis-missing", "accel", f"Only z of the accelerometer {left}") in said
 
@@ -68,7 +68,7 @@ def test_two_axes_and_one(tmp_path: Path) -> None:
 def test_gravity_along_one_axis_is_no_proof_of_a_unit(tmp_path: Path) -> None:
     """A lone axis may be tilted: 1.0 may be a g or not."""
     path = write(tmp_path, "t,az", TIMES, RATES[:, 0] + 1)
-    with pytest.raises(ChoiceError, match=r"unit of the accelerometer is open.*without all three axes"):
+    with pytest.raises(ChoiceError, match=r"unit of the accelerometer is unknown.*without all three axes"):
         read(path)
     assert read(path, accel_unit="g").series[0].samples.mean() == pytest.approx(9.80665, rel=1e-3)
 
@@ -80,7 +80,7 @@ def test_a_single_axis_beside_a_whole_sensor_is_left_to_the_user(tmp_path: Path)
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
     (finding,) = [finding for finding in recording.findings if finding.code == "sensor-missing"]
     assert (finding.level, finding.axis) == ("warning", "accel")
-    assert finding.text == "No accelerometer was found in the table; columns that were not read: 4 az."
+    assert finding.text == "No accelerometer was found in the table; unused columns: 4 az."
     ready = finding.advice.removesuffix(".").rpartition(" ")[2]
     assert ready == "t=0,g=1:4,az=4"
     assert read(path, columns=ready, accel_unit="m/s^2").series[3].name == "accel_z"
@@ -89,7 +89,7 @@ def test_a_single_axis_beside_a_whole_sensor_is_left_to_the_user(tmp_path: Path)
 def test_axes_of_mixed_units_or_numbers_are_no_log_of_single_axes(tmp_path: Path) -> None:
     """Nobody knows which unit is wrong, or from which number the axes count."""
     for header in ("t,xRate (rad/s),yRate (deg/s)", "t,gyro_1,gyro_2"):
-        with pytest.raises(ChoiceError, match="x, y and z of one sensor are needed"):
+        with pytest.raises(ChoiceError, match="expected x, y and z of one sensor"):
             read(write(tmp_path, header, TIMES, RATES[:, 0], RATES[:, 1]))
 
 
@@ -97,7 +97,7 @@ def test_axes_of_mixed_units_or_numbers_are_no_log_of_single_axes(tmp_path: Path
 def test_a_column_named_twice_is_refused(columns: str, tmp_path: Path) -> None:
     """It would be scaled as often as it is named; the text in the message reads it."""
     path = write(tmp_path, "", TIMES, *RATES.T)
-    with pytest.raises(ChoiceError, match="column 1 is named twice; a log of one axis has gz=1 alone"):
+    with pytest.raises(ChoiceError, match="column 1 is named twice; for a log of one axis give gz=1 alone"):
         read(path, columns=columns, gyro_scale=0.5, accel_scale=0.5)
     (series,) = read(path, columns="t=0,gz=1", gyro_scale=0.5).series
     assert np.array_equal(series.samples, RATES[:, 0] * 0.5)

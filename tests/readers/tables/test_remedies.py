@@ -88,8 +88,8 @@ def test_a_unit_of_a_date_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     stamps = [f"2026-11-22 10:00:{i // 10:02d}.{i % 10}" for i in range(N)]
     path.write_text(lines(f"time,{SI}", stamps, *sensors()), encoding="utf-8")
-    assert "the time unit ms is given, but the gyroscope has the time time" in refused(path, time_unit="ms")
-    with pytest.raises(ChoiceError, match="'min' is no time unit; expected one of ns, us, ms, s"):
+    assert "the time unit ms does not apply: the gyroscope has the time time" in refused(path, time_unit="ms")
+    with pytest.raises(ChoiceError, match="'min' is not a time unit; expected one of ns, us, ms, s"):
         read(path, time_unit="min")
     is_truth(read(path))
 
@@ -117,7 +117,7 @@ def test_columns_that_are_proposed(name: str, tmp_path: Path) -> None:
 
 def proposed(message: str) -> str:
     """Return the columns text of a message."""
-    match = re.search(r"by a columns text such as (\S+) \(places", message)
+    match = re.search(r"in a columns text such as (\S+) \(numbers", message)
     assert match is not None, message
     return match[1]
 
@@ -138,7 +138,7 @@ def test_a_table_without_three_numbers_is_not_told_to_try(tmp_path: Path) -> Non
     """No example is better than one that can't work."""
     path = tmp_path / "log.csv"
     path.write_text(lines("time,lat,lon,alt", list(range(N)), *xyz(truth().gyro)), encoding="utf-8")
-    assert "by a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names" in refused(path)
+    assert "in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names" in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
     wide = np.column_stack([flat, np.zeros((N, 70))])
     path = tmp_path / "log.npy"
     np.save(path, wide)
-    with pytest.raises(Exception, match=r"found array \(400, 76\).*save those columns alone"):
+    with pytest.raises(Exception, match=r"found array \(400, 76\).*save only those columns"):
         read(path)
     np.save(path, wide[:, :6])
     is_truth(read(path, columns=proposed(refused(path)), rate_hz=100.0, gyro_unit="rad/s"))
@@ -194,7 +194,7 @@ def test_one_refusal_asks_for_all_that_is_missing(write: str, tmp_path: Path) ->
     message = refused(path)
     asked, rate, unit = message.split("; also, ")
     assert rate.endswith("give the sampling rate")
-    assert unit.startswith("the unit of the gyroscope is open")
+    assert unit.startswith("the unit of the gyroscope is unknown")
     is_truth(read(path, columns=proposed(asked), rate_hz=100.0, gyro_unit="deg/s"))
 
 
@@ -205,7 +205,7 @@ def test_a_wrong_unit_behind_one_axis_is_refused_and_a_missing_one_is_not(tmp_pa
     path.write_text(lines("t_s,wx(rad/s),wy,wz,ax(m/s^2),ay,az", t, *sensors()), encoding="utf-8")
     is_truth(read(path))
     path.write_text(lines("t_s,wx(rad/s),wy(deg/s),wz,ax,ay,az", t, *sensors()), encoding="utf-8")
-    assert "the axes of the gyroscope carry different units" in refused(path)
+    assert "the axes of the gyroscope have different units" in refused(path)
 
 
 def test_several_proposals_for_the_same_sensors_are_completed_too(tmp_path: Path) -> None:
@@ -216,8 +216,8 @@ def test_several_proposals_for_the_same_sensors_are_completed_too(tmp_path: Path
     path.write_text(lines(header, *both, *both), encoding="utf-8")
     asked, rate, unit = refused(path).split("; also, ")
     assert rate.endswith("give the sampling rate")
-    assert unit.startswith("the unit of the gyroscope is open")
-    ready = re.search(r"such as (\S+) or (\S+) \(places", asked)
+    assert unit.startswith("the unit of the gyroscope is unknown")
+    ready = re.search(r"such as (\S+) or (\S+) \(numbers", asked)
     assert ready is not None
     for columns in ready.groups():
         is_truth(read(path, columns=columns, rate_hz=100.0, gyro_unit="deg/s"))

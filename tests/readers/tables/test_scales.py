@@ -52,20 +52,20 @@ def test_gravity(size: float, unit: str | None, scale: float | None) -> None:
     ("size", "reason"),
     [
         (9.5, "median magnitude 9.5 is gravity in m/s^2"),
-        (0.5, "median magnitude 0.5 is gravity in none of m/s^2, g and mg"),
+        (0.5, "median magnitude 0.5 is not gravity in m/s^2, g or mg"),
         (2048.0, "median magnitude 2048 is gravity at 2048 counts per g"),
-        (500.0, "integer counts of median magnitude 500, which is 1 g at no usual range"),
+        (500.0, "integer counts of median magnitude 500, which is not 1 g in any usual range"),
         (
             5000.0,
             (
-                "integer counts of median magnitude 5000, which is 1 g at no usual range; "
+                "integer counts of median magnitude 5000, which is not 1 g in any usual range; "
                 "a 16 bit sensor of 8 g range has 4096 counts per g"
             ),
         ),
         (
             30000.0,
             (
-                "integer counts of median magnitude 3e+04, which is 1 g at no usual range; "
+                "integer counts of median magnitude 3e+04, which is not 1 g in any usual range; "
                 "a 16 bit sensor of 2 g range has 16384 counts per g"
             ),
         ),
@@ -159,9 +159,9 @@ def test_white_noise() -> None:
 @pytest.mark.parametrize(
     ("rate", "swing", "reason"),
     [
-        (0.499, 0.0, "nothing in the log says it; SI as the accelerometer beside it"),
+        (0.499, 0.0, "the log does not contain it; the accelerometer is in SI units"),
         (0.501, 0.0, "the median rate 0.501 is too fast for rad/s at rest, so deg/s is likely"),
-        (0.1, 0.00238, "nothing in the log says it; SI as the accelerometer beside it"),
+        (0.1, 0.00238, "the log does not contain it; the accelerometer is in SI units"),
         (
             0.1,
             0.00239,
@@ -175,7 +175,7 @@ def test_rates_and_noise_of_a_gyroscope(rate: float, swing: float, reason: str) 
     rows[:, 0] += np.array([(-1.0) ** k * swing for k in range(100)])
     found = infer_gyro_unit(rows, rate_hz=1.0, accel_unit="m/s^2")
     assert found.reason == reason
-    assert found.assumed == (found.unit == "rad/s") == reason.startswith("nothing")
+    assert found.assumed == (found.unit == "rad/s") == reason.startswith("the log does not contain it")
 
 
 def test_whole_rates_are_counts_unless_all_are_zero() -> None:

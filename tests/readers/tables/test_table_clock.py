@@ -69,7 +69,11 @@ def test_the_stated_rate(stated: float | None, given: float | None, differs: boo
     at = work(stated, given)
     _compare_rates(at, 103.0)
     _compare_rates(at, 103.0)
-    texts = [f"The log states {stated:g} Hz, its stamps give 103 Hz; the stamps are used."] if differs else []
+    texts = (
+        [f"The log declares {stated:g} Hz, its time stamps give 103 Hz; the time stamps are used."]
+        if differs
+        else []
+    )
     assert [finding.text for finding in at.findings] == texts
 
 
@@ -99,9 +103,9 @@ def test_a_column_by_one_a_row_counts_at_the_given_rate() -> None:
     assert table_clock(at, columns(plain, counts)).clock.rate_hz == 250.0
     assert at.decisions[0] == ("time unit", " t  counts samples at the given rate")
     text = (
-        "log.csv: column ' t ', the time of the gyroscope, has no unit, and goes on by 1 a row, which is "
-        "1000 Hz in ms or 1 Hz in s; give the time unit, name it in the header, such as t_ms, or give the "
-        "sampling rate"
+        "log.csv: column ' t ', the time of the gyroscope, has no unit and increases by 1 per row, which "
+        "is 1000 Hz in ms or 1 Hz in s; give the time unit, name it in the header, such as t_ms, or "
+        "give the sampling rate"
     )
     with pytest.raises(ChoiceError, match=f"^{re.escape(text)}$"):
         table_clock(work(), columns(plain, counts))
@@ -123,7 +127,7 @@ def test_a_counter_of_samples(every: int, used: bool) -> None:  # noqa: FBT001 -
 def test_neither_time_nor_rate(time: TimeChoice | None, what: str) -> None:
     """The error says what there is."""
     text = (
-        f"log.csv: {what} and no sampling rate for the gyroscope; expected stamps or a rate; "
+        f"log.csv: {what} and no sampling rate for the gyroscope; expected time stamps or a rate; "
         "give the sampling rate"
     )
     with pytest.raises(ChoiceError, match=f"^{re.escape(text)}$"):
@@ -134,8 +138,8 @@ def test_the_rate_that_the_log_states() -> None:
     """It serves where there is no time."""
     at = work(50.0)
     reading = table_clock(at, columns(None, np.arange(10, dtype=np.int64)))
-    assert (reading.clock.rate_hz, reading.clock.source) == (50.0, "rate that the log states")
-    assert at.decisions == [("time", "50 Hz, the rate that the log states")]
+    assert (reading.clock.rate_hz, reading.clock.source) == (50.0, "rate in the log")
+    assert at.decisions == [("time", "50 Hz, the rate in the log")]
 
 
 @pytest.mark.parametrize(

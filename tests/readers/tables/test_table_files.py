@@ -186,7 +186,7 @@ def test_a_sensor_in_two_tables_is_not_chosen(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         typed_table.read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: two tables hold a gyroscope: gyro[0] and gyro_raw[0]; expected one; give the columns"
+        f"{path}: two tables contain a gyroscope: gyro[0] and gyro_raw[0]; expected one; give the columns"
     )
 
 

@@ -1,4 +1,4 @@
-"""The columns text that is proposed where no header names the columns."""
+"""The columns text that is proposed where the columns."""
 
 import re
 from collections.abc import Sequence
@@ -125,7 +125,7 @@ def test_tags() -> None:
             ["", " hello " + "x" * 90],
             ReadError,
             (
-                f"log.csv: no rows of numbers, the first line is {'hello ' + 'x' * 74!r}; "
+                f"log.csv: found no rows of numbers; the first line is {'hello ' + 'x' * 74!r}; "
                 "expected a table with a row per sample"
             ),
         ),
@@ -133,9 +133,9 @@ def test_tags() -> None:
             [f"{i},0.1,0.2,9.8" for i in range(5)],
             ChoiceError,
             (
-                "log.csv: no header names the 4 columns, and an order is not guessed; found columns: "
-                "0 0, 1 0.1, 2 0.2, 3 9.8; say which are which by a columns text such as t=0,a=1:4 "
-                "(places from 0 with the end left out, or three names joined by +)"
+                "log.csv: the 4 columns have no header; found columns: "
+                "0 0, 1 0.1, 2 0.2, 3 9.8; name them in a columns text such as t=0,a=1:4 "
+                "(numbers from 0 without the end, or three names joined by +)"
             ),
         ),
     ],

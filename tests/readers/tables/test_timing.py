@@ -219,8 +219,8 @@ def test_a_dialect_knows_its_units() -> None:
     columns = {'"#stamp"': ON, "time (us)": ON, "time (ms)": ON}
     found = [time_of_columns(table(columns, known), [index]) for index in range(3)]
     assert [(choice.ns, choice.ns_source) for choice in found] == [
-        (100, "as Ours counts it"),
-        (7, "as Ours counts it"),
+        (100, "as in logs of Ours"),
+        (7, "as in logs of Ours"),
         (10**6, "from the column header"),
     ]
 
@@ -240,7 +240,7 @@ def test_half_of_the_cells_say_what_a_column_is(cells: tuple[str, ...], kind: st
     """Numbers first, then dates and times of day; the empty cells left out."""
     named = table({"foo": cells})
     if kind is None:
-        with pytest.raises(ChoiceError, match=r"^log\.csv: column 0 \(foo\) is no time: it holds "):
+        with pytest.raises(ChoiceError, match=r"^log\.csv: column 0 \(foo\) is not a time: it contains "):
             time_of_columns(named, [0])
     else:
         assert time_of_columns(named, [0]).kind == kind
@@ -251,9 +251,9 @@ def test_times_that_a_user_names() -> None:
     named = table({"a": ON, "b": ON, "count": ON, "": ON, "empty": ("", "")})
     pair = TimeChoice(kind="pair", indices=(0, 1), name="a+b", ns_source="seconds + a fraction")
     assert named_time(named, "a+b") == pair
-    with pytest.raises(ChoiceError, match="columns 0, 1, 2 are no date, time of day, and AM or PM"):
+    with pytest.raises(ChoiceError, match="columns 0, 1, 2 are not a date, a time of day, and AM or PM"):
         named_time(named, "a+b+count")
     assert named_time(named, "count") == TimeChoice(kind="counter", indices=(2,), name="count")
     assert time_of_columns(named, [3]).name == "3"
-    with pytest.raises(ChoiceError, match=r"column 4 \(empty\) is no time: it holds 'nothing'"):
+    with pytest.raises(ChoiceError, match=r"column 4 \(empty\) is not a time: it contains 'nothing'"):
         time_of_columns(named, [4])

@@ -146,7 +146,7 @@ def test_rate_beside_the_samples(tmp_path: Path) -> None:
     np.savez(path, gyro=GYRO, accel=ACCEL, fs=250.0)
     recording = read(path, ReadOptions())
     check(recording)
-    assert recording.series[0].clock.source == "rate that the log states"
+    assert recording.series[0].clock.source == "rate in the log"
     assert recording.series[0].rate_hz == 250.0
 
 
@@ -166,10 +166,9 @@ def test_matrix_without_names(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: array (400, 7): nothing names the 7 columns, and their order is not guessed; "
-        "found columns: 0 1.7e+09, 1 0.00839614, 2 -0.0226487, 3 0.00450328, 4 0.113276, 5 -0.256524, "
-        "6 9.79787; say which are which by a columns text such as t=0,g=1:4,a=4:7 (places from 0 with the "
-        "end left out, or three names joined by +)"
+        f"{path}: array (400, 7): the 7 columns have no names; found columns: 0 1.7e+09, 1 0.00839614, 2 "
+        "-0.0226487, 3 0.00450328, 4 0.113276, 5 -0.256524, 6 9.79787; name them in a columns text such "
+        "as t=0,g=1:4,a=4:7 (numbers from 0 without the end, or three names joined by +)"
     )
     check(read(path, ReadOptions(columns="t=0,g=1:4,a=4:7")))
 
@@ -209,7 +208,7 @@ def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     np.savez(path, gyro=np.array([{"x": 1}] * 3, dtype=object))
     with pytest.raises(
-        ReadError, match="not a readable NPZ file: it is arrays of Python objects; where you trust it"
+        ReadError, match="not a readable NPZ file: it is arrays of Python objects; if you trust it"
     ):
         read(path, ReadOptions())
 
@@ -221,8 +220,8 @@ def test_no_samples(tmp_path: Path) -> None:
     with pytest.raises(ReadError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: no columns of samples, found nothing; expected arrays of the gyroscope or the "
-        "accelerometer with a row per sample and up to 64 columns; save those columns alone"
+        f"{path}: no columns of samples, found nothing; expected gyroscope or accelerometer arrays with a "
+        "row per sample and up to 64 columns; save only those columns"
     )
 
 

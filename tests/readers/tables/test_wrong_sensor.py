@@ -18,7 +18,7 @@ def refused(path: Path) -> tuple[str, list[str]]:
     with pytest.raises(ChoiceError) as caught:
         read(path)
     message = str(caught.value)
-    ready = message.partition("such as ")[2].partition(" (places")[0].split(" or ")
+    ready = message.partition("such as ")[2].partition(" (numbers")[0].split(" or ")
     return message, ready
 
 
@@ -51,9 +51,7 @@ def test_tagged_rows_of_two_gyroscopes(tmp_path: Path) -> None:
     header = "sensor,time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)"
     path = tagged(tmp_path, header, ("gyro_left", T.gyro), ("gyro_right", -T.gyro))
     message, ready = refused(path)
-    assert (
-        "column sensor says whose a row is (gyro_left, gyro_right); 2 of them name the gyroscope" in message
-    )
+    assert "column sensor has tags of rows (gyro_left, gyro_right); 2 tags name the gyroscope" in message
     assert ready == ["t=1,g=2:5@0:gyro_left", "t=1,g=2:5@0:gyro_right"]
     for text, sign in zip(ready, (1, -1), strict=True):
         (x, *_) = read(path, columns=text).series
@@ -65,7 +63,7 @@ def test_tags_that_name_only_another_sensor(tmp_path: Path) -> None:
     header = "sensor,time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)"
     path = tagged(tmp_path, header, ("accel", T.accel))
     message, _ = refused(path)
-    assert "column sensor says whose a row is (accel); none of them names the gyroscope" in message
+    assert "column sensor has tags of rows (accel); no tag names the gyroscope" in message
 
 
 @pytest.mark.parametrize("name", ["device", "frame_id", "header.frame_id", "source", "imu"])
@@ -75,7 +73,7 @@ def test_rows_of_several_devices(name: str, tmp_path: Path) -> None:
     for tags in (("left", "right"), ("0", "1")):
         path = tagged(tmp_path, header, (tags[0], T.gyro), (tags[1], -T.gyro))
         message, ready = refused(path)
-        assert f"rows of 2 sensors, told apart by column {name} ({', '.join(tags)})" in message
+        assert f"rows of 2 sensors, numbered by column {name} ({', '.join(tags)})" in message
         (x, *_) = read(path, columns=ready[1]).series
         assert np.array_equal(x.samples, -T.gyro[:, 0])
 
@@ -155,10 +153,10 @@ def test_a_sensor_that_was_not_understood_is_said(tmp_path: Path) -> None:
     (finding,) = [finding for finding in recording.findings if finding.code == "sensor-missing"]
     assert (finding.level, finding.axis) == ("warning", "gyro")
     assert finding.text == (
-        "No gyroscope was found in the table; columns that were not read: "
+        "No gyroscope was found in the table; unused columns: "
         "1 turn_x, 2 turn_y, 3 turn_z, 7 humidity, 11 qw."
     )
-    assert finding.advice == "If it is among them, give a columns text such as t=0,g=1:4,a=4:7."
+    assert finding.advice == "If it is one of them, give a columns text such as t=0,g=1:4,a=4:7."
     both = read(path, columns="t=0,g=1:4,a=4:7", gyro_unit="rad/s")
     assert np.array_equal(both.axis("gyroscope", "x").samples, T.gyro[:, 0])
 

@@ -81,7 +81,7 @@ def test_the_counts_of_another_autopilot_have_no_unit(tmp_path: Path) -> None:
     """RAW_IMU is raw: the scale that is asked for, typed, reads it."""
     path = write_telemetry(tmp_path / "log.tlog", autopilot=12)
     with pytest.raises(
-        ChoiceError, match=r"the unit of the gyroscope is open.*the scale of its counts in rad/s"
+        ChoiceError, match=r"the unit of the gyroscope is unknown.*the scale of its counts in rad/s"
     ):
         read(path)
     recording = read(path, gyro_scale=1e-3)
