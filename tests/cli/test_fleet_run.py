@@ -189,7 +189,7 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
             2,
             "Missing argument 'LOGS...'; name logs, or give --manifest CSV or the folder of a fleet (-o)",
         ),
-        (("*.bag",), 3, "*.bag: no log has this name; expected files, or folders with logs in them"),
+        (("*.bag",), 3, "*.bag: no log has such a name; expected files, or folders with logs in them"),
         (("x", "--shard", "0/4"), 2, "'0/4' is not a part; write I/N with I from 1 to N, such as 1/8"),
         (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "expected shard or scheduler, not both"),
         (("x", "--labels", "*.csv"), 2, "no label; write such as '{model}/{unit}/*.mcap'"),

@@ -159,7 +159,7 @@ def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
             imucal.ImucalError,
             "temperature_c is '.*', expected a number",
         ),
-        ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has this name"),
+        ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has such a name"),
         ({"logs": None}, imucal.ReadError, "expected the folder of a fleet that imucal fleet run writes"),
         (
             {"logs": []},
