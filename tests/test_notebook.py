@@ -133,7 +133,7 @@ _api: Any = imucal
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: _api.fit(_SAMPLES), "give it, such as imucal.fit(samples, rate_hz=200.0)"),
+        (lambda: _api.fit(_SAMPLES), "give one, such as imucal.fit(samples, rate_hz=200.0)"),
         (lambda: _api.fit("log.mcap"), "type imucal.fit(imucal.read('log.mcap'))"),
         (lambda: _api.fit(_SAMPLES.reshape(-1, 2), rate_hz=1.0), "give one axis, such as samples[:, 0]"),
         (lambda: _api.fit(object()), "found object, expected a recording"),
@@ -143,7 +143,7 @@ _api: Any = imucal
             "method 'mlee' is not one of mle, gmwm, slope",
         ),
         (lambda: _api.fit(_SAMPLES, rate_hz=1.0, sensor="baro"), "'baro' is not a valid Sensor"),
-        (lambda: _api.fit(_recording(), rate_hz=1.0), "leave rate_hz out"),
+        (lambda: _api.fit(_recording(), rate_hz=1.0), "omit rate_hz"),
         (lambda: _api.export(consumer_report(), "kalibrr", "k.yaml"), "did you mean kalibr?"),
         (lambda: _api.export(3, "kalibr", "k.yaml"), "found int, expected a report"),
         (
@@ -154,7 +154,7 @@ _api: Any = imucal
         (lambda: consumer_report()["gyro"], "no axis 'gyro'; the report has gyro_x, gyro_y, gyro_z, accel_x"),
         (lambda: consumer_report()["gyro_x"]["Z"], "no term 'Z'; the fit has N, B, K"),
         (lambda: _recording()["x"], "no axis 'x'; found gyro_x"),
-        (lambda: _recording().skip("2 fortnights"), "write seconds, or such as 90s, 5min, 2.5h"),
+        (lambda: _recording().skip("2 fortnights"), "write seconds, or for example 90s, 5min, 2.5h"),
         (lambda: imucal.plot(3), "int can't be plotted; give a recording"),
         (lambda: imucal.info("nothing.mcap"), "nothing.mcap"),
     ],

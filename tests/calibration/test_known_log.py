@@ -133,7 +133,7 @@ def test_simulate_at_the_command_line(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["duration_s"] == 9 * 2 * 200 // 200 + 8 * 2.0
     gaps = run(*model, "--gap", "1s:1s", "-o", "gaps.csv", cwd=tmp_path)
     assert gaps.returncode == 2
-    assert "--gap is not for a log with --rests" in gaps.stderr
+    assert "--gap and --rests exclude each other; omit one" in gaps.stderr
     short = run(*model, "--rest", "0.01s", "-o", "short.csv", cwd=tmp_path)
     assert short.returncode == 2
     assert "expected 16 or more" in short.stderr

@@ -267,7 +267,7 @@ def test_labels_are_guessed_from_what_differs(paths: list[str], text: str) -> No
 
 def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
     """And one of which nothing is done."""
-    with pytest.raises(ReadError, match="expected the folder of a fleet that imucal fleet run writes"):
+    with pytest.raises(ReadError, match="expected the folder of a fleet, written by imucal fleet run"):
         imucal.load_fleet(tmp_path)
     store = FleetStore(tmp_path / "empty")
     store.create()

@@ -135,16 +135,16 @@ def _changing(web: WebServer, patch: Patch) -> str:
 CASES: dict[str, Callable[[WebServer, Patch], str]] = {
     "…: there is no such": lambda web, _: f"{web.url}/missing.csv",
     "…: access is denied": lambda web, _: web.add("/log.csv", BODY, statuses=[403]),
-    "…: no credentials were found": _no_credentials,
-    "the host is not found": _no_host,
+    "…: no credentials, or": _no_credentials,
+    "host not found": _no_host,
     "no answer within": _late,
     "…: the answer is a web page": lambda web, _: web.add("/log.csv", b"<!doctype html>" + BODY),
     "…:// needs the package": _without_package,
     "the connection ended after": lambda web, _: web.add("/log.csv", BODY, cuts=[900, *[0] * 9]),
-    "…: the server leads on": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
-    "…: … is not read": lambda *_: "sftp://host/log.csv",
+    "…: the server redirects": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
+    "…: … is not supported": lambda *_: "sftp://host/log.csv",
     "…: no space for a remote log": _no_room,
-    "…: it changes while it is read": _changing,
+    "…: it changed during reading": _changing,
 }
 
 

@@ -173,8 +173,8 @@ def test_busy_servers_are_asked_again(web: WebServer) -> None:
     [
         (404, "there is no such object (404); check the address"),
         (410, "there is no such object (404); check the address"),
-        (403, "access is denied (403); a signed address may have run out; make a new one"),
-        (401, "access is denied (401); a signed address"),
+        (403, "access is denied (403); perhaps a signed address has expired; create a new one"),
+        (401, "access is denied (401); perhaps a signed address"),
         (418, "the server answers 418 (I'm a Teapot); expected the file"),
     ],
 )  # fmt: skip
@@ -300,7 +300,7 @@ def test_names_as_people_type_them(web: WebServer) -> None:
             "s4://bucket/log.mcap: s4:// is not supported; expected s3://, gs://, az://",
         ),
         ("file:///logs/log.mcap", "https:// or http://; omit file://"),
-        ("ftp://me:word@host/log.csv", "ftp://host/log.csv: ftp:// is not read"),
+        ("ftp://me:word@host/log.csv", "ftp://host/log.csv: ftp:// is not supported"),
         ("http://host:port/log.csv", "http://host:port/log.csv: can't be read: "),
     ],
 )

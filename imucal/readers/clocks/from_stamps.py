@@ -255,7 +255,7 @@ class _Stamps:
         self._keep_one_rate(rate_hz)
         period = estimate_period(self.stamps, rate_hz)
         if period is None and self.log_ns is not None and self.source != LOG_TIME and self.stamps.size > 1:
-            self._use(self.log_ns, "do not advance")
+            self._use(self.log_ns, "do not increase")
             self._keep_one_rate(rate_hz)
             period = estimate_period(self.stamps, rate_hz)
         n = self.stamps.size

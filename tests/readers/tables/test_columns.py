@@ -320,7 +320,7 @@ FOUND = (
         ("g=1:4@I:0,a=1:4", "column 1 is named twice; for a log of one axis give gz=1 alone"),
         ("gx=1,gy=1", "column 1 is named twice; for a log of one axis give gz=1 alone"),
         ("g=1:4,g=4:7", "g is named twice"),
-        ("g=1:4,gz=5", "gz is one of the three columns of g; name either"),
+        ("g=1:4,gz=5", "gz is one of the three columns of g; name one of them"),
         ("gz=1:3", "gz takes one column"),
         ("gx=1@a,gz=2@b", "gx and gz are of different rows; expected the same"),
         ("g=7:10", "there is no column 9; the last is 8"),
