@@ -107,17 +107,17 @@ def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None
 
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
 COMMANDS: dict[str, tuple[str, str]] = {
-    "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
     "info": ("info", "List the topics, rates, duration, units and gaps of a log."),
-    "decompose": ("decompose", "Draw the bias of every axis over time, and its parts."),
-    "adev": ("adev", "Print the Allan deviations of every axis as CSV or JSON."),
-    "simulate": ("simulate", "Write a log with known noise (CSV, MCAP, ROS 1 or ROS 2 bag)."),
+    "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
+    "export": ("export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
+    "check": ("check", "Check a report or a log against limits, for CI."),
     "plan": ("plan", "Compute how long to record for a given precision."),
     "calibrate": ("calibrate", "Find bias, scale and misalignment from a log of rests and turns."),
-    "drift": ("drift", "Predict the drift of dead reckoning after a rest."),
-    "check": ("check", "Check a report or a log against limits, for CI."),
     "compare": ("compare", "Find the terms of two reports that differ significantly."),
-    "export": ("export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
+    "drift": ("drift", "Predict the drift of dead reckoning after a rest."),
+    "adev": ("adev", "Print the Allan deviations of every axis as CSV or JSON."),
+    "decompose": ("decompose", "Draw the bias of every axis over time, and its parts."),
+    "simulate": ("simulate", "Write a log with known noise (CSV, MCAP, ROS 1 or ROS 2 bag)."),
     "fleet": ("fleet", "Characterise many logs of many units: run, status, report."),
     "completion": ("completion", "Print the shell's completion script (bash, zsh, fish)."),
 }

@@ -23,10 +23,13 @@ from imucal.errors import SettingError
 _GROUPS = {
     "Output": "out as_json opened formats figure no_html no_report no_files datasheet npz junit github apply "
     "quiet verbose",
-    "Reading a log": "topic time rate_hz columns fields message_definition join skip_s take_s strict",
+    "Which samples": "topic skip_s take_s rests time rate_hz columns fields message_definition join strict",
     "Units": "time_unit gyro_unit accel_unit gyro_scale accel_scale",
-    "Advanced": "criterion weights segments verify bins curve",
+    "Model": "model level method",
+    "Advanced": "taus edf no_clean criterion weights segments verify bins curve",
 }
+#: Commands that read a report, or a log with the options of `imucal fit`, which their help only mentions.
+_OF_REPORTS = {"export", "check", "drift", "plan", "compare"}
 #: A range such as ``[x>=1]``, which click adds to the help: the error message states it.
 _RANGE = re.compile(r"  \[{0}\]|; {0}(?=\])".format(r"(?:[^\s;[]+<=?)?x(?:[<>]=?[^\s;\]]+)?"))
 
@@ -43,15 +46,27 @@ class _Command(click.Command):
     """A command whose ``--help`` lists its options in groups."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        titles = {name: title for title, names in _GROUPS.items() for name in names.split()}
-        groups: dict[str, list[tuple[str, str]]] = {title: [] for title in ("Options", *_GROUPS)}
-        for parameter in self.get_params(ctx):
-            if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)):
-                groups[titles.get(parameter.name or "", "Options")].append(record)
+        elsewhere = ("Which samples", "Units") if ctx.info_name in _OF_REPORTS else ()
+        groups = self._groups(ctx, moved={"rate_hz"} if elsewhere else set())  # a model needs a rate
         for title, records in groups.items():
-            if records:
+            if title not in elsewhere:
                 with formatter.section(title):
                     formatter.write_dl(records, col_max=formatter.width // 3)
+        if groups.keys() & set(elsewhere):
+            formatter.write_paragraph()
+            with formatter.indentation():
+                formatter.write_text("For a log, the options of 'imucal fit' for samples and units work too.")
+
+    def _groups(self, ctx: click.Context, moved: set[str]) -> dict[str, list[tuple[str, str]]]:
+        """Return title -> help of its options, in the order of `_GROUPS`; `moved` are below "Options"."""
+        titles = {name: title for title, names in _GROUPS.items() for name in names.split()}
+        order = {name: place for place, name in enumerate([*titles, "help"])}
+        groups: dict[str, list[tuple[str, str]]] = {title: [] for title in ("Options", *_GROUPS)}
+        for one in sorted(self.get_params(ctx), key=lambda one: order.get(one.name or "", -1)):
+            if isinstance(one, click.Option) and (record := one.get_help_record(ctx)):
+                title = "Options" if one.name in moved else titles.get(one.name or "", "Options")
+                groups[title].append(record)
+        return {title: records for title, records in groups.items() if records}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
