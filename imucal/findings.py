@@ -2,7 +2,7 @@
 
 from dataclasses import KW_ONLY, dataclass
 from functools import cache
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 Level: TypeAlias = Literal["info", "warning", "error"]
 
@@ -44,14 +44,35 @@ def options_to_keep(keep_s: tuple[float, float]) -> str:
     return f"{skip}--take {round(end - start, 1):.10g}s"
 
 
-@cache
-def code_phrases() -> dict[str, str]:
-    """Return what the verdict's sentence says of each code that a finding may have.
+class CodeText(NamedTuple):
+    """What docs/messages.md and the verdict say of a code.
 
-    Empty where that is the code itself, its hyphens as blanks.
+    `phrase` is for the sentence of the verdict, empty for the code itself. `found` and `advice` are a row of
+    the page's table below `section`; codes without `found` share the row of the code above.
     """
+
+    section: str
+    phrase: str
+    found: str
+    advice: str
+
+
+@cache
+def code_texts() -> dict[str, CodeText]:
+    """Return every code that a finding may have, in the order of docs/messages.md."""
     from importlib.resources import files
 
-    lines = files("imucal").joinpath("finding_codes.txt").read_text(encoding="utf-8").splitlines()
-    parts = (line.partition(": ") for line in lines if not line.startswith("#"))
-    return {code: phrase for code, _, phrase in parts}
+    texts, section = {}, ""
+    for line in files("imucal").joinpath("finding_codes.txt").read_text(encoding="utf-8").splitlines():
+        if line.startswith("## "):
+            section = line.removeprefix("## ")
+        elif line and not line.startswith("#"):
+            code, phrase, found, advice = (cell.strip() for cell in f"{line}|||".split("|")[:4])
+            texts[code] = CodeText(section=section, phrase=phrase, found=found, advice=advice)
+    return texts
+
+
+def phrase_of(code: str) -> str:
+    """Return what the sentence of the verdict says of a code; old reports may have others."""
+    text = code_texts().get(code)
+    return text.phrase if text and text.phrase else code.replace("-", " ")

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TypeAlias
 
-from imucal.findings import Finding, Level, code_phrases, options_to_keep
+from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
 #: good: stationary noise; look: it may be, see the findings first; not-noise: the numbers are wrong.
@@ -164,7 +164,7 @@ def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
     """Return the phrases of some findings with their axes; of many the first ones and a number."""
     places: dict[str, list[str]] = {}
     for finding in findings:
-        phrase = code_phrases().get(finding.code) or finding.code.replace("-", " ")
+        phrase = phrase_of(finding.code)
         places.setdefault(phrase, []).append(finding.axis or "")
     phrases = [_placed(phrase, names, axes) for phrase, names in places.items()]
     more = len(phrases) - _NAMED

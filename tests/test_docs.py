@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imucal.findings import code_texts
 from imucal.units import SAMPLE_UNITS
+from tests.benchmarks import code_tables
 from tests.code_blocks import Kept, code_blocks, fill_folder, missing_lines, renewed, run_page
 
 ROOT = Path(__file__).parents[1]
@@ -23,7 +25,6 @@ RUN = {"python", "console", "toml"}
 #: The report that several pages begin with; it is made once.
 KEPT = Kept("imucal fit log.mcap -o report", "report")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
-_CODE = re.compile(r"^\| (`[^|]*`) \|", re.MULTILINE)
 
 
 @pytest.mark.slow
@@ -110,12 +111,8 @@ def test_every_finding_is_described() -> None:
         written |= set(re.findall(r'"([a-z-]+)"', chosen))
     for name in ("screening/values.py", "readers/message_logs.py"):
         written |= _loose_codes(name)
-    described = {
-        code
-        for cell in _CODE.findall((DOCS / "messages.md").read_text(encoding="utf-8"))
-        for code in re.findall(r"`([a-z-]+)`", cell)
-    }
-    assert described == written
+    assert set(code_texts()) == written
+    assert code_tables.renewed_page() == (DOCS / "messages.md").read_text(encoding="utf-8")
 
 
 def _loose_codes(name: str) -> set[str]:
@@ -164,6 +161,16 @@ def test_what_was_read_of_each_program_is_in_the_table() -> None:
     page = (DOCS / "results" / "config-files.md").read_text(encoding="utf-8")
     for target in TARGETS.values():
         assert f"| {target.name} | {target.source} | " in page
+
+
+def test_every_format_is_on_the_page() -> None:
+    """Each part of a format's name, such as NPZ and MATLAB."""
+    from imucal.readers.formats import FORMATS
+
+    page = (DOCS / "formats.md").read_text(encoding="utf-8")
+    rows = "\n".join(re.findall(r"^\| ([^|]*) \|", page, re.MULTILINE))
+    for name in ", ".join(entry.name for entry in FORMATS).split(", "):
+        assert name in rows
 
 
 def test_every_exit_code_is_in_the_table() -> None:

@@ -8,7 +8,7 @@ from imucal.calibration.exports import CALIBRATION_TARGETS
 from imucal.calibration.figures import FIGURES
 from imucal.calibration.result import Calibration
 from imucal.calibration.table import headline, remarks, rows
-from imucal.findings import code_phrases
+from imucal.findings import phrase_of
 from imucal.report.markup import Markup, render
 from imucal.report.page_parts import listed_findings
 
@@ -53,6 +53,6 @@ def render_page(found: Calibration, pictures: Mapping[str, bytes]) -> str:
 
 def _sentence(found: Calibration) -> Markup:
     codes = dict.fromkeys(each.code for each in found.findings if each.level != "info")
-    phrases = [code_phrases().get(code) or code.replace("-", " ") for code in codes]
+    phrases = list(map(phrase_of, codes))
     reasons = f": {', '.join(phrases)}" if phrases else ""
     return Markup("{}{}").format(found.verdict.capitalize(), reasons)

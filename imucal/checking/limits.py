@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal, NoReturn, TypeAlias, TypeVar
 
 from imucal.errors import LimitsError
-from imucal.findings import code_phrases
+from imucal.findings import code_texts
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, symbol_of
 from imucal.recording import AXES, Axis, Sensor
@@ -31,7 +31,7 @@ Undecided: TypeAlias = Literal["pass", "fail"]
 GRAVE = ("info", "warning", "error")
 
 #: Every code that a finding may have, so that a limits file can't forbid one that doesn't exist.
-FINDING_CODES = frozenset(code_phrases())
+FINDING_CODES = frozenset(code_texts())
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@
 
 Runs the commands of each page and puts the program's numbers into the blocks of text. Lines whose words
 the program does not print are listed and left: change them by hand. Without a page it also draws the
-pictures of the README, tutorial and theory, and writes docs/options.md. Some minutes.
+pictures of the README, tutorial and theory, and writes docs/options.md
+and the tables of docs/messages.md. Some minutes.
 """
 
 import sys
@@ -12,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from imucal.report.figure import render
-from tests.benchmarks import options_page, theory_figures, tutorial_figures
+from tests.benchmarks import code_tables, options_page, theory_figures, tutorial_figures
 from tests.code_blocks import ROOT, fill_folder, missing_lines, renewed, run_page
 
 __all__ = ["renew"]
@@ -46,6 +47,7 @@ def main() -> None:
             print(f"{page.name}: {len(lines)} lines are not printed", *lines, sep="\n  ", flush=True)
     if len(sys.argv) == 1:
         options_page.PAGE.write_text(options_page.page(), encoding="utf-8")
+        code_tables.PAGE.write_text(code_tables.renewed_page(), encoding="utf-8")
         tutorial_figures.draw(ROOT / "docs" / "images")
         for name, draw in theory_figures.FIGURES.items():
             (ROOT / "docs" / "images" / f"{name}.png").write_bytes(render(draw(), "png"))
