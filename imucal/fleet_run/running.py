@@ -150,7 +150,7 @@ def run_fleet(
     ValueError
         If an argument can't be meant, or the folder holds fits of another model or level.
     ReadError
-        If no log has such a name.
+        If no log has this name.
     ManifestError
         If the manifest, or a label in a path, is wrong.
     StoreError, WriteError

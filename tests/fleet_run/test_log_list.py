@@ -69,7 +69,7 @@ def test_a_name_with_brackets_that_exists_is_no_wildcard(tree: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("*.bag", r"\*\.bag: no log has such a name; expected files, or folders with logs"),
+        ("*.bag", r"\*\.bag: no log has this name; expected files, or folders with logs"),
         ("empty", r"empty: no log in this folder; expected files that end in \.mcap"),
         ("nowhere", r"nowhere: no such file or folder; expected logs, or folders with logs"),
     ],

@@ -64,7 +64,7 @@ def test_signed_urls_of_a_list(web: WebServer, tmp_path: Path) -> None:
     said += [path.read_text("latin-1") for path in (tmp_path / "fleet").rglob("*") if path.is_file()]
     assert not any("SECRET" in text for text in said)
     twice = run("fleet", "run", f"{urls[0]}?id=1", f"{urls[0]}?id=2", *HOW, cwd=tmp_path)
-    assert (twice.returncode, "differ behind the question mark alone" in twice.stderr) == (2, True)
+    assert (twice.returncode, "differ only after the question mark" in twice.stderr) == (2, True)
 
 
 def test_a_manifest_of_urls(web: WebServer, tmp_path: Path) -> None:
