@@ -83,8 +83,8 @@ class Bench:
 
     def type_again(self, said: str) -> Ended:
         """Type the command that a run printed to go on with."""
-        line = next(line for line in said.splitlines() if "to go on: " in line)
-        imucal, *words = shlex.split(line.partition("to go on: ")[2])
+        line = next(line for line in said.splitlines() if "to continue: " in line)
+        imucal, *words = shlex.split(line.partition("to continue: ")[2])
         assert imucal == "imucal"
         return self.type(*words)
 
