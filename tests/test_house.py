@@ -11,7 +11,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
     "readers": Size(13829, 102859, 53),  # changes of the rate, and duty cycles with jitter on coarse clocks
-    "fitting": Size(9354, 72558, 34),  # smoothing, humps, warm-ups, slow cycles and many lost samples
+    "fitting": Size(9352, 72558, 34),  # smoothing, humps, warm-ups, slow cycles and many lost samples
     "report": Size(5126, 38721, 19),  # pictures with other explanations; bounds that are too wide to export
     "top": Size(4544, 26072, 26),  # checked advice for a disturbed log; checked arguments, simulate()
     "cli": Size(4035, 25878, 23),  # calibrate, exports of its result, options in groups
@@ -30,7 +30,7 @@ BUDGET = {
 # What real sensors and loggers do has taken 840 lines: clocks, smoothing, humps, warm-ups, lost samples;
 # advice that is checked before it is printed another 150; advice for wrong arguments in Python 250.
 # Calibration from rests is a new feature: estimate, command, 13 exports, three pictures and a page.
-IN_ALL = Size(53_668, 386_411, 225)
+IN_ALL = Size(53_666, 386_411, 225)
 #: Modules of the package that one fit with its report may load.
 LOADED = 130
 

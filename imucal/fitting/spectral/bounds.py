@@ -160,8 +160,8 @@ _FULL_SAY, _NO_SAY = 6.0, 9.0
 _ALIKE = 4.0
 #: A Gauss-Markov term slower than this part of the record is a walk to it: it speaks for K.
 _WALK = 1 / 20
-#: What a model without its full say does not bound, but only draws towards zero. Flicker it bounds, since a
-#: Gauss-Markov term of some seconds beside a walk passes for it: else B is shown there in 21 of 24 records.
+#: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
+#: Gauss-Markov term of some seconds next to a walk resembles flicker, and B was shown in 21 of 24 such records.
 _FADES = frozenset({"K"})
 #: Most models that are looked at.
 _MOST = 16

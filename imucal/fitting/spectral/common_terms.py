@@ -104,9 +104,8 @@ class Parts:
 
         `logs`, shape (g, 2), are those of the maximum; `weights` is of shape (2,), the others of shape (g,).
         The limits are the extremes over all scales at which twice the drop of the log-likelihood is below the
-        square of `reach`: where one scale is near zero, the expansion about the maximum says nothing. The
-        second scale's deviation runs over a grid between two that are out of reach, or from zero on; the
-        first follows by scoring, and its own reach ends where the drop is used up.
+        square of `reach`, because an expansion about the maximum is wrong where one scale is near zero.
+        Scan scale 2. For each value maximise over scale 1. Keep the points whose drop is below `reach`².
         """
         best = self.at(logs[np.newaxis])
         tested, beside = np.moveaxis(best.logs[0], -1, 0)

@@ -38,8 +38,7 @@ _CLOSE = 0.01
 _ROUNDS = 40
 #: A step that ends inside the limit is followed by one that is longer by this factor.
 _STRIDE = 1.7
-#: Fewest degrees of freedom that tell a variance: less is said of one near zero, whose logarithm the
-#: expansion about the maximum makes too unsure.
+#: Lower limit of the degrees of freedom; the expansion about the maximum underestimates them near zero.
 _FEWEST = 10.0
 
 

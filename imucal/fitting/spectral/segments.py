@@ -288,8 +288,8 @@ class _Tests:
     def _shape_error(self, row: int, shares: Mapping[str, float], slow: float) -> float:
         """Return the standard error of the log of the floor's square that scales of its parts leave.
 
-        The segments have the ratios of the slow terms from the whole record. Where a term is larger than
-        there, each segment's scales make up for it at the frequencies that tell them, not at the floor's.
+        All segments use the whole record's ratios of the slow terms. If a ratio is wrong, the fitted scales
+        are right at other frequencies than the floor's.
         """
         own = self.fitted.variances()
         keys = [key for key in shares if key in own]

@@ -321,7 +321,7 @@ class Numbers:
     def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
         """Return each axis as white noise and a bias, all of one correlation time.
 
-        Covered: of the fits' own times and one long against the horizon, the T that costs all axes least. As
+        Covered: try each fitted T and one far beyond the horizon, and take the cheapest for all axes. As
         fitted: the longest T; an axis with a shorter one keeps the noise that drives it.
         """
         if not self.covers:
