@@ -161,7 +161,7 @@ _ALIKE = 4.0
 #: A Gauss-Markov term slower than this part of the record is a walk to it: it speaks for K.
 _WALK = 1 / 20
 #: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
-#: Gauss-Markov term of some seconds next to a walk resembles flicker, and B was shown in 21 of 24 such records.
+#: Gauss-Markov term of some seconds next to a walk resembles flicker; B was shown in 21 of 24 records.
 _FADES = frozenset({"K"})
 #: Most models that are looked at.
 _MOST = 16
