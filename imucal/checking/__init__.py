@@ -2,7 +2,7 @@
 
 from imucal.checking.config_files import check_config
 from imucal.checking.limits import Baseline, FindingRules, Limits, parse_limits, read_limits
-from imucal.checking.verdict import CheckResult, check
+from imucal.checking.verdict import CheckResult, check, check_calibration
 
 __all__ = [
     "Baseline",
@@ -10,6 +10,7 @@ __all__ = [
     "FindingRules",
     "Limits",
     "check",
+    "check_calibration",
     "check_config",
     "parse_limits",
     "read_limits",
