@@ -23,7 +23,7 @@ from imucal.findings import Finding
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.screening.motion import disturbances_of, rests_between
-from imucal.screening.windows import Profile, Windows, profile, time
+from imucal.screening.windows import Profile, Windows, profile, quietest, time
 
 __all__ = ["at_rest"]
 
@@ -90,13 +90,9 @@ def at_rest(recording: Recording) -> Recording:
 
 def _quiet(windows: Windows) -> Windows:
     """Return the windows of an axis that are about as quiet as its quietest stretch; constant ones aside."""
-    varying = windows.take(windows.variance > 0)
     count = max(8, round(_STRETCH_S / windows.length_s))
-    if varying.size <= count:
-        return varying
-    logs = np.log(varying.variance)
-    at = int(np.argmin(np.convolve(logs, np.ones(count), "valid")))
-    return varying.take(logs < np.median(logs[at : at + count]) + math.log(_QUIET))
+    limit = _QUIET * quietest(windows.variance, count)
+    return windows.take((windows.variance > 0) & (windows.variance < limit))
 
 
 def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:

@@ -1,6 +1,7 @@
 """Rests of a log in which the IMU is put down, turned and put down again.
 
-A rest here lasts a second or more. `imucal.rests` serves noise fits and requires 20 s.
+A rest here lasts a second or more. `imucal.rests` serves noise fits and requires 20 s. Both cut an axis into
+windows and find rests between disturbed ones. The limits differ: a short rest has only five windows.
 """
 
 import math
@@ -14,7 +15,9 @@ from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
-from imucal.recording import Recording, Sensor
+from imucal.recording import AXES, AxisSeries, Recording, Sensor
+from imucal.screening.motion import rests_between
+from imucal.screening.windows import cut, quietest
 
 __all__ = [
     "RestMeans",
@@ -29,10 +32,10 @@ __all__ = [
 
 #: Length of a window in s, and its fewest samples.
 _WINDOW_S, _WINDOW_SAMPLES = 0.2, 8
-#: Share of an axis's windows that gives its reference variance, and their fewest.
-_QUIETEST, _FEWEST_WINDOWS = 0.3, 10
-#: A window is quiet if its variances are below this multiple of the reference.
-_QUIET = 6.0
+#: Length of the quietest stretch of an axis, in s; a window is quiet below this multiple of its variance.
+_STRETCH_S, _QUIET = 5.0, 6.0
+#: Fewest windows of a log.
+_FEWEST_WINDOWS = 10
 #: Limits for the mean rate and for a jump of the accelerometer, in deviations.
 _OFF_LEVEL, _JUMP = 8.0, 8.0
 #: Time removed at both ends of a rest, in s.
@@ -161,33 +164,49 @@ def find_rests(
         If an axis never changes.
     """
     sensors = [accelerometer] if gyroscope is None else [accelerometer, gyroscope]
+    start, end = max(data.offset_s for data in sensors), min(data.end_s for data in sensors)
+    moved = [(0.0, start), (end, end)]
     for data in sensors:
         _require_alive(data)
-    window_s = max(_WINDOW_S, *(_WINDOW_SAMPLES / data.rate_hz for data in sensors))
-    start = max(data.offset_s for data in sensors)
-    count = int((min(data.end_s for data in sensors) - start) / window_s)
-    if count < _FEWEST_WINDOWS:
-        return np.zeros((0, 2))
-    edges = np.linspace(start, start + window_s * count, count + 1)
-    still = _IN_HAND if in_hand else 0.0
+        moved += _moved(data, _IN_HAND if in_hand else 0.0)
+    rests = np.array(rests_between(moved, end, clear_s=_CLEAR_S))
+    # Between two gaps there may be no whole window.
+    shortest = max(at_least_s, *(_WINDOW_SAMPLES / data.rate_hz for data in sensors))
+    return np.asarray(rests[np.diff(rests, axis=1)[:, 0] >= shortest])
+
+
+def _moved(data: Triad, still: float) -> list[tuple[float, float]]:
+    """Return when a sensor moved or lacks samples, in s; rates below `still` count as rest.
+
+    A jump of the accelerometer between two quiet windows has no length.
+    """
+    known = np.asarray(np.isfinite(data.samples).all(axis=1))
+    clock = Clock.even(len(known), data.rate_hz).keeping(known)
+    axes = zip(AXES, data.samples[known].T, strict=True)
+    series = [AxisSeries(sensor=data.sensor, axis=axis, samples=one, clock=clock) for axis, one in axes]
+    own = [cut(one, length_s=_WINDOW_S, least=_WINDOW_SAMPLES) for one in series]
+    mean, variance = np.stack([[one.mean, one.variance] for one in own], axis=2)
+    windows = own[0]
+    if windows.size < _FEWEST_WINDOWS:
+        return [(0.0, math.inf)]
+    reference = np.array([quietest(one, round(_STRETCH_S / windows.length_s)) for one in variance.T])
+    deviation = np.sqrt(reference / windows.width)
+    accelerometer = data.sensor is Sensor.ACCELEROMETER
     # A hand also changes the direction of gravity within a window.
-    tremors = {Sensor.ACCELEROMETER: still * _IN_HAND_JUMP * window_s, Sensor.GYROSCOPE: still / 2}
-    profiles = [_profile(data, edges) for data in sensors]
-    quiet = np.ones(count, dtype=np.bool_)
-    for data, (_, variance, reference) in zip(sensors, profiles, strict=True):
-        # NaN is not quiet: a gap ends a rest.
-        quiet &= (variance < np.maximum(_QUIET * reference, tremors[data.sensor] ** 2)).all(axis=1)
-    mean, _, reference = profiles[0]
-    jump = _JUMP * np.sqrt(2 * reference / (window_s * accelerometer.rate_hz))
-    cut = np.zeros(count, dtype=np.bool_)
-    cut[1:] = (np.abs(np.diff(mean, axis=0)) > jump + tremors[Sensor.ACCELEROMETER]).any(axis=1)
-    if gyroscope is not None and quiet.any():
-        mean, _, reference = profiles[1]
+    tremor = still * _IN_HAND_JUMP * windows.length_s if accelerometer else still / 2
+    quiet = (variance < np.maximum(_QUIET * reference, tremor**2)).all(axis=1)
+    moved = [(gap.start_s, gap.start_s + gap.duration_s) for gap in clock.gaps]
+    if accelerometer:
+        limit = _JUMP * math.sqrt(2) * deviation + tremor
+        jumped = (np.abs(np.diff(mean, axis=0)) > limit).any(axis=1)
+        moved += [(at, at) for at in windows.time_s[1:][jumped]]
+    elif quiet.any():
         level = np.median(mean[quiet], axis=0)
-        spread = 1.4826 * np.median(np.abs(mean[quiet] - level), axis=0)
-        spread += np.sqrt(reference / (window_s * gyroscope.rate_hz))
+        spread = 1.4826 * np.median(np.abs(mean[quiet] - level), axis=0) + deviation
         quiet &= (np.abs(mean - level) < np.maximum(_OFF_LEVEL * spread, still)).all(axis=1)
-    return _runs(quiet, cut, edges, at_least_s)
+    moved += zip(windows.time_s[~quiet], windows.end_s[~quiet], strict=True)
+    begin = data.offset_s + clock.segments[0].offset / data.rate_hz
+    return [(begin + first, begin + last) for first, last in moved]
 
 
 def _require_alive(data: Triad) -> None:
@@ -235,36 +254,6 @@ def attitudes(up: FloatArray) -> int:
         if all(one @ other < math.cos(_SAME_ATTITUDE) for other in found):
             found.append(one)
     return len(found)
-
-
-def _profile(data: Triad, edges_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean and variance of each window and axis, shape (w, 3), and the reference variance, (3,)."""
-    places = data.places(edges_s)
-    count = np.diff(places)[:, None].astype(np.float64)
-    # Sums of squares lose digits unless the level is removed first.
-    level = np.nanmedian(data.samples, axis=0) if np.isfinite(data.samples).any() else np.zeros(3)
-    moved = data.samples[: places[-1]] - level
-    total = np.add.reduceat(moved, places[:-1], axis=0)
-    mean = total / count
-    variance = np.maximum((np.add.reduceat(moved**2, places[:-1], axis=0) - total * mean) / (count - 1), 0.0)
-    reference = np.empty(3)
-    for axis, own in enumerate(variance.T):
-        varying = np.sort(own[own > 0])
-        share = max(_FEWEST_WINDOWS, int(_QUIETEST * varying.size))
-        reference[axis] = np.median(varying[:share]) if varying.size else 0.0
-    return mean, variance, reference
-
-
-def _runs(quiet: BoolArray, cut: BoolArray, edges_s: FloatArray, at_least_s: float) -> FloatArray:
-    """Return the runs of quiet windows between cuts, without their ends."""
-    group = np.cumsum(cut | ~quiet | np.concatenate([[True], ~quiet[:-1]]))
-    found = []
-    for number in np.unique(group[quiet]):
-        at = np.flatnonzero((group == number) & quiet)
-        start, end = edges_s[at[0]] + _CLEAR_S, edges_s[at[-1] + 1] - _CLEAR_S
-        if end - start >= at_least_s:
-            found.append((start, end))
-    return np.array(found).reshape(-1, 2)
 
 
 def step_of(samples: FloatArray) -> float:

@@ -66,14 +66,14 @@ class Windows(ReadOnlyArrays):
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
 
-def cut(series: AxisSeries) -> Windows:
-    """Return the windows of an axis without NaN; none where it has less than 16 samples in a row.
+def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _LEAST) -> Windows:
+    """Return the windows of an axis without NaN; none where it has less than `least` samples in a row.
 
     A window never spans a gap longer than a quarter of itself; windows over shorter gaps count as
     whole ones. The last window of a stretch is set to its end, so that no sample is left out: it
     may overlap the one before. O(n), one pass, in blocks.
     """
-    width = max(_LEAST, min(round(series.rate_hz * _LENGTH_S), series.n // _WANTED))
+    width = max(least, min(round(series.rate_hz * length_s), series.n // _WANTED))
     starts, places = _starts(series.clock.segments, width)
     size = max(1, _BLOCK // width)
     batches = (starts[first : first + size] for first in range(0, starts.size, size))
@@ -155,6 +155,18 @@ def usual_variance(windows: Windows) -> float:
     """Return the median variance of the windows that are not constant, in U²; 0 if all are."""
     varying = windows.variance[windows.variance > 0]
     return float(np.median(varying)) if varying.size else 0.0
+
+
+def quietest(variance: FloatArray, count: int) -> float:
+    """Return the median variance of the `count` quietest windows in a row, in U²; 0 if all are constant.
+
+    The yardstick of a log that is mostly in motion.
+    """
+    logs = np.log(variance[variance > 0])
+    if logs.size > count:
+        first = int(np.argmin(np.convolve(logs, np.ones(count), "valid")))
+        logs = logs[first : first + count]
+    return float(np.exp(np.median(logs))) if logs.size else 0.0
 
 
 def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ import pytest
 
 from imucal.clock import Clock, Segment
 from imucal.recording import AxisSeries, Sensor
-from imucal.screening.windows import cut
+from imucal.screening.windows import cut, quietest
 
 
 def axis(samples: np.ndarray[tuple[int], np.dtype[np.float64]], clock: Clock | None = None) -> AxisSeries:
@@ -85,3 +85,11 @@ def test_a_mapped_file_gives_the_same(tmp_path: Path) -> None:
     samples.tofile(path)
     mapped = np.memmap(path, dtype=np.float64, mode="r")
     npt.assert_array_equal(cut(axis(mapped)).variance, cut(axis(samples)).variance)
+
+
+def test_the_quietest_stretch_is_in_a_row() -> None:
+    """Single quiet windows count less than a stretch; constant ones do not count."""
+    variance = np.array([9.0, 1.0, 9.0, 1.0, 9.0, 2.0, 0.0, 2.0, 2.0, 9.0])
+    assert quietest(variance, 3) == pytest.approx(2.0)
+    assert quietest(variance, 20) == pytest.approx(2.0)
+    assert quietest(np.zeros(4), 3) == 0.0
