@@ -15,9 +15,12 @@ from imucal.allan import AllanCurve
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
+from imucal.calibration.document import load_calibration, to_document
 from imucal.calibration.exports import export_calibration
+from imucal.calibration.writer import is_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
+from imucal.checking.verdict import check_calibration
 from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError, ImucalError
 from imucal.fitting import NoiseFit
@@ -28,7 +31,7 @@ from imucal.readers import LogContents, describe
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
 from imucal.report.exports.config_numbers import Options, vague_axes
-from imucal.report.json_file import load
+from imucal.report.json_file import Node, load, plain
 from imucal.report.result import Report
 from imucal.units import G0
 
@@ -219,7 +222,7 @@ def export(
 
 @takes('imucal.check(report, "limits.toml")')
 def check(
-    report: Report | str | Path,
+    report: Report | Calibration | str | Path,
     limits: Limits | str | Path | None = None,
     *,
     config: str | Path | None = None,
@@ -230,7 +233,7 @@ def check(
     Parameters
     ----------
     report
-        What was found; or the path of a report.json or its folder.
+        What was found; or the path of a report.json or its folder. Or a calibration, its file or folder.
     limits
         A TOML file of limits, or its text, such as ``[gyroscope]`` and below it ``N = { max = 1e-4 }``.
     config
@@ -246,6 +249,8 @@ def check(
         If the limits or the config can't be read.
     """
     with _refusals():
+        if limits is not None and config is None and (calibrated := _calibration(report)):
+            return check_calibration(calibrated, _limits(limits))
         found = _report(report)
         if limits is None and config is None:
             msg = "nothing to check against; type check(report, 'limits.toml'), or give config='imu.yaml'"
@@ -254,6 +259,15 @@ def check(
         if config is None:
             return result
         return replace(result, rows=result.rows + check_config(Path(config), found))
+
+
+def _calibration(report: object) -> Node | None:
+    """Return the document of a calibration; None for a report."""
+    if isinstance(report, Calibration):
+        return Node(plain(to_document(report)), "calibration")
+    if isinstance(report, str | Path) and is_calibration(Path(report)):
+        return load_calibration(Path(report))
+    return None
 
 
 def _limits(limits: Limits | str | Path | None) -> Limits:

@@ -16,7 +16,15 @@ from imucal.errors import ReadError
 from imucal.frozen import frozen_alone
 from imucal.report.json_file import JsonObject, Node, picked, plain
 
-__all__ = ["FILE_NAME", "SCHEMA", "Intrinsics", "load_intrinsics", "schema", "to_document"]
+__all__ = [
+    "FILE_NAME",
+    "SCHEMA",
+    "Intrinsics",
+    "load_calibration",
+    "load_intrinsics",
+    "schema",
+    "to_document",
+]
 
 #: Name and number of the layout, and of the file.
 SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
@@ -123,7 +131,12 @@ class Intrinsics(ReadOnlyArrays):
 
 
 def load_intrinsics(path: Path) -> Intrinsics:
-    """Read the intrinsics of a ``calibration.json`` or its folder.
+    """Read the intrinsics of a ``calibration.json`` or its folder, with the errors of `load_calibration`."""
+    return _intrinsics(load_calibration(path))
+
+
+def load_calibration(path: Path) -> Node:
+    """Read a ``calibration.json`` or its folder.
 
     Raises
     ------
@@ -136,7 +149,7 @@ def load_intrinsics(path: Path) -> Intrinsics:
     except (OSError, ValueError) as error:
         raise ReadError(f"{file}: can't be read ({error}); run 'imucal calibrate' again") from error
     root["schema"].text(SCHEMA)
-    return _intrinsics(root)
+    return root
 
 
 def _intrinsics(root: Node) -> Intrinsics:

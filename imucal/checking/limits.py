@@ -21,7 +21,7 @@ from imucal.findings import code_phrases
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, symbol_of
 from imucal.recording import AXES, Axis, Sensor
-from imucal.units import find_unit
+from imucal.units import G0, SAMPLE_UNITS, find_unit
 
 T = TypeVar("T")
 Side: TypeAlias = Literal["min", "max"]
@@ -38,8 +38,9 @@ FINDING_CODES = frozenset(code_phrases())
 class Limit:
     """One side, ``min`` or ``max``, of what is allowed: a value in a unit as the file has it.
 
-    It is about ``log``, a sensor such as ``gyroscope``, or an axis such as ``gyro_x``, and a quantity: a
-    term's symbol, or a name in `imucal.checking.limits`. ``value * factor`` is the limit in SI.
+    It is about ``log``, a sensor such as ``gyroscope``, an axis such as ``gyro_x``, or a calibrated sensor
+    such as ``calibration.gyroscope``, and a quantity: a term's symbol, or a name in `imucal.checking.limits`.
+    ``value * factor`` is the limit in SI.
     """
 
     where: str
@@ -81,9 +82,10 @@ class Baseline:
 
 @frozen
 class Limits:
-    """What a limits file asks."""
+    """What a limits file asks; `calibration` has the limits of a calibration."""
 
     limits: tuple[Limit, ...] = ()
+    calibration: tuple[Limit, ...] = ()
     required: Mapping[Sensor, tuple[Axis, ...]] = field(default_factory=dict)
     findings: FindingRules = field(default_factory=FindingRules)
     baseline: Baseline | None = None
@@ -102,6 +104,25 @@ _LOG_UNITS: dict[str, dict[str, float]] = {
 }
 #: Quantities of a recording: rate, length, number of gaps, missing samples as a fraction.
 LOG_QUANTITIES = tuple(_LOG_UNITS)
+
+
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
+#: Quantities of a calibrated sensor, with the units of their limits, SI first.
+CALIBRATION_UNITS: dict[Sensor, dict[str, dict[str, float]]] = {
+    Sensor.GYROSCOPE: {
+        "scale": {"": 1.0, "%": 0.01, "ppm": 1e-6},
+        "misalignment": _ANGLES,
+        "bias": SAMPLE_UNITS[Sensor.GYROSCOPE],
+        "g_sensitivity": {"(rad/s)/(m/s^2)": 1.0, "deg/s/g": math.radians(1.0) / G0},
+        "residual": _ANGLES,
+    },
+    Sensor.ACCELEROMETER: {
+        "scale": {"": 1.0, "%": 0.01, "ppm": 1e-6},
+        "misalignment": _ANGLES,
+        "bias": (_SIZES := {**SAMPLE_UNITS[Sensor.ACCELEROMETER], "mm/s^2": 1e-3}),
+        "residual": _SIZES,
+    },
+}
 
 
 def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
@@ -144,7 +165,8 @@ def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None)
         raise LimitsError(msg) from error
     file = _Value(document, name)
     sections: dict[str, object] = {section: {} for section in _SECTIONS}
-    entries = file.entries({**sections, "findings": None, "baseline": None, "undecided": "pass"})
+    others = {"findings": None, "baseline": None, "undecided": "pass"}
+    entries = file.entries({**sections, **others, "calibration": {}})
     limits: list[Limit] = []
     required: dict[Sensor, tuple[Axis, ...]] = {}
     for section in _SECTIONS:
@@ -152,13 +174,15 @@ def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None)
         if "axes" in table:
             required |= _required(section, table.pop("axes"))
         limits += _section(section, entries[section], table)
+    calibration = tuple(_calibration(entries["calibration"]))
     findings = entries["findings"].maybe(_findings)
     baseline = entries["baseline"].maybe(lambda entry: _baseline(entry, folder or Path()))
-    if not (limits or required or baseline or findings):
+    if not (limits or calibration or required or baseline or findings):
         file.refuse("no limit", "write one, such as [gyroscope] N = { max = 1e-4 }")
     undecided = entries["undecided"].one_of(("pass", "fail"), '"pass" or "fail"')
     return Limits(
         limits=tuple(limits),
+        calibration=calibration,
         required=required,
         findings=findings or FindingRules(),
         baseline=baseline,
@@ -181,9 +205,7 @@ def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> It
     for quantity, asked in table.items():
         units = quantity_units(quantity, sensor)
         least, most, written = asked.entries({"min": None, "max": None, "unit": next(iter(units))}).values()
-        unit = find_unit(written.text('text, such as "deg/h"'), units)
-        if unit is None:
-            written.refuse(repr(written.value), f"expected one of {', '.join(filter(None, units))}")
+        unit = _unit(written, units)
         both: tuple[tuple[Side, _Value], ...] = (("min", least), ("max", most))
         sides = {side: each.number() for side, each in both if each.value is not None}
         if not sides:
@@ -192,6 +214,32 @@ def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> It
             asked.refuse("min is above max", "swap them")
         for side, value in sides.items():
             yield Limit(section, quantity, side, value, *unit)
+
+
+def _unit(written: "_Value", units: Mapping[str, float]) -> tuple[str, float]:
+    """Return the unit of a limit with its factor to SI."""
+    unit = find_unit(written.text('text, such as "deg/h"'), units)
+    if unit is None:
+        written.refuse(repr(written.value), f"expected one of {', '.join(filter(None, units))}")
+    return unit
+
+
+def _calibration(entry: "_Value") -> Iterator[Limit]:
+    """Yield the limits of calibrated sensors: the largest size of each parameter.
+
+    They need a unit: without one, a limit of 2 would allow a scale error of 200 %.
+    """
+    for sensor, section in zip(Sensor, entry.entries({name: {} for name in _SENSORS}).values(), strict=True):
+        table = section.table()
+        section.known(table, CALIBRATION_UNITS[sensor])
+        for quantity, asked in table.items():
+            units = CALIBRATION_UNITS[sensor][quantity]
+            most, written = asked.entries({"max": None, "unit": None}).values()
+            if most.value is None:
+                asked.refuse("no max", "expected the largest size, such as { max = 2, unit = ... }")
+            if written.value is None:
+                asked.refuse("no unit", f"expected one of {', '.join(filter(None, units))}")
+            yield Limit(section.place, quantity, "max", most.number(low=0), *_unit(written, units))
 
 
 def _findings(entry: "_Value") -> FindingRules:

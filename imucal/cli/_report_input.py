@@ -15,6 +15,7 @@ from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
+from imucal.report.json_file import Node
 from imucal.report.result import Report
 
 #: What a REPORT is, for the help of an option that takes no log.
@@ -122,6 +123,15 @@ def load_report(request: LogRequest) -> Report:
         misuse(f"{shown(first)} is a report; give one report, or logs only")
     _refuse_reading(asked, f"{shown(first)} is a report")
     return read_report(first)
+
+
+def load_calibrated(request: LogRequest) -> Node:
+    """Load the document of a calibration; refuse options of reading a log."""
+    from imucal.calibration.document import load_calibration
+
+    first = request.logs[0]
+    _refuse_reading(sorted(request.settings()), f"{first} is a calibration")
+    return load_calibration(Path(first))
 
 
 def _refuse_reading(asked: list[str], what: str) -> None:

@@ -11,7 +11,7 @@ from imucal.checking.verdict import Row, Verdict
 from imucal.cli._declared import declared, flag, misuse, option
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import FULL, echo, print_json, say, width
-from imucal.cli._report_input import REPORT, REPORT_OR_LOG, load_report, read_report
+from imucal.cli._report_input import REPORT, REPORT_OR_LOG, load_calibrated, load_report, read_report
 from imucal.cli.parameters import FILE, PATH, LogRequest
 from imucal.errors import ReadError
 from imucal.printable import printable
@@ -47,12 +47,12 @@ def command(
     github: bool = flag("--github  Also print GitHub annotations (on standard error with --json)."),
     request: LogRequest = REPORT_OR_LOG,
 ) -> None:
-    """Pass or fail a report, or a log, against limits.
+    """Pass or fail a report, a log or a calibration against limits.
 
-    REPORT is a report.json, its folder, or a log, which is characterised first. A limit passes
-    if the whole interval is within it, and fails if the whole interval is beyond it. It is undecided
-    if the interval contains the limit: the log is too short. Undecided limits do not fail the check,
-    except with --undecided fail or the same line in the limits file.
+    REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a
+    calibration. A limit passes if the whole interval is within it, and fails if the whole interval is
+    beyond it. It is undecided if the interval contains the limit: the log is too short. Undecided limits
+    do not fail the check, except with --undecided fail or the same line in the limits file.
 
     --fleet compares each term with the range of the fleet's units. It passes if its whole interval is
     in the range. It fails if p is below 5 %, adjusted for the number of terms (Holm): a unit of the
@@ -70,6 +70,9 @@ def command(
       minimum = { max = 10, unit = "deg/h" }      # also mean, std
       [log]
       duration = { min = 2, unit = "h" }          # also rate, gaps, missing
+      [calibration.gyroscope]  # or calibration.accelerometer
+      scale = { max = 2, unit = "%" }             # bias, misalignment, residual
+      g_sensitivity = { max = 1, unit = "deg/s/g" }
       [findings]
       level = "warning"        # forbid this and more severe; also forbid, allow
       [baseline]
@@ -81,29 +84,21 @@ def command(
       imucal check still.mcap --limits limits.toml --junit imucal.xml --github
       imucal check still-imucal --baseline golden-imucal --json | jq .verdict
       imucal check new-unit.mcap --fleet fleet
+      imucal check poses-calibration --limits limits.toml
       imucal check still-imucal --config imu.yaml
 
     Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
     file, 3 the report or log can't be read, 4 the data can't be analysed.
     """
-    from imucal.checking import check, check_config
+    from imucal.calibration.writer import is_calibration
     from imucal.checking.verdict import github_annotations, junit_xml, to_document
 
-    limits = _limits(limits_file, baseline, fleet, fleet_model, config=config)
+    if request.logs and is_calibration(Path(request.logs[0])):
+        result = _of_calibration(request, limits_file, baseline or fleet or config)
+    else:
+        result = _of_report(request, limits_file, baseline, fleet, fleet_model, config=config)
     if undecided is not None:
-        limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
-    older = _older(limits, baseline)
-    # What it lacks is said before the log is read.
-    units = None if fleet is None else read_fleet(fleet, fleet_model)
-    report = load_report(request)
-    result = check(report, limits, baseline=older)
-    if units is not None:
-        from imucal.fleet_report import check_fleet
-
-        rows = check_fleet(report, units)
-        result = replace(result, rows=result.rows + rows)
-    if config is not None:
-        result = replace(result, rows=result.rows + check_config(config, report))
+        result = replace(result, undecided_fails=undecided == "fail")
     if junit is not None:
         from imucal.atomic import replacing
 
@@ -119,6 +114,43 @@ def command(
             echo(line, err=as_json)
     if not result.passed:
         click.get_current_context().exit(1)
+
+
+def _of_report(
+    request: LogRequest,
+    limits_file: Path | None,
+    baseline: str | None,
+    fleet: Path | None,
+    fleet_model: str | None,
+    *,
+    config: Path | None,
+) -> CheckResult:
+    """Check a report, or a log that is characterised first."""
+    from imucal.checking import check, check_config
+
+    limits = _limits(limits_file, baseline, fleet, fleet_model, config=config)
+    older = _older(limits, baseline)
+    # What it lacks is said before the log is read.
+    units = None if fleet is None else read_fleet(fleet, fleet_model)
+    report = load_report(request)
+    result = check(report, limits, baseline=older)
+    if units is not None:
+        from imucal.fleet_report import check_fleet
+
+        result = replace(result, rows=result.rows + check_fleet(report, units))
+    if config is not None:
+        result = replace(result, rows=result.rows + check_config(config, report))
+    return result
+
+
+def _of_calibration(request: LogRequest, limits_file: Path | None, other: object) -> CheckResult:
+    """Check a calibration; a usage error for anything but limits."""
+    from imucal.checking import read_limits
+    from imucal.checking.verdict import check_calibration
+
+    if limits_file is None or other:
+        misuse(f"{request.logs[0]} is a calibration, which only limits can check; give --limits FILE alone")
+    return check_calibration(load_calibrated(request), read_limits(limits_file))
 
 
 def _older(limits: Limits, baseline: str | None) -> Report | None:

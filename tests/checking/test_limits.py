@@ -28,6 +28,7 @@ def test_the_example_of_the_documentation_is_right() -> None:
     """It is read, and every part of it is used."""
     limits = read_limits(EXAMPLE)
     assert len(limits.limits) == 4 + 5 + 2 + 2
+    assert len(limits.calibration) == 4 + 5
     assert limits.required[Sensor.GYROSCOPE] == ("x", "y", "z")
     assert limits.findings.forbid == {"motion", "saturated"}
     assert limits.baseline is None
