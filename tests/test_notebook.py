@@ -41,7 +41,7 @@ def test_the_notebook_of_the_docs_runs(tmp_path: Path) -> None:
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     kinds = [kind for output in outputs for kind in output.get("data", {})]
     assert kinds.count("image/png") == 3
-    assert kinds.count("text/html") >= 7
+    assert kinds.count("text/html") >= 9
     said = [output.text for output in outputs if output.output_type == "stream"]
     assert said == ["an array has no sampling rate; give one, such as imucal.fit(samples, rate_hz=200.0)\n"]
     texts = [output["data"]["text/plain"] for output in outputs if "data" in output]
