@@ -241,16 +241,13 @@ def _sizes(found: Node, sensor: Sensor, quantity: str) -> Iterator[tuple[str, Qu
 
 
 def _residual(found: Node, sensor: Sensor) -> Quantity | None:
-    """Return the rms of |f| minus gravity over the used rests in m/s², or of the used turns' errors in rad."""
-    if sensor is Sensor.GYROSCOPE:
-        sizes = [math.radians(math.hypot(*one["residual_deg"].pair())) for one in _used(found["turns"])]
+    """Return the rms error of |f| in the rests, or of the direction after the turns; None without them."""
+    if sensor is Sensor.ACCELEROMETER:
+        sizes = [one["residual"].number() for one in found["rests"] if one["used"].value]
     else:
-        sizes = [one["residual"].number() for one in _used(found["rests"])]
+        pairs = [one["residual_deg"].pair() for one in found["turns"] if one["used"].value]
+        sizes = [math.radians(math.hypot(*pair)) for pair in pairs]
     return Quantity.exactly(math.hypot(*sizes) / math.sqrt(len(sizes))) if sizes else None
-
-
-def _used(parts: Node) -> list[Node]:
-    return [one for one in parts if one["used"].value]
 
 
 def _older(rules: Baseline) -> Report:
