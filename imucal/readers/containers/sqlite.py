@@ -256,8 +256,11 @@ def _if_whole(query: Callable[[], Value]) -> Value | None:
 
 def _refusal(path: Path, error: Exception) -> ReadError:
     """Return the error of a database that can't be read, with advice."""
-    name = shlex.quote(path.name)
-    advice = f"copy it again, or recover it with `sqlite3 {name} .recover | sqlite3 recovered.db3`"
+    # Debian's sqlite3 has no virtual table of pages, which .recover needs.
+    advice = (
+        f"copy it again, or recover it with `sqlite3 {shlex.quote(path.name)} .recover | "
+        "sqlite3 recovered.db3` (use sqlite3 from sqlite.org if yours prints an SQL error)"
+    )
     if "no such" in str(error):
         advice = "check that it is complete"
     elif "locked" in str(error):

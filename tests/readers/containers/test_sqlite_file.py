@@ -221,7 +221,8 @@ def test_a_cut_file_is_refused(lost: int, tmp_path: Path) -> None:
     assert str(caught.value) == (
         f"{path}: the SQLite database can't be read: it has {len(data) - lost} of {len(data)} bytes; "
         "expected a ROS 2 bag, copy it again, or recover it with "
-        "`sqlite3 log.db3 .recover | sqlite3 recovered.db3`"
+        "`sqlite3 log.db3 .recover | sqlite3 recovered.db3` "
+        "(use sqlite3 from sqlite.org if yours prints an SQL error)"
     )
 
 
