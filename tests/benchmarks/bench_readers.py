@@ -65,7 +65,7 @@ class Target:
 TARGETS = {
     "mcap-zstd": Target("MCAP zstd with CRC / bare decompression", "bare", 2, at_most=True),
     "bag-lz4": Target("bag lz4 / bare decompression", "bare", 1.3, at_most=True),
-    "db3": Target("rosbags / db3", "rosbags", 25, at_most=False),
+    "db3": Target("rosbags / db3", "rosbags", 8, at_most=False),
     "euroc": Target("`np.loadtxt` / EuRoC CSV", "loadtxt", 5, at_most=False),
     "camera": Target("chunks without IMU messages that are read", "skipped", 0, at_most=True),
 }

@@ -188,15 +188,23 @@ def test_refuses_files_of_different_rates(tmp_path: Path) -> None:
     )
 
 
-def test_reads_a_zstd_file_alone(tmp_path: Path) -> None:
-    """`.db3.zstd` and `.mcap.zstd` without their folder; a cut one gives what came before."""
-    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH), compression="file").glob("*.zstd"))
-    assert np.array_equal(rows(read(path)), TRUTH.all)
+@pytest.mark.parametrize("mcap", [True, False], ids=["mcap", "db3"])
+def test_reads_a_zstd_file_alone(mcap: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """`.db3.zstd` and `.mcap.zstd` without their folder; a truncated database is refused."""
+    truth = samples(2000)
+    folder = write_db3(tmp_path / "bag", imu_messages(truth), compression="file", mcap=mcap)
+    path = next(folder.glob("*.zstd"))
+    assert np.array_equal(rows(read(path)), truth.all)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 3 // 4])
+    if not mcap:
+        with pytest.raises(ReadError, match=r"bag\.db3\.zstd: .*: it has \d+ of \d+ bytes; .* copy it again"):
+            read(path)
+        return
     recording = read(path)
     n = recording.series[0].n
-    assert np.array_equal(rows(recording), TRUTH.all[:n])
+    assert 0 < n < 2000
+    assert np.array_equal(rows(recording), truth.all[:n])
     assert "truncated" in [finding.code for finding in recording.findings]
 
 

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from inspect import get_annotations
 from pathlib import Path
 
@@ -105,7 +106,7 @@ class _Unpacked(_Wrapped):
         except ReadError as error:
             self._folder.cleanup()
             msg = str(error).replace(str(target), str(path))
-            raise type(error)(msg) from error
+            raise type(error)(f"{msg} (cut off or damaged: {damage})" if damage else msg) from error
         self.path, self.size, self.compression = path, size, "zstd, whole file"
         if damage is not None:
             text = f"The file is cut off or damaged: {damage}; the part before was read."
@@ -154,4 +155,4 @@ def _decompressed(batch: Batch) -> Batch:
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
     except (zstandard.ZstdError, MemoryError) as error:
         raise DamagedError(f"a compressed message is damaged: {error}") from error
-    return batch_of_blobs(blobs, batch.log_ns.tolist())
+    return replace(batch_of_blobs(blobs, batch.log_ns.tolist()), loss=batch.loss)

@@ -1,14 +1,15 @@
 """Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes.
 
-The definition of a channel's type is the log's own, one in the user's files, or the standard one.
-`rosbags` parses definitions too, but takes longer to import than a small log to read.
+The definition of a channel's type is the log's own, one in the user's files, or the standard one. rosbags
+parses them.
 """
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from imucal.readers.containers import Channel
 from imucal.readers.files import refused
@@ -39,53 +40,17 @@ class Field:
 
 
 _NUMBERS = {
-    **dict.fromkeys(("bool", "byte", "octet", "char"), "u1"),
+    **dict.fromkeys(("bool", "byte", "char"), "u1"),
     **{f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
     "float32": "f4",
     "float64": "f8",
 }
-_TIMES = {"time", "duration", "builtin_interfaces/Time", "builtin_interfaces/Duration"}
-_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(<=)?(\d*)\])?\s+(\w+)\s*(.*)$")
-_SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
+_TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
+#: rosbags expects 80 signs between types, and refuses constants with small letters.
+_SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
+_CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
 #: A definition that nests deeper than this, or has more fields, is refused; more files are not read.
 _DEEP, _MANY = 16, 20_000
-
-#: Definitions of types that logs don't always carry. Source: common_interfaces, PX4 1.14 msg/.
-_BUILT_IN: dict[str, str] = {
-    "sensor_msgs/Imu": (
-        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
-        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
-        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance"
-    ),
-    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\nVector3 vector",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/TwistStamped": "std_msgs/Header header\nTwist twist",
-    "geometry_msgs/Twist": "Vector3 linear\nVector3 angular",
-    "geometry_msgs/TwistWithCovarianceStamped": "std_msgs/Header header\nTwistWithCovariance twist",
-    "geometry_msgs/AccelStamped": "std_msgs/Header header\nAccel accel",
-    "sensor_msgs/Temperature": "std_msgs/Header header\nfloat64 temperature\nfloat64 variance",
-    "px4_msgs/SensorCombined": (
-        "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\n"
-        "int32 accelerometer_timestamp_relative\nfloat32[3] accelerometer_m_s2\n"
-        "uint32 accelerometer_integral_dt\nuint8 accelerometer_clipping\nuint8 gyro_clipping\n"
-        "uint8 accel_calibration_count\nuint8 gyro_calibration_count"
-    ),
-    "px4_msgs/VehicleImu": (
-        "uint64 timestamp\nuint64 timestamp_sample\nuint32 accel_device_id\nuint32 gyro_device_id\n"
-        "float32[3] delta_angle\nfloat32[3] delta_velocity\nuint32 delta_angle_dt\nuint32 delta_velocity_dt\n"
-        "uint8 delta_angle_clipping\nuint8 delta_velocity_clipping\nuint8 accel_calibration_count\n"
-        "uint8 gyro_calibration_count"
-    ),
-}
-#: Types in these.
-_INNER = {
-    "std_msgs/Header": "{seq}{time} stamp\nstring frame_id",
-    "geometry_msgs/Vector3": _BUILT_IN["geometry_msgs/Vector3"],
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    "geometry_msgs/Twist": _BUILT_IN["geometry_msgs/Twist"],
-    "geometry_msgs/TwistWithCovariance": "Twist twist\nfloat64[36] covariance",
-    "geometry_msgs/Accel": "Vector3 linear\nVector3 angular",
-}
 
 
 def plain_type(name: str) -> str:
@@ -93,21 +58,18 @@ def plain_type(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def built_in(name: str, *, ros1: bool) -> str | None:
-    """Return the definition of a well-known type, or None."""
-    own = _BUILT_IN.get(plain_type(name))
-    if own is None:
-        return None
-    text = own + "".join(f"\n===\nMSG: {inner}\n{body}" for inner, body in _INNER.items())
-    seq, time = ("uint32 seq\n", "time") if ros1 else ("", "builtin_interfaces/Time")
-    return text.replace("{seq}", seq).replace("{time}", time)
+def long_type(name: str) -> str:
+    """Return ``package/msg/Name`` of ``package/Name``."""
+    package, _, last = plain_type(name).rpartition("/")
+    return f"{package}/msg/{last}"
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
     """A line of a definition: one field, and how many there are of it where it is an array.
 
-    `count` is None for a sequence, whose length each message says.
+    `kind` is a basic type or ``package/msg/Name``. `count` is None for a sequence, whose length each message
+    contains.
     """
 
     kind: str
@@ -125,79 +87,54 @@ class Line:
 
     @property
     def is_time(self) -> bool:
-        return plain_type(self.kind) in _TIMES
+        return self.kind in _TIMES
 
 
 class Definition:
-    """The definition of a message type, and behind lines of ``===`` perhaps those of the types in it.
+    """The definition of a message type, in the form of rosbags: the types that are known, by their names.
 
-    `more` are those of other types, by ``package/Name``; with them the standard types of ROS are known too.
-    It is `assumed` where it stands in for the log's own, by the name of the type.
+    `given` are the texts of further types, by ``package/Name``; with them the standard types of ROS are known
+    too. It is `assumed` where it stands in for the log's own, by the name of the type.
     """
 
     def __init__(
         self,
         name: str,
-        text: str,
+        types: Mapping[str, Any],
         *,
         ros1: bool,
-        more: Mapping[str, str] | None = None,
+        given: Mapping[str, str] | None = None,
         assumed: bool = False,
     ) -> None:
-        self.name = plain_type(name)
-        self.text, self.ros1, self.more, self.assumed = text, ros1, more, assumed
-        self._defined: dict[str, list[Line]] = {}
-        self._add(self.name, text)
-        for other, body in (more or {}).items():
-            self._add(other, body)
-
-    def _add(self, name: str, text: str) -> None:
-        """Add the types of a definition that are not known yet."""
-        for index, part in enumerate(_SEPARATOR.split(text)):
-            own, body = name, part
-            if index:
-                match = re.match(r"\s*MSG:\s*(\S+)", part)
-                if match is None:
-                    continue
-                own, body = plain_type(match[1]), part[match.end() :]
-            self._defined.setdefault(
-                own, [line for raw in body.splitlines() if (line := _line(raw)) is not None]
-            )
+        self.name = long_type(name)
+        self.ros1, self.assumed = ros1, assumed
+        self.types = dict(types)
+        self._given = given
 
     def lines(self, name: str) -> list[Line]:
-        """Return the fields of a type."""
-        return self._defined[name]
+        """Return the fields of a type; raises DefinitionError if it is not defined."""
+        if name not in self.types:
+            text = definition_of(name, self._given or {})
+            if text is not None:
+                self.types |= _parsed(name, text)
+            elif self._given is not None and name in (standard := standard_types(ros1=self.ros1)):
+                self.types[name] = standard[name]
+            else:
+                msg = f"type {plain_type(name)} is not defined"
+                if self._given is not None:
+                    msg += f"; also give its .msg file, {name.rpartition('/')[2]}.msg"
+                raise DefinitionError(msg)
+        return [_line(*member) for member in self.types[name][1]]
 
-    def resolve(self, owner: str, kind: str) -> str:
-        """Return the type that a field of `owner` is of; a DefinitionError where it is not defined."""
-        name = plain_type(kind)
-        last = "/" + name.rpartition("/")[2]
-        candidates = [name] if "/" in name else [f"{owner.partition('/')[0]}/{name}", f"std_msgs/{name}"]
-        candidates += [known for known in self._defined if known.endswith("/" + name)]
-        # A file outside of its package.
-        candidates.append(last)
-        for candidate in candidates:
-            if candidate in self._defined or (self.more is not None and self._take_standard(candidate)):
-                return candidate
-        msg = f"type {kind} is not defined"
-        if self.more is not None:
-            msg += f"; also give its .msg file, {last[1:]}.msg"
-        raise DefinitionError(msg)
-
-    def _take_standard(self, name: str) -> bool:
-        """Take a type of ROS itself; False where there is none of that name."""
-        from rosbags.typesys import Stores, get_typestore
-        from rosbags.typesys.base import TypesysError
-
-        if name.startswith("/"):
-            return False
-        store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.LATEST)
-        try:
-            text, _ = store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1 if self.ros1 else 2)
-        except (TypesysError, KeyError):
-            return False
-        self._add(name, text)
-        return True
+    def closure(self) -> dict[str, Any]:
+        """Return the types that messages are made of."""
+        found, todo = dict[str, Any](), [self.name]
+        while todo:
+            name = todo.pop()
+            lines = [] if name in found else self.lines(name)
+            todo += [line.kind for line in lines if "/" in line.kind and not line.is_time]
+            found[name] = self.types[name]
+        return found
 
     def fields(self) -> tuple[Field, ...]:
         """Return the fields of a message, nested ones in their place; a DefinitionError if a type is unknown.
@@ -211,7 +148,7 @@ class Definition:
         """Yield the fields of a type, nested ones in their place."""
         if depth > _DEEP:
             raise _too_large(name)
-        lines = self._defined[name]
+        lines = self.lines(name)
         if not lines and not self.ros1:
             # A ROS 2 structure without members takes one byte: rosidl adds a member.
             yield Field(prefix + "structure_needs_at_least_one_member", "number", "u1")
@@ -227,7 +164,7 @@ class Definition:
                 yield Field(path + ".sec", "number", "u4" if self.ros1 else "i4")
                 yield Field(path + ".nanosec", "number", "u4")
             else:
-                yield from self._structures(self.resolve(name, line.kind), path, line, depth + 1)
+                yield from self._structures(line.kind, path, line, depth + 1)
 
     def _numbers(self, path: str, line: Line) -> Field:
         code = "i1" if self.ros1 and line.kind == "byte" else _NUMBERS[line.kind]
@@ -266,22 +203,54 @@ def _laid_out(name: str, fields: Iterator[Field]) -> list[Field]:
 
 
 def _too_large(name: str) -> DefinitionError:
-    return DefinitionError(f"{name} nests too deeply or has too many fields")
+    return DefinitionError(f"{plain_type(name)} nests too deeply or has too many fields")
 
 
-def _line(raw: str) -> Line | None:
-    """Return the parts of a line; None for blanks, comments and constants."""
-    line = raw.partition("#")[0].strip()
-    if not line:
-        return None
-    match = _FIELD.match(line)
-    if match is None:
-        raise DefinitionError(f"line {line[:60]!r} is not a field")
-    kind, array, bounded, elements, name, rest = match.groups()
-    if rest.startswith("="):
-        return None
-    count = int(elements) if elements and not bounded else None
-    return Line(kind, name, array=array is not None, count=count)
+def _line(name: str, kind: Any) -> Line:  # noqa: ANN401 - rosbags nests tuples
+    """Return a field of rosbags, which has the kind of its node first."""
+    node, inner = kind[0].name, kind[1]
+    array = node in {"ARRAY", "SEQUENCE"}
+    element, base = inner[0] if array else kind
+    base = base if element.name == "NAME" else base[0]
+    # rosbags takes it for a structure.
+    base = "wstring" if base.endswith("/wstring") else base
+    return Line(base, name, array, inner[1] if node == "ARRAY" else None)
+
+
+@lru_cache(1000)
+def _parsed(name: str, text: str) -> Mapping[str, Any]:
+    """Return the types of a definition and, behind lines of ``===``, of those in it."""
+    from rosbags.typesys import get_types_from_msg
+
+    # A separator may stand at the end.
+    text = _CONSTANT.sub("", "\n".join(text.splitlines()).rstrip("= \n") + "\n")
+    try:
+        return get_types_from_msg(_SEPARATOR.sub("=" * 80 + "\nMSG: ", text), name)
+    except Exception as error:
+        # rosbags has error classes of its own; what it could not parse is in the fourth line.
+        rest = [*str(error).splitlines(), "", "", "", ""][3]
+        raise DefinitionError(f"line {rest.strip()[:60]!r} is not a field") from error
+
+
+def standard_types(*, ros1: bool) -> Mapping[str, Any]:
+    """Return the types of ROS itself."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
+
+
+def defined(
+    name: str, text: str, *, ros1: bool, given: Mapping[str, str] | None = None, assumed: bool = False
+) -> Definition:
+    """Return the definition of a type by its text; raises DefinitionError if it can't be read."""
+    types = _parsed(long_type(name), text)
+    return Definition(name, types, ros1=ros1, given=given, assumed=assumed)
+
+
+def built_in(name: str, *, ros1: bool) -> Definition | None:
+    """Return the definition of a type of ROS itself; None for others."""
+    types = standard_types(ros1=ros1)
+    return Definition(name, types, ros1=ros1, assumed=True) if long_type(name) in types else None
 
 
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
@@ -324,21 +293,23 @@ def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definit
     Raises DefinitionError if the type has no definition, or one that can't be read.
     """
     ros1 = channel.encoding == "ros1"
-    standard = built_in(channel.type, ros1=ros1)
+    standard: Definition | None = None
     if channel.definition and channel.definition_kind in {"ros2msg", "ros1msg"}:
         try:
-            own = Definition(channel.type, channel.definition, ros1=ros1)
+            own = defined(channel.type, channel.definition, ros1=ros1)
             own.fields()
         except DefinitionError:
             # A damaged definition of a well-known type loses nothing: messages must have its size.
+            standard = built_in(channel.type, ros1=ros1)
             if standard is None:
                 raise
         else:
             return own
     elif (text := definition_of(channel.type, given)) is not None:
-        return Definition(channel.type, text, ros1=ros1, more=given, assumed=True)
+        return defined(channel.type, text, ros1=ros1, given=given, assumed=True)
+    standard = standard or built_in(channel.type, ros1=ros1)
     if standard is not None:
-        return Definition(channel.type, standard, ros1=ros1, assumed=True)
+        return standard
     kind = f", except one of kind {channel.definition_kind!r}" if channel.definition_kind else ""
     others = ", ".join(sorted(name.strip("/") for name in given)[:8])
     names = f"; the given ones define {others}" if given else ""

@@ -214,6 +214,8 @@ class _Run:
                 for part in parts:
                     if part.key == key and batch.n:
                         self._decode(part, batch)
+                    elif part.key == key:
+                        self._lose(part, batch.loss)
         except DamagedError as error:
             for part in parts:
                 if part.key not in seen:

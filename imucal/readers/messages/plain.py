@@ -10,7 +10,7 @@ encapsulation, the lengths of its strings), so nothing is taken on trust; what d
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -330,15 +330,16 @@ class BinaryDecoder:
     the size of their definition, it is only assumed.
     """
 
-    def __init__(self, shapes: Sequence[Shape], *, ros1: bool, exact: bool = False) -> None:
+    def __init__(self, shapes: Iterable[Shape], *, ros1: bool, exact: bool = False) -> None:
         self.ros1 = ros1
         #: Bytes of a message before its fields.
         self._skip = 0 if ros1 else 4
         self.notes: list[Loss] = []
-        self._shapes = tuple(shapes)
+        self._others = iter(shapes)
         self._exact = exact
         self._settled = False
-        self._use(self._shapes[0])
+        self._first = next(self._others)
+        self._use(self._first)
 
     def _use(self, shape: Shape) -> None:
         self.imu = shape.imu
@@ -356,8 +357,8 @@ class BinaryDecoder:
         self._settled = True
         few = batch.checked()
         few = few.part(np.arange(min(few.n, 16)))
-        if few.n and len(self._shapes) > 1 and not self._fits(self._shapes[0], few):
-            for shape in self._shapes[1:]:
+        if few.n and not self._fits(self._first, few):
+            for shape in self._others:
                 if self._fits(shape, few):
                     self._use(shape)
                     text = "the definition in the log does not match its messages; the standard one was used"

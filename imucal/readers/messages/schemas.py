@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any
 
 from imucal.readers.containers import Channel
-from imucal.readers.messages.definitions import Definition, DefinitionError, Field
+from imucal.readers.messages.definitions import Definition, DefinitionError, Field, standard_types
 from imucal.readers.messages.leaves import Leaf
 from imucal.readers.messages.trees import Parse
 
@@ -44,37 +44,24 @@ def _ros_leaves(
             yield Leaf(f"{own}.sec", "int32")
             yield Leaf(f"{own}.nanosec", "uint32")
         elif not line.is_text and depth < _DEEP:
-            yield from _ros_leaves(known, known.resolve(name, line.kind), f"{own}.", depth + 1, steps)
+            yield from _ros_leaves(known, line.kind, f"{own}.", depth + 1, steps)
 
 
-def ros_parser(given: Definition) -> Parse:
+def ros_parser(known: Definition) -> Parse:
     """Return what parses messages of a type; a DefinitionError where its definition can't be read."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from rosbags.typesys import Stores, get_typestore
 
-    name = _long(given.name)
     try:
-        own: dict[str, Any] = {}
-        package = name.partition("/")[0]
-        for other, body in (given.more or {}).items():
-            own |= get_types_from_msg(body, _long(other if other[0] != "/" else package + other))
-        own |= get_types_from_msg(given.text, name)
-        standard = get_typestore(Stores.ROS1_NOETIC if given.ros1 else Stores.LATEST).fielddefs
         store = get_typestore(Stores.EMPTY)
-        store.register({**{kind: fields for kind, fields in standard.items() if kind not in own}, **own})
+        store.register({**standard_types(ros1=known.ros1), **known.closure()})
+    except DefinitionError:
+        raise
     except Exception as error:
         # rosbags has error classes of its own.
         why = " ".join(str(error).split())[:80]
         raise DefinitionError(f"its definition can't be read: {type(error).__name__} {why}") from error
-
-    def parse(data: bytes) -> Any:  # noqa: ANN401 - rosbags makes the types
-        return store.deserialize_ros1(data, name) if given.ros1 else store.deserialize_cdr(data, name)
-
-    return parse
-
-
-def _long(name: str) -> str:
-    package, _, last = name.partition("/")
-    return name if "/msg/" in name else f"{package}/msg/{last}"
+    read = store.deserialize_ros1 if known.ros1 else store.deserialize_cdr
+    return lambda data: read(data, known.name)
 
 
 def protobuf_parser(channel: Channel) -> Parse:

@@ -1,6 +1,7 @@
 """How to decode a topic; its frame, which of its sensors have data, and the temperature beside it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from imucal.errors import DataError, ReadError
@@ -8,7 +9,6 @@ from imucal.readers.clocks import clock_from_stamps
 from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
-    Definition,
     DefinitionError,
     Field,
     built_in,
@@ -74,10 +74,19 @@ def _decoder(channel: Channel, topic: Topic, sensors: Sequence[Sensor]) -> Binar
         if not is_reachable(imu, fields):
             return tree_decoder(imu, schemas.ros_parser(definition), "ROS")
         return BinaryDecoder([Shape(fields, imu)], ros1=ros1, exact=definition.assumed)
-    standard = built_in(channel.type, ros1=ros1)
-    layouts = [fields, Definition(channel.type, standard, ros1=ros1).fields()] if standard else [fields]
-    shapes = [_shape(channel, layout, topic, sensors) for layout in layouts]
+    shapes = _shapes(channel, fields, topic, sensors)
     return BinaryDecoder(shapes, ros1=ros1, exact=definition.assumed)
+
+
+def _shapes(
+    channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: Sequence[Sensor]
+) -> Iterator[Shape]:
+    """Yield the shape of a definition, then that of the standard one, which takes longer to load."""
+    yield _shape(channel, fields, topic, sensors)
+    standard = built_in(channel.type, ros1=channel.encoding == "ros1")
+    if standard is not None:
+        with suppress(ReadError):
+            yield _shape(channel, standard.fields(), topic, sensors)
 
 
 def _shape(channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: Sequence[Sensor]) -> Shape:

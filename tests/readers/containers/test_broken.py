@@ -43,7 +43,7 @@ def cut(path: Path, size: int) -> Path:
     return copy
 
 
-@pytest.mark.parametrize("name", ["mcap-zstd", "mcap-none", "bag-none", "bag-lz4", "db3"])
+@pytest.mark.parametrize("name", ["mcap-zstd", "mcap-none", "bag-none", "bag-lz4"])
 def test_a_cut_log_gives_its_first_samples(name: str, tmp_path: Path) -> None:
     """At forty places: a beginning of the samples, more of them the more of the file is left."""
     kind, _, compression = name.partition("-")
@@ -51,10 +51,8 @@ def test_a_cut_log_gives_its_first_samples(name: str, tmp_path: Path) -> None:
     messages = imu_messages(TRUTH, ros1=ros1)
     if kind == "mcap":
         path = write_mcap(tmp_path / "log.mcap", messages, compression=compression)
-    elif ros1:
-        path = write_bag(tmp_path / "log.bag", messages, compression=compression)
     else:
-        path = next(write_db3(tmp_path / "bag", messages).glob("*.db3"))
+        path = write_bag(tmp_path / "log.bag", messages, compression=compression)
     size = path.stat().st_size
     counts = []
     for share in np.linspace(0.02, 0.999, 40):
@@ -73,6 +71,39 @@ def test_a_cut_log_gives_its_first_samples(name: str, tmp_path: Path) -> None:
     assert counts[-1] >= 380
     # What is read grows with the file: at three quarters of it, half of the samples at least.
     assert counts[30] >= 200
+
+
+def test_a_cut_database_is_refused(tmp_path: Path) -> None:
+    """SQLite reads no part of it; the message shows how to recover it."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
+    size = path.stat().st_size
+    for share in np.linspace(0.02, 0.999, 20):
+        copy = cut(path, int(size * share))
+        with pytest.raises(ReadError) as caught:
+            read(copy)
+        assert str(caught.value).startswith(
+            f"{copy}: the SQLite database can't be read: it has {int(size * share)} of {size} bytes; "
+        )
+        assert ".recover | sqlite3 recovered.db3`" in str(caught.value)
+
+
+@pytest.mark.parametrize("compression", ["none", "message"])
+def test_a_damaged_page_of_a_database_loses_its_messages(compression: str, tmp_path: Path) -> None:
+    """Their number is reported."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH), compression=compression).glob("*.db3"))
+    data = path.read_bytes()
+    # Leaf pages of a table start with 13; the last ones contain no definitions.
+    at = [at for at in range(0, len(data), 4096) if data[at] == 13][-5]
+    path.write_bytes(data[:at] + bytes(4096) + data[at + 4096 :])
+    recording = read(path)
+    lost = 400 - recording.series[0].n
+    assert 0 < lost < 60
+    assert codes(recording) >= {"damaged", "gaps"}
+    damage = next(f for f in recording.findings if f.code == "damaged")
+    assert damage.text.startswith(
+        "The log is damaged in one place: the SQLite database can't be read at rows "
+    )
+    assert f"; about {lost} messages are lost." in damage.text
 
 
 def test_says_how_much_of_a_cut_file_is_lost(tmp_path: Path) -> None:
@@ -241,11 +272,13 @@ def test_reads_a_write_ahead_log(tmp_path: Path) -> None:
     assert np.array_equal(rows(recording), TRUTH.all[[*range(390), 399]])
 
 
-def test_a_write_ahead_log_that_can_not_be_read_is_told(tmp_path: Path) -> None:
-    """What a damaged one holds is left out by SQLite; the rest is there."""
+def test_a_write_ahead_log_that_can_not_be_read_is_reported(tmp_path: Path) -> None:
+    """The other messages are read."""
     path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
     path.with_name(path.name + "-wal").write_bytes(b"no write-ahead log" * 100)
-    assert np.array_equal(rows(read(path)), TRUTH.all)
+    recording = read(path)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert "wal-ignored" in codes(recording)
 
 
 def test_rows_over_several_pages_are_read(tmp_path: Path) -> None:

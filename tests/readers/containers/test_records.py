@@ -11,7 +11,6 @@ from imucal.readers.containers import Channel, mcap, ros1
 from imucal.readers.containers.container import Batch, gather
 from imucal.readers.containers.ros2_bag import open_files
 from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
-from imucal.readers.containers.sqlite import _integers, varint
 from imucal.readers.files import DamagedError
 from tests.readers.logs import imu_messages, samples, write_db3
 
@@ -127,17 +126,6 @@ def test_one_size_stands_for_all_that_are_equal() -> None:
     part = Batch.of(b"", starts, np.array([8, 9, 7]), log, header=2).part(np.array([0, 2]))
     npt.assert_array_equal(np.stack([part.starts, part.sizes, part.log_ns]), [[0, 20], [8, 7], [1, 3]])
     assert part.header == 2
-
-
-def test_numbers_of_sqlite() -> None:
-    data = np.frombuffer(b"\x7f" + b"\x81\x00" + b"\xff" * 9 + b"\x80\x80\x01", dtype=np.uint8)
-    value, end = varint(data, np.array([0, 1, 3, 12]))
-    npt.assert_array_equal(value, [127, 128, -1, 1])
-    npt.assert_array_equal(end, [1, 3, 12, 15])
-    # Behind the head of a page.
-    data = np.frombuffer(bytes(8) + b"\xff\x01\x02\x03\x04\x05\x06\x07\x08", dtype=np.uint8)
-    found = _integers(data, 8 + np.array([1, 1, 1, 1, 1, 1, 0, 0, 0]), np.array([1, 2, 3, 4, 5, 6, 1, 8, 9]))
-    npt.assert_array_equal(found, [1, 0x102, 0x10203, 0x1020304, 0x10203040506, 0x102030405060708, -1, 0, 1])
 
 
 METADATA = """rosbag2_bagfile_information:

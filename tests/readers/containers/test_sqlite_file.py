@@ -1,4 +1,4 @@
-"""A ROS 2 bag's database: topics and counts, ranges of rows, and what only SQLite can read."""
+"""A ROS 2 bag's database: topics and counts, ranges of rows, write-ahead logs, and damaged files."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -6,15 +6,15 @@ from contextlib import closing
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
 
 import numpy as np
 import pytest
 
+from imucal.errors import ReadError
 from imucal.readers.containers import sqlite
-from imucal.readers.containers.container import Batch
-from imucal.readers.containers.sqlite import SqliteFile, SqliteTask, batch_of_blobs, fetched
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.containers.container import Batch, Loss
+from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
+from imucal.readers.files import Scratch
 
 TABLES = (
     "create table topics(id integer primary key, name text, type text, serialization_format text)",
@@ -22,7 +22,7 @@ TABLES = (
 )
 MESSAGES = "id integer primary key, topic_id integer, timestamp integer, data blob"
 #: Id, topic, time, data.
-Row = tuple[int, int, int, bytes | str | None]
+Row = tuple[int, int, int | float | str, bytes | str | None]
 ROWS: list[Row] = [(i, 1 + i % 2, 100 + i, b"m%d" % i) for i in range(1, 11)]
 
 
@@ -58,6 +58,13 @@ def payloads(batch: Batch) -> list[tuple[int, bytes]]:
     return list(zip(batch.log_ns.tolist(), data, strict=True))
 
 
+def losses(file: SqliteFile, *keys: int) -> list[Loss]:
+    """Return what was lost of some topics."""
+    tasks = file.tasks(frozenset(keys))
+    found = [batch.loss for task in tasks for _, batch in task.load(Scratch())]
+    return [loss for loss in found if loss is not None]
+
+
 def of(*keys: int) -> list[tuple[int, int, bytes]]:
     """Return what messages of some topics there are."""
     return [(topic, time, data) for key in keys for _, topic, time, data in ROWS if topic == key]  # type: ignore[misc]
@@ -71,10 +78,9 @@ def test_topics_and_their_counts(tmp_path: Path) -> None:
         assert (first.definition, first.definition_kind) == ("int8 x", "ros2msg")
         assert (first.count, second.count) == (5, 5)
         assert {(c.first_ns, c.last_ns) for c in file.channels} == {(101, 110)}
-        assert (file.start_ns, file.end_ns, file.first_id, file.last_id) == (101, 110, 1, 10)
-        assert (file.compression, file.findings, file.parallel) == ("none", [], True)
+        assert (file.start_ns, file.end_ns) == (101, 110)
+        assert (file.compression, file.findings, file.parallel) == ("none", [], False)
         assert messages(file, 1, 2, 3) == of(1, 2)
-        assert file.parallel
         assert messages(file, 2) == of(2)
         assert list(file.tasks(frozenset({3}))) == []
         assert file.sample() == b"m1"
@@ -109,108 +115,228 @@ def test_counts_that_are_known_are_not_counted_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("columns", "by_sqlite"),
+    "columns",
     [
-        (MESSAGES, False),
-        ("id integer primary key, timestamp integer, topic_id integer, data blob", True),
-        (MESSAGES + ", more integer", True),
+        "id integer primary key, timestamp integer, topic_id integer, data blob",
+        "id integer, topic_id integer, timestamp integer, data blob",
+        MESSAGES + ", more integer",
     ],
 )
-def test_columns_in_another_order_are_left_to_sqlite(columns: str, by_sqlite: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """It takes a lock, so that there is one thread; the messages are the same."""
+def test_columns_may_have_another_order(columns: str, tmp_path: Path) -> None:
+    """A table without a primary key is read by its row numbers."""
     with closing(SqliteFile(database(tmp_path, columns=columns))) as file:
         assert messages(file, 1, 2) == of(1, 2)
-        assert file.parallel != by_sqlite
-        assert all(isinstance(task, SqliteTask) == by_sqlite for task in file.tasks(frozenset({1})))
 
 
-def test_a_write_ahead_log_is_left_to_sqlite(tmp_path: Path) -> None:
-    """An empty one holds nothing."""
+@pytest.mark.parametrize("name", ["a?b#c.db3", "50%.db3", "%41.db3", "f\u00fcr \u65e5.db3", "file:x.db3"])
+def test_names_with_special_characters(name: str, tmp_path: Path) -> None:
+    path = database(tmp_path).rename(tmp_path / name)
+    with closing(SqliteFile(path)) as file:
+        assert messages(file, 1) == of(1)
+
+
+def test_ranges_contain_every_row_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The size of each is its share of the file. Sparse ids make longer ranges, not more."""
+    monkeypatch.setattr(sqlite, "_ROWS", 4)
     path = database(tmp_path)
-    log = path.with_name("log.db3-wal")
-    for content, parallel in ((b"", True), (b"?", False)):
-        log.write_bytes(content)
-        with closing(SqliteFile(path)) as file:
-            assert messages(file, 1) == of(1)
-            assert file.parallel == parallel
-            log.write_bytes(content)
-            assert file._needs_sqlite() != parallel
+    monkeypatch.setattr(sqlite, "_PART", path.stat().st_size // 5)
+    with closing(SqliteFile(path)) as file:
+        tasks = list(file.tasks(frozenset({1, 2})))
+        assert [task.counts for task in tasks] == [{1: 4, 2: 4}, {1: 4, 2: 4}, {1: 2, 2: 2}]
+        assert sum(task.size for task in tasks) == pytest.approx(file.size, abs=3)
+        assert messages(file, 1) == of(1)
+    path.unlink()
+    far: list[Row] = [*ROWS, (2**63 - 1, 1, 111, b"far")]
+    monkeypatch.setattr(sqlite, "_PART", path.stat().st_size if path.exists() else 4096)
+    with closing(SqliteFile(database(tmp_path, far))) as file:
+        tasks = list(file.tasks(frozenset({1})))
+        assert len(tasks) <= file.size // 4096 + 1
+        assert sum(task.counts[1] for task in tasks) <= file.size
+        assert messages(file, 1) == [*of(1), (1, 111, b"far")]
 
 
-def test_ranges_hold_every_row_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of so many, its size a part of the file's. Ids far apart make longer ranges, not more."""
-    monkeypatch.setattr(sqlite, "_RANGE", 4)
-    with closing(SqliteFile(database(tmp_path))) as file:
-        assert [rows for rows, _ in file._ranges()] == [(1, 4), (5, 8), (9, 10)]
-        assert {size for _, size in file._ranges()} == {file.size // 2}
-        file.last_id = file.size // 32
-        assert file._ranges()[0][0] == (1, 4)
-        file.last_id = 10**9
-        ranges = [rows for rows, _ in file._ranges()]
-        assert len(ranges) <= file.size // (32 * 4)
-        assert (ranges[0][0], ranges[-1][1]) == (1, 10**9)
-        assert all(after[0] == before[1] + 1 for before, after in pairwise(ranges))
-        assert {size for _, size in file._ranges()} == {max(file.size // (10**9 // (ranges[0][1])), 1)}
-        file.last_id = 1
-        assert file._ranges() == [((1, 1), file.size)]
-
-
-def test_a_range_has_room_for_each_of_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever their topic; they come in the order of their ids, however many are fetched at once."""
+def test_topics_keep_the_order_of_their_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many rows are fetched at once."""
     monkeypatch.setattr(sqlite, "_FETCH", 2)
-    with closing(sqlite3.connect(database(tmp_path))) as base:
-        task = SqliteTask(partial(fetched, base, Lock()), [1, 2], (3, 9), 77)
-        assert (task.counts, task.size) == ({1: 7, 2: 7}, 77)
+    with closing(SqliteFile(database(tmp_path))) as file:
+        (task,) = file.tasks(frozenset({1, 2}))
         found = {key: payloads(batch) for key, batch in task.load(Scratch())}
-        assert found == {
-            1: [(104, b"m4"), (106, b"m6"), (108, b"m8")],
-            2: [(103, b"m3"), (105, b"m5"), (107, b"m7"), (109, b"m9")],
-        }
+        assert found == {key: [row[1:] for row in of(key)] for key in (1, 2)}
+        times = [time for _, time in sorted((key, batch.log_ns[0]) for key, batch in task.load(Scratch()))]
+        assert times == [102, 101]
+        assert all(after > before for before, after in pairwise(row[1] for row in of(1)))
 
 
-def test_rows_of_other_types_are_damage(tmp_path: Path) -> None:
-    """A text has a length too, but is no message; nothing has none."""
-    for wrong in (None, "text"):
-        path = database(tmp_path, [*ROWS, (11, 1, 5, wrong)])
-        with closing(sqlite3.connect(path)) as base:
-            with pytest.raises(DamagedError, match="the SQLite database is damaged"):
-                fetched(base, Lock(), 1, 1, 11)
-            assert fetched(base, Lock(), 1, 1, 10).n == 5
-        path.unlink()
+@pytest.mark.parametrize(
+    "wrong",
+    [(30, 1, 5, None), (30, 1, 5, "text"), (30, 1, 5.5, b"data"), (30, 1, "noon", b"data")],
+    ids=["nothing", "text", "float time", "text time"],
+)
+def test_rows_of_other_types_are_lost(wrong: Row, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the few rows next to them are lost too."""
+    monkeypatch.setattr(sqlite, "_FEW", 1)
+    rows: list[Row] = [(i, 1 + i % 2, 100 + i, b"m%d" % i) for i in range(1, 60) if i != 30]
+    with closing(SqliteFile(database(tmp_path, [*rows, wrong]))) as file:
+        assert [time for _, time, _ in messages(file, 1)] == [100 + i for i in range(2, 60, 2) if i != 30]
+        (loss,) = losses(file, 1)
+        assert (loss.code, loss.messages) == ("damaged", 1)
+        assert loss.text.startswith("the SQLite database can't be read at rows from 30 on: ")
+        assert losses(file, 2) == []
 
 
-def test_rows_over_several_pages_are_fetched_one_by_one(tmp_path: Path) -> None:
-    """Time and data; of a row that is gone, or of another topic, there is nothing."""
-    long = b"x" * 9000
-    path = database(tmp_path, [*ROWS, (11, 1, 5, long)])
+def big(folder: Path) -> tuple[Path, bytes]:
+    """Return a bag of 40 pages, and its content."""
+    rows: list[Row] = [(i, 1, i, b"%03d" % i * 300) for i in range(1, 160)]
+    path = database(folder, rows, topics=1)
+    return path, path.read_bytes()
+
+
+@pytest.mark.parametrize("topics", [1, 2])
+def test_rows_of_a_damaged_page_are_lost(topics: int, tmp_path: Path) -> None:
+    """The others are read; counting the messages of two topics does not refuse the file."""
+    path, data = big(tmp_path)
+    if topics == 2:
+        with closing(sqlite3.connect(path)) as base, base:
+            base.execute("insert into topics values (2, '/t2', 'p/msg/M', 'cdr')")
+        data = path.read_bytes()
+    at = data.index(b"080" * 300) // 4096 * 4096
+    path.write_bytes(data[:at] + bytes(4096) + data[at + 4096 :])
     with closing(SqliteFile(path)) as file:
-        assert (1, 5, long) in messages(file, 1)
-    with closing(sqlite3.connect(path)) as base:
-        assert payloads(fetched(base, Lock(), 1, 11, 11)) == [(5, long)]
-        assert fetched(base, Lock(), 2, 11, 11).n == fetched(base, Lock(), 1, 99, 99).n == 0
-    with pytest.raises(DamagedError, match="the SQLite database is damaged"):
-        fetched(base, Lock(), 1, 11, 11)
+        assert [channel.count for channel in file.channels] == ([159] if topics == 1 else [None, None])
+        found = messages(file, 1)
+        assert all(data == b"%03d" % time * 300 for _, time, data in found)
+        (loss,) = losses(file, 1)
+        assert loss.messages == 159 - len(found)
+        assert 4 <= loss.messages <= 40
+        assert loss.text.endswith("database disk image is malformed")
 
 
-@pytest.mark.parametrize("lost", [1, 4096])
-def test_a_cut_file_is_scanned(lost: int, tmp_path: Path) -> None:
-    """By its pages; it is said."""
-    rows: list[Row] = [(i, 1, i, b"%d" % i * 300) for i in range(1, 80)]
-    path = database(tmp_path, rows, topics=1)
-    data = path.read_bytes()
+@pytest.mark.parametrize("lost", [1, 4096, 100_000])
+def test_a_cut_file_is_refused(lost: int, tmp_path: Path) -> None:
+    """The message shows how to recover it."""
+    path, data = big(tmp_path)
     path.write_bytes(data[:-lost])
+    with pytest.raises(ReadError) as caught:
+        SqliteFile(path)
+    assert str(caught.value) == (
+        f"{path}: the SQLite database can't be read: it has {len(data) - lost} of {len(data)} bytes; "
+        "expected a ROS 2 bag, copy it again, or recover it with "
+        "`sqlite3 log.db3 .recover | sqlite3 recovered.db3` "
+        "(use sqlite3 from sqlite.org if yours prints an SQL error)"
+    )
+
+
+@pytest.mark.parametrize("size", [0, 15, 16, 18, 19, 99, 100, 200])
+def test_the_start_of_a_file_is_refused(size: int, tmp_path: Path) -> None:
+    path, data = big(tmp_path)
+    path.write_bytes(data[:size])
+    with pytest.raises(ReadError, match="the SQLite database can't be read: "):
+        SqliteFile(path)
+
+
+def test_an_encrypted_file_is_refused(tmp_path: Path) -> None:
+    """Some programs leave the first 16 bytes."""
+    path, data = big(tmp_path)
+    path.write_bytes(data[:16] + bytes(value ^ 0x5A for value in data[16:]))
+    with pytest.raises(ReadError, match=r"file is not a database; .* `sqlite3 log.db3 \.recover \| sqlite3"):
+        SqliteFile(path)
+
+
+def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "contacts.db3"
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("create table people(name text)")
+    with pytest.raises(ReadError, match="no such table: messages; expected a ROS 2 bag, check that it is"):
+        SqliteFile(path)
+
+
+def test_a_locked_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before and during reading."""
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", partial(connect, timeout=0.01))
+    path = database(tmp_path)
+    advice = "database is locked; expected a ROS 2 bag, stop the recorder, or copy the bag and read the copy"
+    with closing(connect(path, isolation_level=None)) as recorder, closing(SqliteFile(path)) as file:
+        recorder.execute("begin exclusive")
+        with pytest.raises(ReadError, match=advice):
+            SqliteFile(path)
+        with pytest.raises(ReadError, match=advice):
+            messages(file, 1)
+        recorder.execute("rollback")
+        assert messages(file, 1) == of(1)
+
+
+def unfinished(folder: Path) -> Path:
+    """Return a bag whose last messages are only in its write-ahead log."""
+    path = folder / "killed.db3"
+    whole = database(folder)
+    with closing(sqlite3.connect(whole)) as base:
+        base.execute("pragma journal_mode=wal")
+        base.execute("delete from messages where id > 8")
+        base.commit()
+        for suffix in ("", "-wal"):
+            path.with_name(path.name + suffix).write_bytes(whole.with_name(whole.name + suffix).read_bytes())
+    whole.unlink()
+    return path
+
+
+def test_a_write_ahead_log_is_read(tmp_path: Path) -> None:
+    path = unfinished(tmp_path)
+    log = path.with_name("killed.db3-wal")
+    before = path.read_bytes(), log.read_bytes()
     with closing(SqliteFile(path)) as file:
-        found = [time for _, time, _ in messages(file, 1)]
-        assert found == sorted(found)
-        assert 0 < len(found) < 80
-        assert [finding.code for finding in file.findings] == ["truncated"]
-    path.write_bytes(data)
-    with closing(SqliteFile(path)) as file:
+        assert messages(file, 1) == of(1)[:4]
         assert file.findings == []
+    assert (path.read_bytes(), log.read_bytes()) == before
 
 
-def test_messages_that_lie_apart_become_one_batch() -> None:
-    """One behind the other."""
+@pytest.mark.parametrize("damage", ["no log", "refused"])
+def test_a_write_ahead_log_that_can_not_be_read_is_reported(
+    damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite opens no log where it can't make files; it would silently ignore one that is damaged."""
+    path = unfinished(tmp_path)
+    if damage == "no log":
+        path.with_name("killed.db3-wal").write_bytes(b"no write-ahead log" * 100)
+    else:
+        query_only = SqliteFile._query_only
+
+        def refused(file: SqliteFile, options: str) -> sqlite3.Connection:
+            if "immutable" not in options:
+                raise sqlite3.OperationalError("unable to open database file")
+            return query_only(file, options)
+
+        monkeypatch.setattr(SqliteFile, "_query_only", refused)
+    with closing(SqliteFile(path)) as file:
+        assert messages(file, 1) == of(1)
+        (finding,) = file.findings
+        assert (finding.level, finding.code) == ("warning", "wal-ignored")
+        assert finding.text == "killed.db3-wal can't be read; messages that are only in it are missing."
+        assert finding.advice == "Copy the bag to a folder with write permission."
+
+
+@pytest.mark.parametrize("log", [None, b""])
+def test_reading_makes_no_files(log: bytes | None, tmp_path: Path) -> None:
+    """A database with `journal_mode=wal` needs no log if it was closed; an empty one contains nothing."""
+    path = database(tmp_path)
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("pragma journal_mode=wal")
+    if log is not None:
+        path.with_name("log.db3-wal").write_bytes(log)
+    before = sorted(tmp_path.iterdir())
+    with closing(SqliteFile(path)) as file:
+        assert messages(file, 1) == of(1)
+        assert file.findings == []
+        assert sorted(tmp_path.iterdir()) == before
+
+
+def test_rows_over_several_pages_are_read(tmp_path: Path) -> None:
+    long = b"x" * 9000
+    with closing(SqliteFile(database(tmp_path, [*ROWS, (11, 1, 5, long)]))) as file:
+        assert messages(file, 1) == [*of(1), (1, 5, long)]
+
+
+def test_separate_messages_become_one_batch() -> None:
     batch = batch_of_blobs([b"ab", b"", b"cde"], [5, 6, 7])
     assert payloads(batch) == [(5, b"ab"), (6, b""), (7, b"cde")]
     assert batch_of_blobs([b"ab", b"cd"], [1, 2]).sizes == 2

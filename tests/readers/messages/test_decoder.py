@@ -10,7 +10,7 @@ import pytest
 
 from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.definitions import Definition, Field
+from imucal.readers.messages.definitions import Field, defined
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
 from imucal.readers.messages.plain import BinaryDecoder, Shape, is_reachable
 from imucal.readers.store import Columns
@@ -30,7 +30,7 @@ HEADER = 12
 
 def fields(text: str = TEXT, *, ros1: bool = True) -> tuple[Field, ...]:
     """Return the fields of a message."""
-    return Definition("pkg/M", text, ros1=ros1).fields()
+    return defined("pkg/M", text, ros1=ros1).fields()
 
 
 def payload(row: int, code: int | None, text: bytes = b"imu\0") -> bytes:

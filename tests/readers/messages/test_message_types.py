@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from imucal.readers.messages.definitions import Definition, DefinitionError
+from imucal.readers.messages.definitions import DefinitionError, defined
 from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, is_command, sensor_of_topic
 from imucal.recording import Sensor
 
@@ -18,7 +18,7 @@ def found(
     text: str, *, name: str = "pkg/M", topic: str = "/t", sensor: Sensor | None = None
 ) -> dict[str, ImuFields]:
     """Return what a message can give."""
-    return find_imus(name, Definition(name, text, ros1=False).fields(), topic, sensor)
+    return find_imus(name, defined(name, text, ros1=False).fields(), topic, sensor)
 
 
 def paths(imu: ImuFields) -> dict[Sensor, tuple[str, ...]]:
@@ -202,37 +202,33 @@ def test_definitions_end_where_the_layout_is_not_known() -> None:
         parts = [f"===\nMSG: {one}\n{two} a\n" for one, two in pairwise(names)]
         return f"{names[0]} a\n" + "".join(parts) + f"===\nMSG: {names[-1]}\nfloat64 x\n"
 
-    assert Definition("pkg/M", nested(15), ros1=True).fields()[0].path == ".".join(["a"] * 16 + ["x"])
+    assert defined("pkg/M", nested(15), ros1=True).fields()[0].path == ".".join(["a"] * 16 + ["x"])
     with pytest.raises(DefinitionError, match="nests too deeply"):
-        Definition("pkg/M", nested(16), ros1=True).fields()
+        defined("pkg/M", nested(16), ros1=True).fields()
     many = "pkg/E[{}] a\n===\nMSG: pkg/E\n\n"
-    assert Definition("pkg/M", many.format(20_000), ros1=True).fields() == ()
+    assert defined("pkg/M", many.format(20_000), ros1=True).fields() == ()
     with pytest.raises(DefinitionError, match=r"^a has 20001 elements$"):
-        Definition("pkg/M", many.format(20_001), ros1=True).fields()
-    assert [field.path for field in Definition("pkg/M", "string s\nfloat64 x", ros1=True).fields()] == [
+        defined("pkg/M", many.format(20_001), ros1=True).fields()
+    assert [field.path for field in defined("pkg/M", "string s\nfloat64 x", ros1=True).fields()] == [
         "s",
         "x",
     ]
     for kind in ("time[2]", "time[]", "duration[1]"):
-        assert [field.path for field in Definition("pkg/M", f"{kind} s\nfloat64 x", ros1=True).fields()] == [
-            "s"
-        ]
-    assert [field.path for field in Definition("pkg/M", "wstring s\nfloat64 x", ros1=True).fields()] == ["s"]
-    assert [field.path for field in Definition("pkg/M", "string[2] s\nfloat64 x", ros1=True).fields()] == [
-        "s"
-    ]
+        assert [field.path for field in defined("pkg/M", f"{kind} s\nfloat64 x", ros1=True).fields()] == ["s"]
+    assert [field.path for field in defined("pkg/M", "wstring s\nfloat64 x", ros1=True).fields()] == ["s"]
+    assert [field.path for field in defined("pkg/M", "string[2] s\nfloat64 x", ros1=True).fields()] == ["s"]
 
 
 def test_a_definition_that_holds_itself_is_refused() -> None:
     """As a field or as a sequence: it would never end."""
     for text in ("pkg/M m", "pkg/M[] m", "pkg/M[2] m", "pkg/A[] a\n===\nMSG: pkg/A\npkg/A[] a"):
         with pytest.raises(DefinitionError, match="nests too deeply"):
-            Definition("pkg/M", text, ros1=True).fields()
+            defined("pkg/M", text, ros1=True).fields()
 
 
 @pytest.mark.parametrize(("ros1", "code"), [(True, "i1"), (False, "u1")])
 def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa: FBT001
-    assert [field.code for field in Definition("pkg/M", "byte b", ros1=ros1).fields()] == [code]
+    assert [field.code for field in defined("pkg/M", "byte b", ros1=ros1).fields()] == [code]
 
 
 @pytest.mark.parametrize(

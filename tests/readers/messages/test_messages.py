@@ -206,7 +206,7 @@ uint8 gyro_calibration_count
 
 @pytest.mark.parametrize("defined", [True, False])
 def test_reads_px4_sensor_combined(defined: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """Microseconds and arrays of float32; with the log's definition and with the built-in one."""
+    """Microseconds and arrays of float32; a log without the definition needs its .msg file."""
     types = store(px4_msgs__msg__SensorCombined=PX4_COMBINED)
     single = TRUTH.all.astype(np.float32)
 
@@ -217,7 +217,13 @@ def test_reads_px4_sensor_combined(defined: bool, tmp_path: Path) -> None:  # no
 
     messages = messages_of("px4_msgs/msg/SensorCombined", types, build)
     given = None if defined else {"px4_msgs/msg/SensorCombined": ("", "")}
-    recording = read(write_mcap(tmp_path / "log.mcap", messages, types=types, definitions=given))
+    path = write_mcap(tmp_path / "log.mcap", messages, types=types, definitions=given)
+    file = tmp_path / "SensorCombined.msg"
+    file.write_text(PX4_COMBINED, encoding="utf-8")
+    if not defined:
+        with pytest.raises(ChoiceError, match=r"give its \.msg file, SensorCombined\.msg"):
+            read(path)
+    recording = read(path) if defined else read(path, message_definition=file)
     assert np.array_equal(axes(recording), single.astype(np.float64))
     assert recording.series[0].clock.start_ns == TRUTH.stamps[0]
 
