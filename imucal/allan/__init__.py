@@ -1,4 +1,4 @@
-"""Samples -> AllanCurve: what the data shows."""
+"""Samples -> AllanCurve: Allan variances and spectrum of one axis."""
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum, spectrum

@@ -1,4 +1,4 @@
-"""AllanCurve: the Allan variances of one axis, and how sure they are."""
+"""AllanCurve: the Allan variances of one axis with their degrees of freedom."""
 
 from dataclasses import dataclass
 
@@ -12,27 +12,27 @@ from imucal.errors import ArgumentError
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class AllanCurve(Displayed, ReadOnlyArrays):
-    """Allan variances at rising averaging times.
+    """Allan variances at increasing averaging times.
 
     Attributes
     ----------
     tau
-        Averaging times m * tau0, shape (k,), in s, rising.
+        Averaging times m * tau0, shape (k,), in s, increasing.
     m
         Averaging factors, shape (k,).
     avar
         Allan variances, shape (k,), in the square of the sample unit.
     edf
-        Equivalent degrees of freedom of each, shape (k,); NaN where unknown.
+        Equivalent degrees of freedom of each value, shape (k,); NaN if unknown.
     n
-        Number of samples it was made from; 0 where unknown (a curve made by another tool).
+        Number of samples; 0 if unknown (a curve from another tool).
     estimator
         ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
     computed
-        How: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
-        (a table made by another tool).
+        Method: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
+        (a table from another tool).
     edf_method
-        ``hybrid``, ``model``, ``greenhall``; empty where unknown.
+        ``hybrid``, ``model``, ``greenhall``; empty if unknown.
     """
 
     tau: FloatArray
@@ -60,8 +60,8 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     def confidence_interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """Return the lower and upper limits of the Allan *deviation*, each of shape (k,).
 
-        ``edf * avar / true avar`` is taken as chi-squared with `edf` degrees of freedom, so both
-        limits are positive. NaN where the degrees of freedom are unknown.
+        ``edf * avar / true avar`` is assumed to be chi-squared with `edf` degrees of freedom, so both
+        limits are positive. NaN if the degrees of freedom are unknown.
 
         Raises
         ------
@@ -81,8 +81,8 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     def minimum(self) -> tuple[float, float]:
         """The lowest Allan deviation and its tau, in the sample unit and s.
 
-        This is what many tools call "bias instability"; it is not B. See `imucal.noise.terms`.
-        Values with fewer than 2 degrees of freedom are passed over where others exist.
+        Many tools call it "bias instability", but it is not B: see `imucal.noise.terms`.
+        Values with fewer than 2 degrees of freedom are ignored if there are others.
         """
         sure = np.flatnonzero(~(self.edf < 2))
         index = sure if sure.size else np.arange(self.tau.size)

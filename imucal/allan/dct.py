@@ -1,11 +1,11 @@
-"""The DCT-II of the samples and its log-spaced bins: what intervals and likelihoods are made of.
+"""The DCT-II of the samples and its log-spaced bins: the input of intervals and likelihoods.
 
-The DCT-II of a sampled noise is almost exactly uncorrelated: for white noise and a random walk it
-is so exactly. A few hundred sums of squared ordinates hold what the spectrum of a recording says.
+The DCT-II ordinates of sampled noise are almost uncorrelated; for white noise and a random walk they are
+exactly uncorrelated. A few hundred sums of squared ordinates contain the spectral information of a log.
 
-A long record is transformed by many short transforms, for the sake of memory. SciPy's transform of n
-samples keeps 15 n bytes of sines for the next one of that length. Split in two factors, n = rows * columns,
-a transform needs tables of a factor's length only, and each piece of work stays in the processor's cache.
+Long records are split into many short transforms to save memory. SciPy caches 15 n bytes of sines for a
+transform of n samples. With n = rows * columns the tables are only as long as one factor, and each
+piece of work fits in the processor's cache.
 
 Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135; Bailey (1990), "FFTs in
 external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a real transform of the even
@@ -32,40 +32,40 @@ from imucal.recording import AxisSeries
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
-#: The tables of shorter transforms are small: they are made in one piece.
+#: Shorter transforms are not split: their tables are small.
 LONG = 500_000
-#: Values of a piece that is worked on at once, and the fewest neighbours in it.
+#: Values per piece of work, and the minimum number of adjacent columns in it.
 _PIECE, _FEWEST = 1 << 16, 16
-#: The first factor of a length n is about n to this power: measured from 5e5 to 2e7.
+#: The first factor of n is near n to this power: the fastest, measured from 5e5 to 2e7.
 _SHARE = 0.43
-#: Ordinates that are squared at a time.
+#: Ordinates squared at a time.
 _BLOCK = 65536
-#: Shorter transforms are quick at any length, longer ones where no prime factor is larger than this.
+#: Transforms are fast at any length up to the first number, or if no prime factor exceeds the second.
 _QUICK, _PRIME = 65536, 127
-#: Angles of a ramp whose sines are computed; those of the others follow from them.
+#: Angles of a ramp whose sines are computed; the other sines follow by angle addition.
 _TABLE = 1 << 12
-#: Largest share of the samples that a quick length leaves out.
+#: Largest fraction of the samples that `fast_length` drops.
 _CUT = 1e-4
 
 
 def dct2(samples: FloatArray, mean: float = 0.0) -> FloatArray:
-    """Return the orthonormal DCT-II of `samples` less a constant, shape (n,), in little memory."""
+    """Return the orthonormal DCT-II of `samples` minus `mean`, shape (n,), using little memory."""
     if samples.size >= LONG:
         return four_step_dct(samples, mean)
     return np.asarray(scipy.fft.dct(samples - mean, type=2, norm="ortho", overwrite_x=True))
 
 
 def idct2(ordinates: FloatArray) -> FloatArray:
-    """Return the samples, shape (n,), of which `ordinates`, which are overwritten, are the DCT-II."""
+    """Return the inverse of the orthonormal DCT-II, shape (n,). Overwrites `ordinates`."""
     if ordinates.size >= LONG:
         return four_step_idct(ordinates)
     return np.asarray(scipy.fft.idct(ordinates, type=2, norm="ortho", overwrite_x=True))
 
 
 def split(n: int) -> int:
-    """Return the divisor of `n` that serves best as one of its two factors: the nearest to n^0.43.
+    """Return the divisor of `n` nearest to n^0.43, used as the number of rows.
 
-    A little less than the square root, as whole columns are stridden through, and rows are not.
+    It is below the square root because access by column is strided and access by row is not.
     """
     small = [divisor for divisor in range(1, math.isqrt(n) + 1) if n % divisor == 0]
     wanted = n**_SHARE
@@ -73,13 +73,13 @@ def split(n: int) -> int:
 
 
 def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
-    """Return the orthonormal DCT-II of `samples` less a constant, shape (n,); n should have small factors.
+    """Return the orthonormal DCT-II of `samples` minus `mean`, shape (n,); n should have small factors.
 
-    It takes n log n operations, and 16 bytes a sample, half of which are the result. As exact as in one
-    piece: errors are some 1e-15 of the largest ordinate.
+    It takes n log n operations and 16 bytes per sample, half of them for the result. Rounding errors are
+    about 1e-15 of the largest ordinate, as for a transform in one piece.
 
-    With v the even samples followed by the odd ones backwards, V its transform, and W = exp(-i pi k / 2n)
-    V[k], ordinate k is the real part of W, and ordinate n - k its imaginary part with the sign changed.
+    Let v be the even samples followed by the odd ones in reverse order, V its Fourier transform, and
+    W = exp(-i pi k / 2n) V[k]. Ordinate k is the real part of W; ordinate n - k is minus its imaginary part.
     """
     n = samples.size
     rows = split(n)
@@ -88,12 +88,12 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     half = (n + 1) // 2
     np.subtract(samples[::2], mean, out=result[:half])
     np.subtract(samples[1::2], mean, out=result[half:][::-1])
-    # The transform of each column.
+    # Transform each column.
     values, inner = result.reshape(rows, columns), np.empty((rows // 2 + 1, columns), dtype=np.complex128)
     step = max(_FEWEST, _PIECE // rows)
     for start in range(0, columns, step):
         inner[:, start : start + step] = scipy.fft.rfft(values[:, start : start + step], axis=0)
-    # V[r + rows * c] stands in row r, column c; rows beyond the middle are conjugates of those before.
+    # V[r + rows * c] is in row r, column c; rows above the middle are conjugates of the lower ones.
     place = result.reshape(columns, rows)
     shift = np.sqrt(2 / n) * np.exp(-0.5j * np.pi / columns * np.arange(columns))
     step = max(_FEWEST, _PIECE // columns)
@@ -103,7 +103,7 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
         part = scipy.fft.fft(part, axis=1, overwrite_x=True)
         part *= shift
         place[:, start:stop] = part.real.T
-        # Of row 0, and of the one in the middle, these stand there already.
+        # The mirrored values of row 0 and of the middle row are already in place.
         first, last = max(start, 1), min(stop, (rows + 1) // 2)
         mirrored = place[::-1, rows - last + 1 : rows - first + 1]
         np.negative(part[first - start : last - start][::-1].imag.T, out=mirrored)
@@ -112,9 +112,9 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
 
 
 def four_step_idct(ordinates: FloatArray) -> FloatArray:
-    """Return the inverse of `four_step_dct` (the orthonormal DCT-III), shape (n,): its steps backwards.
+    """Return the inverse of `four_step_dct` (the orthonormal DCT-III), shape (n,), by reversing its steps.
 
-    The ordinates are overwritten.
+    Overwrites `ordinates`.
     """
     n = ordinates.size
     rows = split(n)
@@ -151,7 +151,7 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
 def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
     """Return exp(-2 pi i r (c + 1/4) / n) for rows r and columns c = 0 … columns - 1, shape (r, columns).
 
-    Those of few columns times those of every so many.
+    The first `few` columns times every `few`-th one need fewer exponentials.
     """
     few = math.isqrt(columns) + 1
     angle = (-2 * np.pi / n) * rows[:, np.newaxis]
@@ -163,10 +163,10 @@ def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
 
 @frozen_alone
 class DctBins(ReadOnlyArrays):
-    """Bins of the ordinates k = 1 … n-1 of n samples, one ordinate wide at first, then of a steady ratio.
+    """Bins of the ordinates k = 1 … n-1 of n samples: single ordinates first, then bins of constant ratio.
 
-    Each bin begins with the ordinate `first` and holds `count`; `omega` is its mean angular frequency in
-    rad/sample, where ordinate k lies at pi k / n. Shape (b,) each.
+    Each bin starts at ordinate `first` and contains `count` ordinates. `omega` is its mean angular frequency
+    in rad/sample; ordinate k is at pi k / n. Shape (b,) each.
     """
 
     n: int
@@ -180,10 +180,10 @@ class DctBins(ReadOnlyArrays):
         return self.first.size
 
     def parts(self) -> Iterator[tuple[slice, slice, IntArray]]:
-        """Yield runs of bins so short that their ordinates stay in the cache.
+        """Yield groups of bins whose ordinates fit in the cache.
 
-        That is which bins; which ordinates, counted from 0 as they stand in an array; and where in those
-        each bin begins.
+        Each item is the slice of bins, the slice of the ordinates (from 0), and the index in that slice at
+        which each bin begins.
         """
         start = 0
         while start < self.size:
@@ -196,10 +196,10 @@ class DctBins(ReadOnlyArrays):
 
 @lru_cache(maxsize=64)
 def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
-    """Return the bins for `n` samples, at least 2; numbers below their least are a ValueError.
+    """Return the bins for `n` samples, at least 2; an argument below its minimum is a ValueError.
 
-    The ordinates 1 … `singles`, 1 or more, have a bin each; above, bins widen so that `per_octave`, 1 or
-    more, cover an octave.
+    Each of the ordinates 1 … `singles` (at least 1) has its own bin. Higher bins widen to `per_octave`
+    (at least 1) per octave.
     """
     if n < 2 or singles < 1 or per_octave < 1:
         raise ArgumentError(
@@ -218,19 +218,19 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """The samples of an axis; the transform of their longest run, and numbers, once they are known."""
+    """The samples of an axis, with cached transforms of long runs and cached numbers."""
 
     samples: FloatArray
     known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
 
     def place(self, samples: FloatArray) -> tuple[int, int] | None:
-        """Return where a run stands among the samples and its size; None for other samples, or few."""
+        """Return the offset and size of a run in the samples; None for other or too few samples."""
         if 2 * samples.size <= self.samples.size or samples.strides != self.samples.strides:
             return None
         first, start = (array.__array_interface__["data"][0] for array in (self.samples, samples))
         offset = (start - first) // self.samples.itemsize
-        # These samples are kept, so that what stands between their addresses is theirs.
+        # `self.samples` keeps this memory alive, so an address inside it belongs to these samples.
         return (offset, samples.size) if 0 <= offset <= self.samples.size - samples.size else None
 
 
@@ -239,16 +239,16 @@ _SHARED: ContextVar[_Shared | None] = ContextVar("shared transform", default=Non
 
 @contextmanager
 def shared_transform(samples: FloatArray) -> Iterator[None]:
-    """Let `dct_ordinates` transform the same run of `samples`, shape (n,), once; it may not change within.
+    """Let `dct_ordinates` transform the same run of `samples`, shape (n,), only once.
 
-    The curve's intervals, the spectrum and the likelihood of an axis are made of the same ordinates.
+    Intervals, spectrum and likelihood share the ordinates. Do not change the samples inside the context.
     """
     shared = _SHARED.get()
     if shared and shared.samples.size == samples.size and shared.place(samples) == (0, samples.size):
         yield
         return
     if shared:
-        # These are other samples, such as those without spikes: one transform at a time is enough.
+        # Other samples, for example without spikes: keep one transform at a time to save memory.
         shared.known.clear()
     token = _SHARED.set(_Shared(samples.view()))
     try:
@@ -258,7 +258,7 @@ def shared_transform(samples: FloatArray) -> Iterator[None]:
 
 
 def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> float:
-    """Return what `work` makes of all `samples`, shape (n,): once, while their transform is shared."""
+    """Return the result of `work` on `samples`, shape (n,), cached while their transform is shared."""
     shared = _SHARED.get()
     if shared is None or samples.size != shared.samples.size or shared.place(samples) is None:
         return work()
@@ -270,9 +270,9 @@ def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> 
 def dct_ordinates(samples: FloatArray) -> FloatArray:
     """Return the orthonormal DCT-II ordinates k = 1 … n-1 of `samples`, shape (n-1,), in U.
 
-    The mean is ordinate 0; it is removed first, so that it costs no digits. Lengths with large prime factors
-    take up to ten times as long; see `fast_length`. Those of a shared transform are read-only. Fewer than 2
-    samples, or any that is not finite, are a DataError.
+    The mean (ordinate 0) is removed first to keep precision. Lengths with large prime factors take up to
+    ten times as long; see `fast_length`. The ordinates of a shared transform are read-only. Fewer than 2
+    samples, or a value that is not finite, raise a DataError.
     """
     shared = _SHARED.get()
     place = shared.place(samples) if shared else None
@@ -284,9 +284,9 @@ def dct_ordinates(samples: FloatArray) -> FloatArray:
 
 
 def own_ordinates(samples: FloatArray) -> FloatArray:
-    """Return what `dct_ordinates` does as an array to write to: a shared transform is given away.
+    """Return the same as `dct_ordinates` in a writable array, removed from the shared transform.
 
-    What `dct_ordinates` returned of it before may not be used any more.
+    Arrays that `dct_ordinates` returned for these samples are then invalid.
     """
     shared = _SHARED.get()
     place = shared.place(samples) if shared else None
@@ -307,7 +307,7 @@ def _transform(samples: FloatArray) -> FloatArray:
 def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
     """Return the sum of the squared ordinates of each bin, shape (b,), in U².
 
-    Ordinates of another shape than (bins.n - 1,) are a ValueError.
+    Ordinates must have shape (bins.n - 1,); others are a ValueError.
     """
     if ordinates.shape != (bins.n - 1,):
         raise ArgumentError(f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}")
@@ -328,7 +328,7 @@ def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
     table = step * np.arange(min(_TABLE, odd.size), dtype=np.float64)
     sine, cosine = np.sin(table), np.cos(table)
     for start in range(0, odd.size, _TABLE):
-        # By the sines of sums: a sine and a cosine of every ordinate would take longer than a transform.
+        # Angle addition: computing every sine and cosine would take longer than a transform.
         part = odd[start : start + _TABLE]
         angle = lowest + start * step
         s, c = np.sin(angle), np.cos(angle)
@@ -339,11 +339,11 @@ def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
 
 
 def fast_length(n: int) -> int:
-    """Return the largest length up to `n` whose transform is quick, if it is within 1e-4 of `n`; else `n`.
+    """Return the largest fast transform length up to `n` if it is within 1e-4 of `n`; if not, `n`.
 
-    Prime factors up to 127 cost at most twice the time of a power of two, one large factor ten times.
-    A share e of the samples moves an estimate by sqrt(e) of its standard error, so leaving the rest
-    out at the end costs at most 0.01 of it. Below 65536 samples every length is quick.
+    Prime factors up to 127 take at most twice the time of a power of two, a large one ten times.
+    Dropping a fraction e of the samples moves an estimate by sqrt(e) of its standard error, here at most
+    0.01. Below 65536 samples every length is fast.
     """
     if n < _QUICK:
         return n
@@ -359,16 +359,16 @@ def fast_length(n: int) -> int:
 
 @frozen_alone
 class Spectrum(ReadOnlyArrays):
-    """A two-sided power spectral density, averaged over bins of rising width.
+    """A two-sided power spectral density, averaged over bins of increasing width.
 
     Attributes
     ----------
     frequency
-        Mean frequency of each bin, shape (k,), in Hz, rising.
+        Mean frequency of each bin, shape (k,), in Hz, increasing.
     psd
         Two-sided density, shape (k,), in U²/Hz.
     count
-        Degrees of freedom of each bin, shape (k,): the ordinates it averages.
+        Degrees of freedom of each bin, shape (k,): the number of averaged ordinates.
     """
 
     frequency: FloatArray
@@ -378,16 +378,16 @@ class Spectrum(ReadOnlyArrays):
 
 @takes('imucal.spectrum(recording["gyro_x"])', series=AxisSeries)
 def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
-    """Return the log-binned psd of an axis, without its missing samples.
+    """Return the log-binned psd of an axis; missing samples are skipped.
 
-    Each run of unbroken samples gives its DCT-II, whose squared ordinates estimate the two-sided
-    density without leakage from drift; runs are averaged bin by bin. The lowest eight frequencies
-    stand alone, then bins widen to `per_octave` an octave.
+    The squared DCT-II ordinates of each unbroken run estimate the two-sided density without leakage from
+    drift. Runs are averaged bin by bin. The lowest eight frequencies have their own bins; higher bins
+    widen to `per_octave` per octave.
 
     Raises
     ------
     DataError
-        If no run holds at least 2 samples.
+        If no run has at least 2 samples.
     """
     series = series.finite()
     runs = [s for s in series.clock.segments if s.size >= 2]

@@ -1,4 +1,4 @@
-"""Allan deviations in a text table: made by another tool, or printed by `imucal adev`."""
+"""Tables of Allan deviations, from another tool or from `imucal adev`."""
 
 import csv
 import re
@@ -15,7 +15,7 @@ from imucal.frozen import frozen_alone
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, pretty
 
-#: Heading of the table that `imucal adev` prints: curves of several axes below one another, in SI.
+#: Heading of the table that `imucal adev` prints: the curves of several axes, one after the other, in SI.
 COLUMNS = ("axis", "tau", "m", "adev", "low", "high", "edf")
 
 _TAU = re.compile(r"(tau|taus|time|t|averaging[ _]?time|cluster[ _]?time)\b", re.IGNORECASE)
@@ -28,19 +28,18 @@ _SENSORS = (
     (Sensor.ACCELEROMETER, re.compile(r"acc|specific|^a_?[xyz]\b", re.IGNORECASE)),
 )
 _UNIT = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
-#: Averaging times within this of a multiple of the shortest are taken for multiples of it.
+#: Averaging times are treated as multiples of the shortest if they are within this fraction.
 _MULTIPLE = 0.02
-#: Where they are not, the curve is read on a grid so much finer than its shortest time.
+#: For other averaging times the grid step is the shortest one divided by this.
 _FINE = 1000
 
 
 @frozen_alone
 class NamedCurve:
-    """One column of deviations: its heading without the unit, or ``column 2`` … where the table has none.
+    """One column of deviations: its heading without the unit, or ``column 2`` … if there are no headings.
 
-    `sensor` is what was measured, as the heading or the unit says, None where neither does; `unit` that of
-    the `curve`, SI where it was known, else an empty string (as in the table); `findings` say what had to be
-    assumed.
+    `sensor` is taken from the heading or the unit, None if neither names it. `unit` is the unit of `curve`:
+    SI, or an empty string if the table gives no known unit. `findings` lists the assumptions made.
     """
 
     name: str
@@ -51,16 +50,16 @@ class NamedCurve:
 
 
 def read_curve(path: str | Path, *, rate_hz: float | None = None) -> tuple[NamedCurve, ...]:
-    """Read a table whose first column is tau in s and whose others are Allan deviations.
+    """Read a table whose first column is tau in s and whose other columns are Allan deviations.
 
-    Columns are separated by commas, semicolons, tabs or spaces; lines that start with ``#`` or ``%`` are
-    skipped; one line of headings may stand first. Headings name the averaging time (``tau``), deviations, or
-    variances (``avar``); a unit may follow in brackets, such as ``gyro_x [deg/s]``. Columns of counts,
-    degrees of freedom and limits are passed over.
+    Columns are separated by commas, semicolons, tabs or spaces. Lines that start with ``#`` or ``%`` are
+    skipped. The first line may contain headings for the averaging time (``tau``), deviations, or variances
+    (``avar``); a unit may follow in brackets, such as ``gyro_x [deg/s]``. Columns of counts, degrees of
+    freedom and limits are ignored.
 
-    `rate_hz` is that of the samples that it was made from; without it the shortest averaging time is taken
-    for the sampling period where the others are multiples of it. A ReadError says that the file can't be
-    read, is no such table, or names an unknown unit.
+    `rate_hz` is the sampling rate of the samples. Without it, the shortest averaging time is the sampling
+    period if the others are its multiples. A file that cannot be read, is not such a table, or contains an
+    unknown unit is a ReadError.
     """
     path = Path(path)
     headings, rows = _parse(path)
@@ -93,7 +92,7 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
     """Return the headings and the numbers, shape (rows, columns); missing numbers are NaN."""
     fields = _fields(path)
     if all(len(cells) > 1 and not cells[-1] for _, cells in fields):
-        # Every line ends with a separator: there is no column after it.
+        # Every line ends with a separator: drop the empty last column.
         fields = [(i, cells[:-1]) for i, cells in fields]
     headings = fields.pop(0)[1] if _number(fields[0][1][0]) is None else []
     width = len(fields[0][1]) if fields else 0
@@ -109,7 +108,7 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
 
 
 def _fields(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the number and the cells of each line that is no comment."""
+    """Return the number and the cells of each line that is not a comment."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -159,7 +158,7 @@ def _require_times(path: Path, tau: FloatArray) -> None:
 
 
 def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Finding, ...]]:
-    """Return the averaging factors, and what was assumed about the sampling period."""
+    """Return the averaging factors, and a finding if the sampling period was assumed."""
     tau0 = 1 / rate_hz if rate_hz else float(tau[0])
     ratio = tau / tau0
     factors = np.maximum(np.round(ratio), 1.0)
@@ -179,7 +178,7 @@ def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Fi
 
 
 def _meaning(path: Path, heading: str, name: str) -> tuple[Sensor | None, float | None]:
-    """Return the sensor and the factor that makes the unit SI; None where they are not known."""
+    """Return the sensor and the factor to SI; None if unknown."""
     unit = _UNIT.search(heading)
     if unit is None:
         return next((sensor for sensor, pattern in _SENSORS if pattern.search(name)), None), None
@@ -193,7 +192,7 @@ def _meaning(path: Path, heading: str, name: str) -> tuple[Sensor | None, float 
 
 
 def is_adev_table(path: Path) -> bool:
-    """Say whether a file starts with the heading of the table that `imucal adev` prints."""
+    """Return whether a file starts with the heading of the table that `imucal adev` prints."""
     with path.open("rb") as stream:
         return stream.readline(200).decode("utf-8-sig", "replace").strip() == ",".join(COLUMNS)
 
@@ -201,7 +200,7 @@ def is_adev_table(path: Path) -> bool:
 def read_adev_table(path: Path) -> tuple[NamedCurve, ...]:
     """Return the curve of each axis, with its averaging factors and degrees of freedom.
 
-    A line that is not as `imucal adev` writes it is a ReadError.
+    A line that does not match the format of `imucal adev` is a ReadError.
     """
     rows: dict[str, list[list[float]]] = {}
     with path.open(encoding="utf-8-sig", newline="") as stream:

@@ -1,10 +1,10 @@
-"""From the samples of an axis to its Allan curve: at once, or for logs beyond memory by a cascade.
+"""Compute the Allan curve of an axis: directly, or by a cascade if the log does not fit in memory.
 
-The cascade goes once over all axes in constant memory, octave by octave. Level j holds every 2^j-th
-point of the integrated samples and serves the factors m' 2^j with m' from 128 to 255; level 0 serves
-every factor below 256 and is exact. So the start points of a large factor lie at most m/128 apart:
-values differ from the exact ones by some 0.2 % of their interval's width (at m/32 by up to 2 %), and
-the degrees of freedom count it.
+The cascade passes once over all axes in constant memory, octave by octave. Level j contains every 2^j-th
+point of the integrated samples and computes the factors m' 2^j with m' from 128 to 255. Level 0 computes
+every factor below 256 exactly. Start points of a large factor are therefore at most m/128 apart: values
+differ from the exact ones by about 0.2 % of the interval's width (at m/32 by up to 2 %). The degrees of
+freedom account for this.
 """
 
 import re
@@ -31,28 +31,27 @@ from imucal.errors import ArgumentError, DataError
 from imucal.recording import AxisSeries
 from imucal.resources import memory_limit
 
-#: Level 0 serves the factors below twice this, every other level those from this up.
+#: Level 0 computes the factors below twice this; every other level the factors from this to twice this.
 _BASE = 128
-#: Points a level takes in before it works on them; the axes take turns in the cache.
+#: Points a level collects before it processes them: most at level 0, fewest at high levels.
 _BLOCK, _SMALLEST_BLOCK = 32768, 4096
-#: The mean of so many first samples is taken out, so that the integral stays small.
+#: The mean of this many first samples is subtracted, so that the integral stays small.
 _REFERENCE = 65536
-#: A set of averaging times with so many a decade; ten is what data sheets draw.
+#: Named set of averaging times, and its default number per decade, as in data sheets.
 _DECADE, _PER_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?"), 10
-#: Bytes per sample that the exact curve works in: the integral and the transform of the intervals.
+#: Bytes per sample used by the exact curve: the integral and the transform for the intervals.
 _WORK = 32
-#: Samples of a mapped file that are looked at at once.
+#: Samples of a mapped file read at a time.
 _PIECE = 1 << 20
 
 _OVERLAPPING = ESTIMATORS["overlapping"]
 
 
 class Cascade:
-    """Allan variances of several axes of one clock, fed block by block.
+    """Allan variances of several axes with one clock, fed block by block.
 
-    Of `per_octave` factors per octave, from 1 to 32, evenly spaced in log and rounded to distinct integers.
-    Memory is some 2 MB an axis, however long the log is. A curve can be taken at any time; feeding may go on
-    after it.
+    There are `per_octave` factors per octave, from 1 to 32, evenly spaced in log and rounded to distinct
+    integers. Memory is about 2 MB per axis for any length. `curve` may be called at any time between blocks.
     """
 
     def __init__(self, *, axes: int, per_octave: int = 1) -> None:
@@ -77,9 +76,9 @@ class Cascade:
         return self._n
 
     def feed(self, samples: FloatArray) -> None:
-        """Take in the next samples, shape (axes, k), of any k; another shape is a ValueError.
+        """Add the next samples, shape (axes, k), of any k; another shape is a ValueError.
 
-        One that is not finite is a DataError; `gap` is how a break is told.
+        A value that is not finite is a DataError; call `gap` for missing samples.
         """
         block = np.asarray(samples)
         if block.ndim != 2 or block.shape[0] != self._axes:
@@ -90,7 +89,7 @@ class Cascade:
             self._feed_part(np.array(block[:, start : start + _BLOCK], dtype=np.float64, order="C"))
 
     def gap(self) -> None:
-        """Say that samples are missing here: no difference will span the place."""
+        """Mark missing samples here: no difference spans this place."""
         self._settle()
         for level in self._levels:
             level.forget()
@@ -99,7 +98,7 @@ class Cascade:
     def curve(self, axis: int, *, rate_hz: float) -> AllanCurve:
         """Return the curve of one axis so far, up to m = n/4.
 
-        Fewer than 2 samples are a DataError. The degrees of freedom are those of the generic model nearest to
+        Fewer than 2 samples are a DataError. The degrees of freedom come from the generic model nearest to
         the curve.
         """
         self._settle()
@@ -144,7 +143,7 @@ class Cascade:
         self._put(0, part)
 
     def _put(self, index: int, points: FloatArray) -> None:
-        """Hand points of the integral, shape (axes, k), to a level and every second one to the next."""
+        """Pass points of the integral, shape (axes, k), to a level and every second one to the next."""
         level = self._levels[index]
         taken = 0
         while taken < points.shape[1]:
@@ -160,7 +159,7 @@ class Cascade:
         self._put(index + 1, points)
 
     def _settle(self) -> None:
-        """Work on what the levels hold, but for levels too short for any difference."""
+        """Process the waiting points of every level that is long enough for a difference."""
         index = 0
         while index < len(self._levels):
             if self._levels[index].ready:
@@ -169,7 +168,7 @@ class Cascade:
 
 
 class _Level:
-    """Points of the integral at one decimation, with the last ones kept between blocks."""
+    """Points of the integral at one decimation; keeps the last ones between blocks."""
 
     def __init__(self, m: IntArray, axes: int, block: int) -> None:
         self.m = m
@@ -193,7 +192,7 @@ class _Level:
         return self.waiting > 0 and self._kept + self.waiting > 2 * int(self.m.min())
 
     def take(self, points: FloatArray) -> int:
-        """Store as many points as there is room for; return how many."""
+        """Store as many points as fit; return their number."""
         count: int = min(self._block - self.waiting, points.shape[1])
         start = self._kept + self.waiting
         self._points[:, start : start + count] = points[:, :count]
@@ -225,7 +224,7 @@ class _Level:
         return [row[axis].total() for row in self._sums]
 
     def forget(self) -> None:
-        """Drop the kept points: the next ones follow a break."""
+        """Drop the kept points, because a gap follows."""
         self._kept = self.waiting = self._odd = 0
 
 
@@ -244,8 +243,8 @@ def allan_curve(
     series
         The axis; samples that are not finite count as missing.
     taus
-        ``octave``, ``decade``, ``decade:20``, ``all``, or averaging times in s. The named sets but
-        ``all`` stop where a value has some 2 degrees of freedom: m <= n/4, n/6 for third differences.
+        ``octave``, ``decade``, ``decade:20``, ``all``, or averaging times in s. The named sets except
+        ``all`` end at about 2 degrees of freedom: m <= n/4, n/6 for third differences.
     estimator
         ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
     edf
@@ -253,17 +252,17 @@ def allan_curve(
 
     Returns
     -------
-    The curve. Where the samples are too many for a quarter of the machine's memory it is streamed
-    (`computed` is ``cascade``). Where samples are missing, `computed` says how it was done (see
-    `imucal.allan.variance`), averaging times that the samples can't give are left out, and the degrees
-    of freedom are those of the generic model nearest to the curve.
+    The curve. If the samples need more than a quarter of the machine's memory, it is streamed
+    (`computed` is ``cascade``). If samples are missing, `computed` contains the method (see
+    `imucal.allan.variance`), averaging times without enough samples are left out, and the degrees of
+    freedom come from the generic model nearest to the curve.
 
     Raises
     ------
     DataError
-        If there are too few samples, or a listed averaging time is out of their reach.
+        If there are too few samples, or a listed averaging time is out of range.
     ValueError
-        If an option is not one of these.
+        If an option is unknown.
 
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
@@ -299,13 +298,13 @@ def allan_curve(
 
 
 def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
-    """Return the curve of an axis at the averaging times of another, by its estimator and its method."""
+    """Return the curve of an axis with the averaging times, estimator and method of another curve."""
     edf = curve.edf_method or "hybrid"
     return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
 
 
 def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:
-    """Return the curve by one pass in constant memory; what is not finite counts as missing."""
+    """Return the curve by one pass in constant memory; values that are not finite count as missing."""
     cascade = Cascade(axes=1, per_octave=per_octave)
     for segment in series.clock.segments:
         cascade.gap()
@@ -322,7 +321,7 @@ def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:
 def _of_gaps(
     series: AxisSeries, taus: str | Sequence[float], estimator: Estimator
 ) -> tuple[str, GappyVariances]:
-    """Return how the variances of a series with missing samples are computed, and those."""
+    """Return the method (``windows`` or ``runs``) and variances of a series with missing samples."""
     if estimator.name == "overlapping" and not series.clock.apart:
         m = _factors(series, taus, estimator, series.clock.grid_size)
         how, values = "windows", window_variances(series, m)
@@ -339,7 +338,7 @@ def _of_gaps(
 
 
 def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimator, span: int) -> IntArray:
-    """Return the averaging factors for a series of `span` places."""
+    """Return the averaging factors for a series that spans `span` sampling periods."""
     largest = estimator.largest(span)
     if largest < 1:
         needed = estimator.order + 1 - estimator.integrations
@@ -356,14 +355,14 @@ def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimat
 def averaging_factors(
     taus: str | Sequence[float], *, tau0: float, largest: int, drawn: int, name: str = "series"
 ) -> IntArray:
-    """Return distinct averaging factors, rising, shape (k,), k >= 1.
+    """Return distinct averaging factors, increasing, shape (k,), k >= 1.
 
-    `taus` are ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (so many a decade, evenly spaced in log,
+    `taus` is ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (20 per decade, evenly spaced in log,
     rounded to distinct integers), ``all``, or averaging times in s, each rounded to a whole number of samples
-    of period `tau0` in s; others are a ValueError. The estimator accepts factors up to `largest`, which
-    ``all`` and a list may go up to: a listed time beyond that, or shorter than a sample, is a DataError,
-    which calls the series by its `name`. ``octave`` and ``decade`` end at `drawn`, beyond which a value has
-    some 2 degrees of freedom or fewer. Both are at least 1.
+    of period `tau0` in s; others are a ValueError. `largest` is the estimator's largest factor and limits
+    ``all`` and lists. A listed time beyond it, or shorter than a sample, is a DataError that contains `name`.
+    ``octave`` and ``decade`` end at `drawn`, beyond which a value has about 2 degrees of freedom or fewer.
+    Both limits are at least 1.
     """
     if not isinstance(taus, str):
         return _from_seconds(taus, tau0=tau0, largest=largest, name=name)

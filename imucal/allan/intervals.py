@@ -1,26 +1,26 @@
 """Equivalent degrees of freedom of every value of a curve, by one of three methods.
 
 hybrid
-    Of the spectrum itself where the averaging time is short, of the generic model that fits it
-    best where it is long, both corrected for heavy tails. The default.
+    From the spectrum itself at short averaging times, from the best-fitting generic model at long ones,
+    both corrected for heavy tails. The default.
 model
-    Of the generic model at every averaging time.
+    From the generic model at every averaging time.
 greenhall
-    Of the power law that the lag-1 autocorrelation names at each averaging time, as Stable32 prints
-    them. On few averages it often names the wrong law, which costs 10 to 15 % of coverage.
+    From the power law that the lag-1 autocorrelation identifies at each averaging time, as in Stable32.
+    With few averages it often identifies the wrong law, which costs 10 to 15 % of coverage.
 
-The generic model is the four power laws and a drift that best describe a spectrum. It need not be true:
-the intervals of a curve only need the local shape of the spectrum. Its degrees of freedom are exact. A
-variance is the mean square of M differences d_t. For Gaussian noise
+The generic model is the sum of the four power laws and a drift that best fits a spectrum. It need not be
+the true model: the intervals of a curve depend only on the local shape of the spectrum. The degrees of
+freedom under the model are exact. A variance is the mean square of M differences d_t. For Gaussian noise
 
     Var = (2/M) Σ_{|k|<M} (1 - |k|/M) s(k)² + (4 µ²/M) Σ (1 - |k|/M) s(k),   EDF = 2 (s(0) + µ²)² / Var
 
-where s(k) is the autocovariance of d_t and µ its mean (a drift's). With V(n) the generalised
+where s(k) is the autocovariance of d_t and µ its mean (from a drift). Let V(n) be the generalised
 variance of the sum of n samples (`imucal.powerlaw`) and a_j the autocorrelation of the
-difference's coefficients, s(k) = -½ Σ_j a_j V(k + j m) / scale.
+difference's coefficients. Then s(k) = -½ Σ_j a_j V(k + j m) / scale.
 
 Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite
-differences", PTTI 35, eqs. 6-10; the power laws' V(n) in place of their continuous limit.
+differences", PTTI 35, eqs. 6-10; the power laws' V(n) replaces their continuous limit.
 """
 
 from collections.abc import Sequence
@@ -46,36 +46,36 @@ from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 from imucal.solvers import non_negative
 
-#: Up to so many lags are summed one by one; beyond, on a graded grid.
+#: Up to this many lags are summed one by one; more are summed on a graded grid.
 _ALL_LAGS = 1024
-#: Lags that stand alone about each kink, and points per octave beyond them.
+#: Lags kept one by one around each kink, and points per octave beyond them.
 _DENSE, _PER_OCTAVE = 24, 16
-#: Flicker's covariance dies like k^-4; this many averaging times hold all but 1e-6 of its squares.
+#: Flicker's covariance falls as k^-4; this many averaging times contain all but 1e-6 of its squares.
 _FAR = 32
-#: The twice integrated estimator is evaluated at most at this factor; its covariance then is scaled.
+#: The modified estimator is evaluated up to this factor; for larger factors its covariance is scaled.
 _MODIFIED_LIMIT = 32
-#: Slope of the modified variance over log m, by law, where m is large.
+#: Slope of the modified variance in log m, by law, for large m.
 _MODIFIED_SLOPES: dict[PowerLaw, float] = {
     PowerLaw.QUANTIZATION: -3,
     PowerLaw.WHITE: -1,
     PowerLaw.FLICKER: 0,
     PowerLaw.WALK: 1,
 }
-#: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
+#: Above this ordinate a drift contributes less than 1e-6 of its squares.
 _DRIFT_ORDINATES = 128
-#: Twice the log likelihood that a drift must gain: the 95 % quantile of chi-squared with 1 dof.
+#: A drift must raise twice the log likelihood by this: the 95 % quantile of chi-squared with 1 dof.
 _DRIFT_GAIN = 3.84
-#: Rounds of Fisher scoring, and of the updates that give its start.
+#: Rounds of Fisher scoring, and of the updates that compute its starting point.
 _ROUNDS, _UPDATES = 30, 20
-#: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
+#: Up to n divided by this, the passband contains enough ordinates to need no model.
 _CROSSOVER = 256
-#: The kurtosis of a difference of two independent values is half of each one's.
+#: A difference of two independent values has half the excess kurtosis of one value.
 _HALVED = 2.0
-#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
+#: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
 LIGHTEST = -1.2
-#: Fewer averages than this name no power law; the one named at the averaging time before stays.
+#: With fewer averages than this, the law of the previous averaging time is kept.
 _FEWEST = 30
-#: Largest exponent p of f^p that each law stands for, rising; what is flatter is quantization.
+#: Largest exponent p of f^p of each law, increasing; larger exponents are quantization.
 _EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
 #: Elements of a work array.
 _BLOCK = 32768
@@ -85,7 +85,7 @@ EDF_METHODS = ("hybrid", "model", "greenhall")
 
 @frozen
 class GenericModel:
-    """A sum of the four power laws, by the variance parameter of each in U², and a drift per sample, in U."""
+    """A sum of the four power laws, with the variance of each in U², and a drift per sample, in U."""
 
     variances: tuple[float, ...]
     drift: float = 0.0
@@ -94,16 +94,16 @@ class GenericModel:
 def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *, stride: int = 1) -> float:
     """Return the equivalent degrees of freedom of one value, at least 1.
 
-    The samples are taken to be the `model`, whose scale does not matter; `terms` is the number M of
-    differences that are averaged, `stride` the samples between neighbouring ones of an overlapping estimator,
-    a divisor of the averaging factor `m`. For estimators of one integration the relative error of the graded
-    sum is below 1e-3 (tested against the sum over all lags). The modified estimator above m = 32 uses the
-    shape of its covariance at m = 32. Cost some 0.2 ms.
+    The scale of `model` does not matter. `terms` is the number M of averaged differences. `stride` is the
+    step in samples between the differences of an overlapping estimator, a divisor of the averaging factor
+    `m`. For estimators of one integration the graded sum has a relative error below 1e-3 (tested against the
+    sum over all lags). The modified estimator above m = 32 uses the shape of its covariance at m = 32. Takes
+    about 0.2 ms.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
         variances = np.array([0.0, 1.0, 0.0, 0.0])
-    # A drift gives a second difference a mean; a third sees none.
+    # A drift adds a mean to a second difference, not to a third.
     mean_square = (model.drift * m) ** 2 / 2 if estimator.order - estimator.integrations == 1 else 0.0
     if estimator.integrations == 2 and m > _MODIFIED_LIMIT:
         ratio = m / _MODIFIED_LIMIT
@@ -130,8 +130,8 @@ def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatA
 def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
     """Return lags from 0 to `last` and the weights that sum a smooth even function over them.
 
-    Every lag stands alone about the kinks 0, m, … order m; between, points thin out and the
-    trapezoid rule carries the lags they stand for.
+    Every lag is kept near the kinks 0, m, … order m. Between them the grid is sparse, and the
+    trapezoid rule gives each point the weight of the lags around it.
     """
     steps = last // stride
     lags = np.arange(steps + 1)
@@ -144,7 +144,7 @@ def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, F
 
 
 def trapezoid_weights(lags: IntArray) -> FloatArray:
-    """Return the weights that turn values at rising `lags`, shape (l,), into a sum over all between."""
+    """Return weights, so that weighted values at increasing `lags`, shape (l,), sum over all lags between."""
     weight = np.ones(lags.size)
     skipped = (np.diff(lags) - 1) / 2
     weight[:-1] += skipped
@@ -153,10 +153,10 @@ def trapezoid_weights(lags: IntArray) -> FloatArray:
 
 
 def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave: int) -> IntArray:
-    """Return distinct lags from `low` to `high`: all that are `dense` about rising kinks, fewer beyond.
+    """Return distinct lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond.
 
-    That is ever sparser, `per_octave`, up to half way to the next kink, whose own lags go on from there; and
-    129 between the first kink and the last.
+    Beyond, there are `per_octave` up to half way to the next kink, and 129 between the first kink and the
+    last.
     """
     octaves = max(np.log2((high - low) / dense), 0.0)
     out = np.round(dense * 2.0 ** (np.arange(int(octaves * per_octave) + 1) / per_octave))
@@ -169,7 +169,7 @@ def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave:
 
 
 def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
-    """Return s(k); beyond the reach of the difference only flicker's is not zero."""
+    """Return s(k); beyond the length of the difference only flicker's is not zero."""
     difference = np.array([1.0])
     for _ in range(estimator.order + 1 - estimator.integrations):
         difference = np.convolve(difference, [1.0, -1.0])
@@ -180,7 +180,7 @@ def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> F
         if estimator.integrations == 1:
             total += coefficient * law.sum_variance(shifted)
         else:
-            # V(n) summed with the triangle of a sum of m neighbours.
+            # V(n) weighted by the triangle that a sum of m neighbours gives.
             total += coefficient * (law.sum_variance(shifted[:, None] + steps) @ (m - np.abs(steps)))
     covariance = np.zeros(k.shape)
     covariance[inside] = -0.5 * total / estimator.scale(m)
@@ -190,11 +190,11 @@ def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> F
 def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
     """Return the maximum-likelihood generic model of DCT-II ordinates.
 
-    Of the `ordinates` from k = 1 on, shape (j,), the lowest show the drift; `power` are the sums of their
-    squares, shape (b,), in `bins`. The model is scored bin by bin as -log L = ½ Σ (n_b log S_b + P_b / S_b).
-    The drift is kept only where it gains 3.84 in 2 log L.
+    The lowest `ordinates`, from k = 1, shape (j,), determine the drift. `power` contains the sums of squared
+    ordinates in `bins`, shape (b,). Each bin adds to the score -log L = ½ Σ (n_b log S_b + P_b / S_b).
+    The drift is kept only if 2 log L increases by 3.84.
 
-    Source: Whittle (1953), with the exact E[X_k²] of the DCT-II in place of the psd.
+    Source: Whittle (1953), with the exact E[X_k²] of the DCT-II instead of the psd.
     """
     count = bins.count.astype(np.float64)
     basis = np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in PowerLaw])
@@ -217,9 +217,9 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
 
 
 def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:
-    """Return the generic model nearest to a curve, where there is no spectrum to fit.
+    """Return the generic model nearest to a curve, used if there is no spectrum to fit.
 
-    `m` and `avar`, shape (k,), are the curve, `weight`, shape (k,), rough degrees of freedom of each value.
+    `m` and `avar`, shape (k,), are the curve; `weight`, shape (k,), approximate degrees of freedom.
     """
     good = avar > 0
     basis = np.array([law.avar(m[good].astype(np.float64)) for law in PowerLaw])
@@ -232,7 +232,7 @@ def _fit(
 ) -> tuple[FloatArray, float]:
     """Minimise the score over non-negative variances by iterated weighted least squares.
 
-    The weights are those of Fisher scoring; a step is halved until the score falls.
+    Uses the weights of Fisher scoring; halves a step until the score decreases.
     """
     level = power / count
     floor = float(level.sum()) * 1e-30
@@ -259,7 +259,7 @@ def _fit(
 
 
 def _start(basis: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
-    """Return a start by multiplicative updates, which keep variances positive and never diverge."""
+    """Return a starting point by multiplicative updates, which keep variances positive and never diverge."""
     variances = np.array([np.quantile(level / law, 0.25) for law in basis]) / len(basis)
     variances += np.array([float((level * count).sum() / (law * count).sum()) for law in basis]) * 1e-6
     for _ in range(_UPDATES):
@@ -284,8 +284,8 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
 def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:
     """Return the equivalent degrees of freedom of each value of a curve, shape (k,), each at least 1.
 
-    Of evenly spaced finite `samples`, shape (n,), at averaging factors `m`, shape (k,), within the
-    estimator's reach. The method is ``hybrid``, ``model`` or ``greenhall``; another is a ValueError.
+    `samples`, shape (n,), are evenly spaced and finite; averaging factors `m`, shape (k,), are in the
+    estimator's range. The method is ``hybrid``, ``model`` or ``greenhall``; another is a ValueError.
 
     Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
     """
@@ -293,7 +293,7 @@ def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, m
     terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
     if method == "greenhall":
         return _greenhall(samples, m, terms, estimator)
-    # As many samples as are quick to transform.
+    # Drop a few samples if that makes the transform fast.
     used = max(fast_length(samples.size), 2)
     bins, ordinates = dct_bins(used), dct_ordinates(samples[:used])
     power, edf = bin_power(ordinates, bins), np.empty(m.size)
@@ -319,7 +319,7 @@ def _require_method(name: str) -> None:
 
 
 def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
-    """Return the power law that the averages of `m` neighbouring samples follow, for each factor.
+    """Return the power law of the averages of `m` neighbouring samples, for each factor.
 
     Source: Riley & Greenhall (2004), "Power law noise identification using the lag 1
     autocorrelation", EFTF 18, eqs. 5-10.
@@ -337,7 +337,7 @@ def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
 
 
 def _exponent(values: FloatArray, differences: int = 0) -> float:
-    """Return the exponent of the spectrum of `values`, differencing them until they are stationary."""
+    """Return the spectral exponent of `values`, differencing them until they are stationary."""
     centred = values - values.mean()
     square = sum_of_squares(centred)
     lag_one = float((centred[1:] * centred[:-1]).sum()) / square if square > 0 else 0.0
@@ -358,13 +358,13 @@ def _of_models(
 def spectral_edf(
     power: FloatArray, bins: DctBins, m: IntArray, terms: FloatArray, estimator: Estimator
 ) -> FloatArray:
-    """Return the degrees of freedom that the spectrum itself gives, without a model.
+    """Return the degrees of freedom from the spectrum itself, without a model.
 
-    With G the spectrum of the differences, EDF = M (mean G)² / mean G². The squared power of a bin
-    of n_b ordinates is too large by 1 + 2/n_b on average, which is taken out.
+    With G the spectrum of the differences, EDF = M (mean G)² / mean G². On average the squared power of a
+    bin of n_b ordinates is too large by the factor 1 + 2/n_b, which is divided out.
 
-    `power` are the sums of squared DCT-II ordinates of `bins`, shape (b,), `m` and `terms` the averaging
-    factors and the number M of differences of each, shape (k,), of an overlapping estimator.
+    `power` contains the sums of squared DCT-II ordinates of `bins`, shape (b,). `m` and `terms`, shape (k,),
+    are the averaging factors and numbers M of differences of an overlapping estimator.
     """
     count = bins.count.astype(np.float64)
     level = power / count
@@ -381,10 +381,10 @@ def spectral_edf(
 def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
     """Return an estimator's response H and its square, averaged over each bin, shape (b,).
 
-    The variance is the mean of H S over all angular frequencies, S the spectrum per sample; for
-    the Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². Where a bin is wider than a ripple, the
-    ripple's mean takes its place: the mean of (2 sin)^(2j) is the central binomial coefficient of j.
-    Axes of one length share them; both are read-only.
+    The variance is the mean of H S over all angular frequencies, with S the spectrum per sample. For
+    the Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². In bins wider than a ripple the ripple is
+    replaced by its mean: the mean of (2 sin)^(2j) is the central binomial coefficient of j.
+    The read-only result is cached for axes of one length.
 
     Source: NIST SP 1065 (2008), eq. 65, for sampled data.
     """
@@ -398,9 +398,9 @@ def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatAr
 
 
 def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
-    """Return the excess kurtosis of the differences of neighbouring samples; 0 where they are constant.
+    """Return the excess kurtosis of the differences of neighbouring samples; 0 if they are constant.
 
-    `neighbours`, shape (n-1,), says which samples are followed by their neighbour; None for all.
+    `neighbours`, shape (n-1,), is True where no sample is missing before the next one; None if none is.
     """
     if samples.size < 3:
         return 0.0
@@ -433,7 +433,7 @@ def less_for_heavy_tails(
 ) -> FloatArray:
     """Return fewer degrees of freedom for tails heavier than a Gaussian's, more for lighter ones.
 
-    Var gains kappa/n where windows are not too few; `neighbours` as in `excess_kurtosis`.
+    Var increases by kappa/n if there are enough windows; `neighbours` as in `excess_kurtosis`.
     """
     kappa = max(_HALVED * excess_kurtosis(samples, neighbours), LIGHTEST)
     independent = samples.size - estimator.order * m + 1.0
@@ -446,9 +446,9 @@ def gappy_degrees_of_freedom(
 ) -> FloatArray:
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
-    There is no spectrum of a series with gaps to go by: ``hybrid`` and ``model`` take the generic model
-    nearest to the curve, with as many differences as there are windows, less for what was taken out of their
-    mean square. Another method is a ValueError.
+    A series with gaps has no spectrum, so ``hybrid`` and ``model`` use the generic model nearest to the
+    curve. Its differences are as many as the windows; the degrees of freedom are reduced for the part of
+    the mean square that was subtracted. Another method is a ValueError.
     """
     _require_method(method)
     if method == "greenhall":

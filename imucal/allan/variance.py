@@ -1,9 +1,8 @@
 """Variances of any estimator: exact, in cache-sized passes without full-length temporaries, and with gaps.
 
-Small factors are served block by block, all factors while a block is in the cache; each block is
-integrated on its own, because a difference of second order or more does not see the offset and
-the slope that this leaves out. Large factors walk over the whole integral in columns, so that
-each chunk is read once a step.
+Small factors are computed block by block, all factors while a block is in the cache. Each block is
+integrated separately: a difference of second order or more cancels the missing offset and slope. Large
+factors use the whole integral column by column, so that each chunk is read once per step.
 
 Each estimator is the mean square of a difference of the integrated samples.
 With x the sum of the samples (the angle, for a gyroscope) and z the sum of x:
@@ -18,20 +17,20 @@ hadamard        x[t+3m] - 3 x[t+2m] + 3 x[t+m] - x[t], every t       6 m²
 Source: NIST SP 1065 (2008), eqs. 9, 11, 15 (modified: its inner sum of m second differences of
 x is a third difference of z), 22 (overlapping Hadamard).
 
-Where samples are missing, nothing is ever interpolated:
+Missing samples are never interpolated:
 
 windows
-    For ``overlapping``: the means of two neighbouring windows of what is there, each at least half
-    as filled as the whole series, less what the losses add. A mean of C of m samples scatters more
-    than one of all m, by (1/C - 1/m) S² for losses at random, S² the variance inside windows: with
-    10 % lost, white noise would read 11 % too high. Where losses come in bursts, S² weighs the
-    covariance inside windows with the correlation of the pattern of losses.
+    For ``overlapping``: differences of the means of two neighbouring windows, each at least half as
+    filled as the whole series, minus the effect of the losses. A mean of C of m samples has a variance
+    larger by (1/C - 1/m) S² than a mean of all m, for random losses, with S² the variance inside windows:
+    if 10 % is lost, white noise would read 11 % too high. For bursts of losses, S² weights the covariance
+    inside windows with the autocorrelation of the losses.
 runs
     For the other estimators: complete differences inside unbroken runs.
 
 Source: the finite-population correction, Cochran (1977), Sampling Techniques, ch. 2. The estimator
-from all pairs of samples (Mondal & Percival, 2010, Ann. Inst. Stat. Math. 62) is unbiased as well,
-but where white noise rules at long averaging times it scatters up to four times as much.
+from all pairs of samples (Mondal & Percival, 2010, Ann. Inst. Stat. Math. 62) is also unbiased, but its
+scatter is up to four times as large at long averaging times dominated by white noise.
 """
 
 from bisect import bisect_left, bisect_right
@@ -49,30 +48,30 @@ from imucal.recording import AxisSeries
 
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
 _BLOCK = 32768
-#: Factors up to this are served block by block.
+#: Factors up to this are computed block by block.
 _SMALL = 8192
-#: Row of a sum of squares. OpenBLAS hands a dot product of more than 10,000 elements to its
-#: threads, which stall when others want the processors: up to 50 times slower.
+#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which
+#: are up to 50 times slower while other programs use the processors.
 _ROW = 8192
-#: Windows of m that are looked into may begin this far apart, times m over the square of what they are worth,
-#: but at most so many places; and a quarter of a window where that leaves so many of them.
+#: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4
+#: if that leaves at least the third number of windows.
 _FAR, _FARTHEST, _FEWEST_INSIDE = 3e-4, 64, 1 << 18
-#: Runs of so many samples are worth the way that a series without losses goes.
+#: Runs of at least this many samples use the faster method for series without losses.
 _LONG = 8 * _ROW
-#: The pattern of losses is followed for so many mean gaps, and at most so many samples.
+#: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
 _MEAN_GAPS, _LONGEST = 4, 256
-#: Places of the grid that one FFT takes when the pattern is correlated.
+#: Places of the grid per FFT of the loss pattern.
 _CHUNK = 1 << 17
-#: So many chunks tell what neighbours differ by.
+#: Number of chunks that are enough to estimate the structure function of the samples.
 _ENOUGH = 16
 
 
 @frozen
 class Estimator:
-    """One estimator of a deviation, by its `name` in `ESTIMATORS`.
+    """One estimator of a deviation, with its `name` in `ESTIMATORS`.
 
-    The samples are summed once (x) or twice (z), and a difference of some order is taken, from every start
-    point if `overlapping`, or from every m-th. The variance is divided by `weight`, the sum of its squared
+    The samples are summed once (x) or twice (z). Differences of the given order start at every point if
+    `overlapping`, at every m-th if not. The variance is divided by `weight`, the sum of the squared
     coefficients.
     """
 
@@ -93,11 +92,11 @@ class Estimator:
         return max((n + self.integrations - 1) // self.order, 0)
 
     def drawn(self, n: int) -> int:
-        """Return the largest factor of a named set: half the largest, where some 2 to 4 dof are left."""
+        """Return the largest factor of a named set: half the largest, which leaves about 2 to 4 dof."""
         return max(self.largest(n) // 2, 1)
 
     def scale(self, m: int) -> float:
-        """Return what the mean square of the differences is divided by."""
+        """Return the divisor of the mean square of the differences."""
         return float(self.weight) * float(m) ** (2 * self.integrations)
 
 
@@ -114,7 +113,7 @@ ESTIMATORS: dict[str, Estimator] = {
 
 
 def estimator_named(name: str) -> Estimator:
-    """Return the estimator called `name`; a ValueError says which there are."""
+    """Return the estimator called `name`; an unknown name is a ValueError that lists the names."""
     if name not in ESTIMATORS:
         raise ArgumentError(f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}")
     return ESTIMATORS[name]
@@ -124,16 +123,16 @@ def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
     """Return the variances of an evenly spaced series, shape (k,), in U².
 
     The samples, shape (n,), are finite, in any unit U. Averaging factors `m`, shape (k,), are from 1 to
-    ``estimator.largest(n)``: others are a ValueError. O(n) per factor; memory one full-length array where a
-    factor is above 8192, else a few blocks. The relative error stays below 1e-12 up to 1e8 samples on a mean
-    of a million deviations.
+    ``estimator.largest(n)``; others are a ValueError. O(n) per factor. Memory: one full-length array if a
+    factor is above 8192, a few blocks if not. The relative error stays below 1e-12 up to 1e8 samples with a
+    mean of a million deviations.
     """
     divisors = [estimator.scale(mi) * estimator.terms(samples.size, mi) for mi in m.tolist()]
     return square_sums(samples, m, estimator) / np.array(divisors, dtype=np.float64).reshape(m.shape)
 
 
 def square_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    """Return the sums of the squared differences, before scaling; as `variances` otherwise."""
+    """Return the unscaled sums of the squared differences; arguments as in `variances`."""
     largest = estimator.largest(samples.size)
     if m.size and not (m.min() >= 1 and m.max() <= largest):
         msg = (
@@ -161,9 +160,9 @@ def sum_of_squares(values: FloatArray) -> float:
 
 
 class SquareSum:
-    """The sum of squares of what is written to a work array, block after block.
+    """The sum of squares of a work array that is refilled block after block.
 
-    It is kept row by row until the end, which saves a reduction a block.
+    Rows are summed separately until the end, which saves a reduction per block.
     """
 
     def __init__(self, work: FloatArray) -> None:
@@ -190,12 +189,12 @@ class SquareSum:
 
 
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
-    """Return the samples, their mean removed, summed once or twice from 0; shape (n + integrations,)."""
+    """Return the samples minus their mean, summed once or twice from 0; shape (n + integrations,)."""
     mean = samples.mean()
     total = aligned(samples.size + integrations)
     total[:integrations] = 0.0
     last = [0.0] * integrations
-    # One work array for all blocks: fresh ones cost a page fault for every 512 samples.
+    # Reuse one work array: a new one costs a page fault for every 512 samples.
     work = aligned(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
         block = samples[start : start + _BLOCK]
@@ -209,7 +208,7 @@ def _integral(samples: FloatArray, integrations: int) -> FloatArray:
 
 
 def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    """Sum the squared differences, blocks outer, factors inner."""
+    """Sum the squared differences: outer loop over blocks, inner loop over factors."""
     order, depth = estimator.order, estimator.integrations
     factors: list[int] = m.tolist()
     reach = order * max(factors)
@@ -220,7 +219,7 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     integral = aligned(min(_BLOCK + reach, end))
     for start in range(0, end - order * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
-        # The block's own integral, started at 0 with the block's mean removed.
+        # The integral of the block alone, from 0, with the block's mean removed.
         block, local = samples[start : stop - depth], integral[: stop - start]
         local[:depth] = 0.0
         part = np.subtract(block, block.mean() if block.size else 0.0, out=local[depth:])
@@ -243,9 +242,9 @@ def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatA
 
 
 def _column_sum(total: FloatArray, m: int, order: int) -> float:
-    """Return the sum of squared differences, walking each column of starts in steps of m.
+    """Return the sum of squared differences, over columns of start points in steps of m.
 
-    A step needs one new chunk of the integral: the lower differences are kept from the step before.
+    A step needs one new chunk of the integral: the lower differences are kept from the previous step.
     """
     count = total.size - order * m
     work = aligned(_BLOCK)
@@ -268,10 +267,10 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
 
 @frozen_alone
 class GappyVariances:
-    """Variances at the averaging factors `m` that the data could give, shape (k,) each, all positive, in U².
+    """Variances at the averaging factors `m` that the data allow, shape (k,) each, all positive, in U².
 
-    `terms` is the number of differences behind each, `inflation` the mean square before what the losses add
-    was taken out, over `avar`.
+    `terms` is the number of differences of each; `inflation` is the uncorrected mean square divided by
+    `avar`.
     """
 
     m: IntArray
@@ -288,9 +287,9 @@ def longest_run(clock: Clock) -> int:
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     """Return overlapping variances from windows that are at least half as filled as the whole series.
 
-    A value that is not positive after the losses' part is taken out is left out. Cost that of a series
-    without losses inside long runs, elsewhere some 3 ns per place of the grid and factor, 10 where losses are
-    many; memory three full-length arrays.
+    A value that is not positive after the correction is left out. Long runs take as long as a series without
+    losses; the rest about 3 ns per place of the grid and factor, 10 if losses are many. Memory: three
+    full-length arrays.
     """
     correlation, structure = _pattern(series)
     integrals, squares = _integrals(series)
@@ -311,7 +310,7 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
         raw[i] += differences
         if lost:
             inside = _inside(integrals, squares, factor, lost * factor / counts[i] / 2)
-            # S²: the covariance inside windows of m, weighted by the correlation of losses.
+            # S²: the covariance inside windows of m, weighted by the autocorrelation of losses.
             lag = np.arange(min(correlation.size, factor))
             weight = np.where(lag > 0, 2.0, 1.0) * (1 - lag / factor) * correlation[: lag.size]
             added[i] = lost * float(weight @ (inside - structure[: lag.size] / 2))
@@ -320,7 +319,7 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
 
 
 def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> GappyVariances:
-    """Return variances of any estimator from the differences that lie inside unbroken runs."""
+    """Return variances of any estimator from the differences inside unbroken runs."""
     sums, counts = np.zeros(m.size), np.zeros(m.size)
     for start, stop, *_ in runs_of(series.clock):
         fits = m <= estimator.largest(stop - start)
@@ -333,7 +332,7 @@ def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> Gapp
 
 
 def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray) -> GappyVariances:
-    """Leave out what has no difference or came out negative; a constant series is zero throughout."""
+    """Keep values with a difference that are positive; a constant series is zero throughout."""
     keep = (terms >= 1) & ((avar > 0) | (raw == 0))
     m, avar, terms, raw = m[keep], avar[keep], terms[keep], raw[keep]
     inflation = np.divide(raw, avar, out=np.ones(m.size), where=avar > 0)
@@ -341,7 +340,7 @@ def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray)
 
 
 class Run(NamedTuple):
-    """A run of samples from `start` to before `stop`, at places of the grid from `first` to before `end`."""
+    """Samples `start` to `stop` (exclusive), at places `first` to `end` (exclusive) of the grid."""
 
     start: int
     stop: int
@@ -350,7 +349,7 @@ class Run(NamedTuple):
 
 
 def runs_of(clock: Clock, *, bridging: int = 0) -> list[Run]:
-    """Return the runs without a gap of more than `bridging` samples; places count from the first sample's."""
+    """Return the runs without a gap above `bridging` samples; the first sample is at place 0."""
     runs: list[Run] = []
     for segment in clock.segments:
         first = segment.offset - clock.segments[0].offset
@@ -362,10 +361,10 @@ def runs_of(clock: Clock, *, bridging: int = 0) -> list[Run]:
 
 
 def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
-    """Return what windows on the even grid are made of.
+    """Return running sums from which the sums over any window of the even grid follow.
 
-    Running sums of the samples less their mean and of their number, shape (2, grid + 1), and of their
-    squares, shape (grid + 1,).
+    The first array, shape (2, grid + 1), sums the samples minus their mean and their number. The second,
+    shape (grid + 1,), sums the squares.
     """
     clock, mean = series.clock, float(series.samples.mean())
     sums = np.zeros((2, clock.grid_size + 1))
@@ -377,15 +376,15 @@ def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
 
 
 def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) -> float:
-    """Return the variance of samples about their means in windows of `m` places, 0 where there is none.
+    """Return the variance of samples about their means in windows of `m` places, 0 if there is none.
 
-    It is `worth` so much of the result, whose interval is 2 (3 m / 2n)^(1/2) of it at least. Windows begin so
-    far apart that what that costs is a hundredth of it, and of long series up to a quarter of a window: those
-    between see what these see already.
+    `worth` is its weight in the result. The result's relative interval is at least 2 (3 m / 2n)^(1/2). The
+    spacing of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because
+    windows in between contain almost the same samples.
     """
     apart = max(min(m // 4, squares.size // _FEWEST_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
     within, freedom = 0.0, 0.0
-    # Windows far from the ends are the first of a pair, and the second of another.
+    # Windows far from the ends belong to two pairs.
     last = squares.size - 2 * m
     ends = [0, min(m, last), max(m, last), last + m]
     for first, stop, times in zip(ends, ends[1:], (1, 2 * (m < last), 1), strict=False):
@@ -401,11 +400,11 @@ def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) ->
 def _pairs(
     integrals: FloatArray, edges: list[int], m: int, fewest: float, done: list[tuple[int, int]]
 ) -> tuple[int, float, float]:
-    """Return sums over pairs of neighbouring windows of `m` places, each with C samples, `fewest` or more.
+    """Return sums over pairs of neighbouring windows of `m` places with `fewest` or more samples each.
 
-    That is their number, the squared differences of means, and 1/C - 1/m of both. `edges` are the places
-    where runs of samples begin and end: far from them all windows hold equally many. `done` are stretches of
-    first places that are counted already.
+    The sums are the number of pairs, the squared differences of means, and 1/C - 1/m of both windows with C
+    samples. `edges` are the places where runs begin and end; far from them all windows are equally filled.
+    `done` are ranges of first places that are already counted.
     """
     total, filled = integrals
     count, squares, lost, last = 0, 0.0, 0.0, total.size - 2 * m
@@ -440,7 +439,7 @@ def _pairs(
 
 
 def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool:
-    """Say whether the number of samples so far grows by the same step at all of several runs of places."""
+    """Return whether the running number of samples grows by the same step over all `points`."""
     steps = {filled.item(at.stop - 1) - filled.item(at.start) for at in points}
     return len(steps) == 1 and not any(
         bisect_right(edges, at.start) < bisect_left(edges, at.stop - 1) for at in points
@@ -448,13 +447,13 @@ def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool
 
 
 def _pattern(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
-    """Return the autocorrelation of losses and D(k) of the samples, from lag 0, (j,): by FFTs of chunks."""
+    """Return the autocorrelation of losses and the structure function, from lag 0, (j,): FFTs of chunks."""
     clock = series.clock
     mean_gap = clock.missing / max(len(clock.gaps), 1)
     lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
     mean = float(series.samples.mean())
     pairs, squares, seen, possible = np.zeros((4, lags))
-    # The structure of the samples is known well from a few of many chunks; how losses cluster is counted.
+    # A few chunks determine the structure function; the loss pattern needs all of them.
     every = -(-clock.grid_size // (_ENOUGH * _CHUNK))
     for number, start in enumerate(range(0, clock.grid_size, _CHUNK)):
         size = min(_CHUNK, clock.grid_size - start)

@@ -1,4 +1,4 @@
-"""The mathematics of noise: what can explain a curve."""
+"""Noise models: the terms that can explain an Allan curve, and their formulas."""
 
 from imucal.noise.model import NoiseModel, parse_structure, structure_text
 from imucal.noise.term import NoiseTerm, Stroke

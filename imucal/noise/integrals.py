@@ -6,14 +6,14 @@ For a process y sampled at tau0 and averaging factor m,
             = sum over k = 1 … 2m-1 of w_k (r_0 - r_k) / m^2,   w_k = (2m - k) - 4 max(m - k, 0)
 
 with the two-sided psd S of the *samples* and their autocovariance r. For a rate in continuous time,
-averaged over tau = m tau0, the first becomes
+averaged over tau = m tau0, the first equation becomes
 
     avar(tau) = 2 * integral from 0 to infinity of S(f) 2 sin^4(pi f tau) / (pi f tau)^2 df.
 
 Source: Guerrier, Molinari, Stebler: Allan variance, lemmas 4.1 and 4.2; IEEE Std 952-1997, eq. (C.4).
 
-The integral is taken octave by octave, where sin^4 turns often as integrals against cosines, whose cost
-does not grow with m; towards 0 (and infinity) until what is left is a geometric tail.
+The integral is computed octave by octave, towards 0 (and infinity) until the rest is a geometric tail.
+If sin^4 has many periods in an octave, it is integrated as cosines, at a cost that does not grow with m.
 """
 
 import math
@@ -33,14 +33,14 @@ from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
 from imucal.frozen import frozen_alone
 
-#: A psd of frequencies in Hz, shape (k,); or frequencies that rise, and the psd there.
+#: A psd as a function of frequencies in Hz, shape (k,); or increasing frequencies and the psd there.
 Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
 
 
 def _function_of_points(
     frequency: ArrayLike, density: ArrayLike
 ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-    """Return the function that runs straight on logarithmic axes between points, and the points."""
+    """Return the function that is linear on logarithmic axes between points, and the points."""
     f, s = np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)
     if f.ndim != 1 or f.shape != s.shape or not f.size:
         raise ArgumentError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
@@ -55,19 +55,19 @@ def _function_of_points(
     return (lambda at: np.exp(np.interp(np.log(at), x, y))), f
 
 
-#: Octaves beyond the band of the shortest and longest averages, at most.
+#: Maximum number of octaves in a tail.
 _FURTHEST = 448
-#: A tail whose octaves shrink by less than this goes on for ever.
+#: A tail diverges if its octaves do not shrink by at least this factor.
 _DIVERGENT = 1 - 1e-6
-#: Part of the whole below which a tail is of no interest.
+#: A tail ends if its last octave is below this fraction of the whole.
 _NEGLIGIBLE = 1e-14
-#: A phase of sin^4 that grows by less in a piece is integrated as it is.
+#: If the phase of sin^4 grows by less than this in a piece, the piece is integrated without cosines.
 _CALM = 4.0
-#: Relative error that is asked for, the largest that is taken, and how many times a piece is halved for it.
+#: Relative error requested, largest relative error accepted, and largest number of subdivisions of a piece.
 _WANTED, _WORST, _HALVINGS = 1e-11, 1e-6, 200
 
 
-#: Distances from a break, over its frequency, between which the psd is integrated by itself.
+#: Pieces around a break end at these distances, relative to its frequency.
 _CLOSER = 0.5 ** np.arange(1, 31)
 
 
@@ -77,9 +77,9 @@ class _InfiniteError(ValueError):
 
 @frozen_alone
 class _PsdIntegral:
-    """2 * integral of density * kernel at one m, in cycles a sample.
+    """2 * integral of density * kernel at one m, in cycles per sample.
 
-    `tau0` is for messages, `errors` are those of the pieces and where these begin.
+    `tau0` is used in messages; `errors` collects the error and start of each piece.
     """
 
     density: Callable[[float], float]
@@ -90,8 +90,8 @@ class _PsdIntegral:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
     def total(self) -> float:
-        """Return the integral: octaves, and beyond them a tail towards 0 (and infinity)."""
-        # Between them lie the frequencies that averages of this length look at.
+        """Return the integral: the main octaves, and the tail towards 0 (and infinity)."""
+        # Averages of this length depend mostly on the frequencies between these limits.
         high = 0.5 if self.sampled else 8.0
         low = 2.0 ** -(math.ceil(math.log2(self.m)) + 5)
         total = sum(self._octave(low * 2.0**i) for i in range(round(math.log2(high / low))))
@@ -105,14 +105,14 @@ class _PsdIntegral:
         return total
 
     def _tail(self, edge: float, ratio: float, total: float) -> float:
-        """Return the sum over the octaves that follow each other from `edge` without end."""
+        """Return the sum over all octaves from `edge` on."""
         parts: list[float] = []
         with suppress(_InfiniteError):
             for i in range(_FURTHEST):
                 parts.append(self._octave(edge * ratio**i))
                 if parts[-1] <= _NEGLIGIBLE * (total + sum(parts)):
                     return sum(parts)
-        # What is left falls by a steady factor an octave, or does not.
+        # The rest is a geometric series, or diverges.
         fall = (sum(parts[-4:]) / sum(parts[-8:-4])) ** 0.25 if len(parts) >= 8 else 1.0
         if not fall < _DIVERGENT:
             where, steep = ("0", "1/f^3") if ratio < 1 else ("infinity", "f")
@@ -128,7 +128,7 @@ class _PsdIntegral:
         return sum(self._piece(a, b) for a, b in pairwise([low, *inside, 2 * low]))
 
     def _piece(self, low: float, high: float) -> float:
-        """Return the integral over a piece; with sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 where that turns."""
+        """Return the integral over a piece; uses sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 for many periods."""
         if math.pi * self.m * (high - low) < _CALM:
             return self._quad(self._whole, low, high)
         mean = self._quad(self._smooth, low, high)
@@ -146,7 +146,7 @@ class _PsdIntegral:
         omega: float = 0.0,
         size: float = 0.0,
     ) -> float:
-        """Return the integral of a function, times a cosine where `omega`; its error is beside `size`."""
+        """Return the integral of a function, times a cosine if `omega`, to an accuracy relative to `size`."""
         weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _WANTED}
         value, error, *_ = scipy.integrate.quad(
             function, low, high, epsabs=_WANTED * size, limit=_HALVINGS, full_output=1, **weight
@@ -155,7 +155,7 @@ class _PsdIntegral:
         return float(value)
 
     def _lower(self, f: float) -> float:
-        """Return the root of what sin^4 is divided by."""
+        """Return the square root of the divisor of sin^4."""
         return self.m * (math.sin(math.pi * f) if self.sampled else math.pi * f)
 
     def _smooth(self, f: float) -> float:
@@ -163,13 +163,13 @@ class _PsdIntegral:
 
     def _whole(self, f: float) -> float:
         sine = math.sin(math.pi * self.m * f)
-        # In this order, so that nothing underflows at the lowest frequencies.
+        # This order avoids underflow at the lowest frequencies.
         return self.density(f) * sine * sine * (2 * sine / self._lower(f)) ** 2
 
 
-#: An autocovariance of lags 0, 1, 2 …, shape (k,); or its values there, 0 beyond.
+#: An autocovariance as a function of lags 0, 1, 2 …, shape (k,); or its values there, 0 beyond.
 Acvf: TypeAlias = Callable[[FloatArray], ArrayLike] | ArrayLike
-#: Values that may stand for 0 by rounding, relative to the variance.
+#: Values below this are treated as rounding errors of 0, relative to the variance.
 _ROUNDING = 1e-9
 
 
@@ -177,35 +177,36 @@ _ROUNDING = 1e-9
 def avar_from_psd(
     psd: Psd, m: ArrayLike, tau0: float, *, sampled: bool = True, breaks: Sequence[float] = ()
 ) -> FloatArray:
-    """Return the Allan variance of a noise of any psd.
+    """Return the Allan variance of noise with any psd.
 
     Parameters
     ----------
     psd
-        Two-sided density in U²/Hz (half of a one-sided one): a function of frequencies in Hz, shape
-        (k,), called for positive ones only; or two arrays, frequencies that rise and the density
-        there, between which it runs straight on logarithmic axes and beyond which it stays as it is.
-        It may grow towards 0 less steeply than 1/f³.
+        Two-sided density in U²/Hz (half of a one-sided one). Either a function of frequencies in Hz, shape
+        (k,), called only with positive ones; or two arrays, increasing frequencies and the density there.
+        The arrays are interpolated linearly on logarithmic axes and constant outside. Towards 0 the psd
+        must grow less steeply than 1/f³.
     m
         Averaging factors, whole numbers from 1, any shape.
     tau0
         Sampling period in s.
     sampled
-        The psd is that of the samples, used up to 1/(2 tau0). False: that of a rate in continuous
-        time, averaged over m tau0, used at all frequencies; it may grow less steeply than f.
+        True if the psd describes the samples; it is used up to 1/(2 tau0). False if it describes a rate in
+        continuous time, averaged over m tau0; it is then used at all frequencies and must grow less
+        steeply than f.
     breaks
-        Frequencies in Hz where the psd jumps or peaks within less than a hundredth of itself, which
-        could otherwise be missed.
+        Frequencies in Hz where the psd jumps, or has a peak narrower than a hundredth of its frequency.
+        Without them such features could be missed.
 
     Returns
     -------
-    The Allan variance, shape of `m`, in U²; right to some 1e-9 of itself.
+    The Allan variance, shape of `m`, in U², with a relative error of about 1e-9.
 
     Raises
     ------
     ValueError
         If an argument is out of range, the psd is negative or not finite somewhere, or the integral
-        is infinite; the message says where.
+        is infinite; the message contains the frequency.
 
     Examples
     --------
@@ -218,7 +219,7 @@ def avar_from_psd(
     if not (math.isfinite(tau0) and tau0 > 0):
         raise ArgumentError(f"tau0 must be positive and finite, got {tau0}")
     function, kinks = (psd, np.zeros(0)) if callable(psd) else _function_of_points(*psd)
-    # What peaks at a break is looked at ever more closely towards it.
+    # Pieces become shorter towards a break, to resolve a peak there.
     near = np.outer(np.asarray(breaks, dtype=np.float64), 1 + np.outer([-1.0, 0.0, 1.0], _CLOSER))
     kinks = np.concatenate([kinks, near.ravel()]) * tau0
     distinct, place = np.unique(factors, return_inverse=True)
@@ -247,7 +248,7 @@ def avar_from_psd(
 
 @takes("imucal.avar_from_acvf(acvf, m)")
 def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
-    """Return the Allan variance of stationary samples of any autocovariance.
+    """Return the Allan variance of stationary samples with any autocovariance.
 
     Parameters
     ----------
@@ -259,13 +260,13 @@ def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
 
     Returns
     -------
-    The Allan variance, shape of `m`, in U². Cost: 2m values of `acvf` for the greatest m.
+    The Allan variance, shape of `m`, in U². Cost: 2m values of `acvf` for the largest m.
 
     Raises
     ------
     ValueError
-        If a factor is no whole number from 1, or `acvf` is not finite or no autocovariance: beyond
-        that of lag 0, or such that an Allan variance would be negative.
+        If a factor is not a whole number from 1, or `acvf` is not finite or not an autocovariance: larger
+        than at lag 0, or with a negative Allan variance.
 
     Examples
     --------
@@ -288,7 +289,7 @@ def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
 
 
 def _factors(m: ArrayLike) -> FloatArray:
-    """Return averaging factors as shape (k,), which must be whole numbers from 1."""
+    """Return averaging factors as shape (k,); they must be whole numbers from 1."""
     factors = np.asarray(m, dtype=np.float64).ravel()
     wrong = factors[~(np.isfinite(factors) & (factors >= 1) & (factors == np.round(factors)))]
     if wrong.size:
@@ -297,7 +298,7 @@ def _factors(m: ArrayLike) -> FloatArray:
 
 
 def _falls(acvf: Acvf, greatest: int) -> tuple[float, FloatArray]:
-    """Return r_0 and r_0 - r_k at k = 0 … 2 m - 1, the autocovariance checked."""
+    """Check the autocovariance; return r_0 and r_0 - r_k at k = 0 … 2 m - 1."""
     lags = np.arange(2.0 * greatest)
     if callable(acvf):
         values = np.asarray(acvf(lags), dtype=np.float64)

@@ -23,7 +23,7 @@ _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 class NoiseModel:
     """A sum of independent terms.
 
-    ``str(model)`` names the terms (``N + B + K``); `text` holds their values too.
+    ``str(model)`` lists the terms (``N + B + K``); `text` includes their values.
     """
 
     terms: tuple[NoiseTerm, ...]
@@ -32,23 +32,23 @@ class NoiseModel:
     def parse(cls, text: str, sensor: Sensor = Sensor.GYROSCOPE) -> "NoiseModel":
         """Return the model of a text such as ``N=1e-3 + K=3e-6 + GM(sigma=1e-4, T=50)``.
 
-        A number may have a unit, as data sheets print them: ``N=0.3deg/sqrt(h) + B=5 °/h``; without one
-        it is SI.
+        A number may have a unit as in data sheets: ``N=0.3deg/sqrt(h) + B=5 °/h``. Without a unit it is
+        in SI.
 
         Parameters
         ----------
         text
             The model.
         sensor
-            Whose units may stand in it.
+            The sensor whose units are accepted.
 
         Raises
         ------
         ValueError
-            If the text is not a sum of valued terms, a unit is none of its term's, or a term but GM
-            stands twice.
+            If the text is not a sum of terms with values, a unit does not belong to its term, or a term
+            other than GM is duplicated.
         """
-        # Each plus sign parts terms that neither stands in an exponent nor in parentheses.
+        # Split at plus signs, except in exponents and parentheses.
         parts = re.split(r"(?<![\d.][eE])\+(?![^(]*\))", text)
         terms = tuple(_parse_term(part, sensor) for part in parts)
         _refuse_repeats(tuple(term.symbol for term in terms))
@@ -58,7 +58,7 @@ class NoiseModel:
         return structure_text(term.symbol for term in self.terms)
 
     def text(self) -> str:
-        """Return the model with its values; `parse` reads it back exactly."""
+        """Return the model with its values; `parse` restores it exactly."""
         return " + ".join(term.text() for term in self.terms)
 
     def avar(self, m: FloatArray, *, rate_hz: float) -> FloatArray:
@@ -95,8 +95,8 @@ class NoiseModel:
 def parse_structure(text: str) -> tuple[str, ...]:
     """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
 
-    Abbreviations that others use are taken too: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or one
-    but GM that stands twice, is a ValueError.
+    Common abbreviations are accepted: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or a duplicate
+    of a term other than GM, is a ValueError.
     """
     symbols: list[str] = []
     for part in text.split("+"):
@@ -112,7 +112,7 @@ def parse_structure(text: str) -> tuple[str, ...]:
 
 
 def structure_text(symbols: Iterable[str]) -> str:
-    """Return ``N + 2*GM + K`` for its symbols."""
+    """Return a text such as ``N + 2*GM + K`` for the symbols."""
     ordered = tuple(symbols)
     counts = {symbol: ordered.count(symbol) for symbol in dict.fromkeys(ordered)}
     return " + ".join(symbol if count == 1 else f"{count}*{symbol}" for symbol, count in counts.items())
@@ -129,7 +129,7 @@ def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
 
 
 def _number(text: str, what: str, units: Mapping[str, float]) -> float:
-    """Return a number in SI, of a number alone or with a unit."""
+    """Return a number in SI from a text with or without a unit."""
     match = _VALUE.fullmatch(text)
     if match is None:
         raise ArgumentError(f"{text!r} is not a number; write a sum {_EXAMPLE}")

@@ -1,6 +1,6 @@
-"""What every noise term is: its formulas, its names and units, how it is drawn, and what can fit it.
+"""The base class of noise terms: formulas, names, units, drawing style and supported fit methods.
 
-And, per unit variance and sample, the formulas that need care with rounding.
+Also the formulas per unit variance and sample that need care with rounding.
 """
 
 import math
@@ -18,15 +18,15 @@ from imucal.powerlaw import PowerLaw, odd_harmonic
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, DatasheetUnit, datasheet_unit
 
-#: Step in the logarithm of a parameter for a slope by differences.
+#: Step in the logarithm of a parameter for a numerical derivative.
 _STEP = 1e-4
-#: Of a Gauss-Markov term: parts of the correlation time below which closed forms lose digits.
+#: Below this fraction of the correlation time, closed forms of a Gauss-Markov term lose digits.
 _SLOW = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """How a line is drawn: its colour on white, its colour on black, its dashes in points."""
+    """Line style: colour on white, colour on black, dashes in points."""
 
     light: str
     dark: str
@@ -35,7 +35,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """A term as the page explains it: how it shows in the curve, what it is, what others call it."""
+    """Description of a term on the page: its shape in the curve, its meaning, its other names."""
 
     in_the_curve: str
     meaning: str
@@ -44,38 +44,38 @@ class Words:
 
 @frozen
 class NoiseTerm(ABC):
-    """One term of a noise model. A subclass and its line in `TERMS` are all that a new term needs.
+    """One term of a noise model. A new term needs only a subclass and its line in `TERMS`.
 
-    Its dataclass fields are its parameters, the coefficient first, to which the noise is proportional;
-    they name themselves in a model's text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for several. A
-    fit can estimate a coefficient by itself or with a time ``T`` in s. Three methods define the noise:
-    `structure`, `psd` and `simulate`; the others follow from them, and are overridden where there is
-    a closed form.
+    The dataclass fields are the parameters. The first is the coefficient, to which the noise is
+    proportional. Their names appear in a model's text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for
+    several. A fit can estimate a coefficient alone or with a time ``T`` in s. Three methods define the
+    noise: `structure`, `psd` and `simulate`. The others follow from them; override them if there is a
+    closed form.
 
     Class attributes
     ----------------
     symbol
         Letters in capitals.
     abbreviations
-        What others call the coefficient, in capitals: accepted wherever a user names a term.
+        Common names of the coefficient, in capitals, accepted wherever a user names a term.
     names, units
-        Of the coefficient, for a gyroscope and an accelerometer; units in SI.
+        Names and SI units of the coefficient, for a gyroscope and an accelerometer.
     datasheet
-        Names in `imucal.units.DATASHEET_UNITS` of the units that data sheets print.
+        Names in `imucal.units.DATASHEET_UNITS` of the units used in data sheets.
     divisors
-        What a sample unit may be divided by in a unit of the coefficient -> that factor in SI.
+        Divisor of the sample unit in a unit of the coefficient -> its factor in SI.
     stroke, words
-        How pictures and page show it.
+        Line style and description for pictures and page.
     slope
-        Of the Allan deviation, on logarithmic axes; None without one of its own.
+        Slope of the Allan deviation on logarithmic axes; None if it is not constant.
     read_at
-        Where the curve shows the coefficient: tau in s (None without one), and the deviation there over it.
+        Where the curve shows the coefficient: tau in s (None if not fixed), and deviation / coefficient.
     fitted_by
-        Methods of `imucal.fit` that can fit it; the others refuse it.
+        Methods of `imucal.fit` that can fit the term; the others reject it.
     always
-        Whether every fit reports it, as a bound where the data don't show it.
+        Whether every fit reports the term, with an upper bound if the data do not show it.
     repeatable
-        Whether a model may hold it more than once.
+        Whether a model may contain it more than once.
     """
 
     symbol: ClassVar[str]
@@ -110,7 +110,7 @@ class NoiseTerm(ABC):
 
     @classmethod
     def parameter_texts(cls, text: str) -> tuple[str, ...] | None:
-        """Return the parameters that a text such as ``N=1e-3`` gives this term; None for another's text."""
+        """Return the parameter values in a text such as ``N=1e-3``; None if it is another term."""
         names, symbol = cls.parameters(), f"(?i:{'|'.join((cls.symbol, *cls.abbreviations))})"
         if len(names) == 1:
             pattern = rf"\s*{symbol}\s*=\s*([^\s].*?)\s*"
@@ -122,7 +122,7 @@ class NoiseTerm(ABC):
 
     @classmethod
     def name(cls, sensor: Sensor) -> str:
-        """Return the field's name of the term, such as ``angle random walk``."""
+        """Return the usual name of the term, such as ``angle random walk``."""
         return cls.names[sensor is Sensor.ACCELEROMETER]
 
     @classmethod
@@ -132,7 +132,7 @@ class NoiseTerm(ABC):
 
     @classmethod
     def coefficient_units(cls, sensor: Sensor) -> dict[str, float]:
-        """Return units of the coefficient, that of SI first, each with its factor to SI."""
+        """Return units of the coefficient, SI first, each with its factor to SI."""
         datasheet = cls.datasheet_unit(sensor)
         units = {cls.unit(sensor): 1.0}
         for name, factor in SAMPLE_UNITS[sensor].items():
@@ -160,14 +160,14 @@ class NoiseTerm(ABC):
         return tuple(float(getattr(self, name)) for name in self.parameters())
 
     def text(self) -> str:
-        """Return the term as a model's text holds it; `parse` reads it back exactly."""
+        """Return the term as it appears in a model's text; `parse` restores it exactly."""
         names = self.parameters()
         if len(names) == 1:
             return f"{self.symbol}={self.coefficient!r}"
         return f"{self.symbol}({', '.join(f'{name}={getattr(self, name)!r}' for name in names)})"
 
     def read_off(self) -> tuple[float | None, float]:
-        """Return where its curve shows the coefficient: tau in s (None without one) and the deviation."""
+        """Return the point that shows the coefficient: tau in s (None if not fixed) and the deviation."""
         return self.read_at[0], self.read_at[1] * abs(self.coefficient)
 
     @abstractmethod
@@ -186,7 +186,7 @@ class NoiseTerm(ABC):
         """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
 
         V(n) = -sum over k < n of (n - k) D(k), up to a multiple of n², which cancels in
-        avar(m) = (4 V(m) - V(2m)) / (2 m²). Summed term by term here, O(greatest n), at whole n.
+        avar(m) = (4 V(m) - V(2m)) / (2 m²). This version sums every lag, O(largest n), at whole n.
         """
         n = np.abs(np.asarray(n, dtype=np.float64))
         k = np.arange(1.0, float(n.max(initial=1.0)))
@@ -204,11 +204,11 @@ class NoiseTerm(ABC):
     def dct_slopes(
         self, n: int, first: IntArray, count: IntArray, tau0: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what the term adds to squared DCT-II ordinates of `n` samples, and its slopes.
+        """Return the term's contribution to squared DCT-II ordinates of `n` samples, and its slopes.
 
-        Of bins with a `first` ordinate and a `count` of them, shape (b,): the mean of E[X_k²] over each,
-        shape (b,), and its derivative in the logarithm of each parameter, shape (p, b). By the psd here,
-        which is the limit of a long record.
+        Bins are given by their `first` ordinate and `count`, shape (b,). The first result is the mean of
+        E[X_k²] over each bin, shape (b,). The second is its derivative in the logarithm of each parameter,
+        shape (p, b). This version uses the psd, the limit for long records.
         """
         frequency = (first + (count - 1) / 2) / (2 * n * tau0)
         expectation = self.psd(frequency, tau0) / tau0
@@ -225,14 +225,14 @@ class NoiseTerm(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return `dct_slopes` of many terms of unit deviation per sample at once, for the fits.
 
-        `log_time`, shape (c, 1), are logs of the times in samples, of no matter to a term without one. Of
-        each bin, shape (b,), `lam` is the mean of 4 sin²(theta_k / 2), `length` the number of samples of the
-        series it belongs to, and `sign` (-1)^k if it is of a single ordinate, 0 for wider ones. The mean of
-        E[X_k²] and its derivative in the log of the time have shapes (c, b). Term by term here; where that is
-        too slow, overridden.
+        `log_time`, shape (c, 1), contains logs of the times in samples; terms without a time ignore it. For
+        each bin, shape (b,), `lam` is the mean of 4 sin²(theta_k / 2) and `length` the number of samples of
+        its series. `sign` is (-1)^k for a bin of one ordinate, 0 for wider bins. The mean of E[X_k²] and its
+        derivative in the log of the time have shapes (c, b). This version evaluates term by term; override
+        it if that is too slow.
         """
         omega = 2 * np.arcsin(np.sqrt(np.minimum(lam, 4.0)) / 2)
-        # A bin's middle is what matters of a wide one, and which ordinate it is of a single one.
+        # A wide bin is evaluated at its middle, a single one at its ordinate.
         middle = length * omega / np.pi
         count = np.where(sign == 0, 2, 1)
         first = np.where(sign == 0, middle - 0.5, np.rint(middle))
@@ -288,7 +288,7 @@ class PowerLawTerm(NoiseTerm):
 
 
 def require_non_negative(name: str, value: float) -> None:
-    """Refuse a parameter that is negative or not finite, by ValueError."""
+    """Raise a ValueError for a parameter that is negative or not finite."""
     if not (np.isfinite(value) and value >= 0):
         raise ValueError(f"{name} must be finite and not negative, got {value}")
 
@@ -296,9 +296,9 @@ def require_non_negative(name: str, value: float) -> None:
 def gauss_markov_sum(n: FloatArray, a: float) -> FloatArray:
     """Return V(n) of a unit-variance AR1 with phi = exp(-a), at n >= 0.
 
-    Of a slow one without the multiple of n² that would cost all digits: its series in a and in a n take over
-    where the closed form loses them. Allan variances are right to about 1e-11, up to averages over 1e5 times
-    the correlation time (tested against the sum of autocovariances).
+    For a slow process the result omits a multiple of n², which would cost all digits. If the closed form
+    loses digits, series in a and in a n replace it. Allan variances have a relative error of about 1e-11, up
+    to averages over 1e5 times the correlation time (tested against the sum of autocovariances).
     """
     x, scale = a * n, 2 * math.exp(-a) / math.expm1(-a) ** 2
     if a >= _SLOW:
@@ -326,7 +326,7 @@ def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     del structure, covariance
     spectrum = np.sqrt(np.maximum(scipy.fft.rfft(circulant).real, 0.0))
     del circulant
-    # In place: of a day these arrays are what a simulation holds at most.
+    # Overwrite in place: for a day of samples these arrays are the peak memory of a simulation.
     drawn = scipy.fft.rfft(rng.standard_normal(size), overwrite_x=True)
     drawn *= spectrum
     del spectrum
@@ -343,19 +343,19 @@ def gauss_markov_dct(
 
         E = (1 - phi²)/den [1 - (1 - r) (2 phi/n) (1 - phi) (1 + cos theta) / ((1 + phi) den)],
 
-    exact for every T/n: the bracket is what the ends of the series take away.
+    exact for every T/n: the bracket is the effect of the finite length.
     """
     a = np.exp(-log_time)
     phi, one_minus = np.exp(-a), -np.expm1(-a)
     power = -np.expm1(-2 * a)
     inverse = 1 / (one_minus**2 + phi * lam)
     share = (2 * phi * one_minus / (1 + phi)) * ((2 - lam / 2) / length) * inverse
-    # d/dlog T of a is -a; every factor's logarithmic slope follows from that.
+    # d/dlog T of a is -a; the logarithmic slope of every factor follows from it.
     slope_den = (a * phi) * (lam - 2 * one_minus) * inverse
     slope_power = -2 * a * np.exp(-2 * a) / power
     slope_share = share * (a - a * phi * (1 / one_minus + 1 / (1 + phi)) - slope_den)
     bracket, slope_bracket = 1 - share, -slope_share
-    # The end of the series is seen by bins of a single ordinate, which are few.
+    # The finite length matters only in bins of a single ordinate, which are few.
     single = np.flatnonzero(sign)
     ends = sign[single] * np.exp(-length[single] * a)
     bracket[:, single] += ends * share[:, single]

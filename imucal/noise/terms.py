@@ -1,9 +1,9 @@
-"""The noise terms, one small class each, and the table of them.
+"""The noise terms, one small class each, and their table.
 
-Coefficients are continuous and SI (rad/s/√Hz, …); every formula is exact for the process sampled
-at tau0, so that nothing is off at the first averaging times. Two-sided psd.
+Coefficients are continuous and SI (rad/s/√Hz, …). Every formula is exact for the process sampled at tau0,
+also at the shortest averaging times. Two-sided psd.
 
-Source: IEEE Std 952-1997, Annex C (coefficients, and where the curve shows them in table C.1); the
+Source: IEEE Std 952-1997, Annex C (coefficients, and their positions on the curve in table C.1); the
 discrete forms follow from `powerlaw`.
 """
 
@@ -82,7 +82,7 @@ class AngleRandomWalk(PowerLawTerm):
 
 
 class BiasInstability(PowerLawTerm):
-    """Bias instability B, in rad/s (m/s²): flicker. Slope 0; the floor lies at 0.664 B."""
+    """Bias instability B, in rad/s (m/s²): flicker. Slope 0; the floor is at 0.664 B."""
 
     __slots__ = ()
     symbol = "B"
@@ -210,14 +210,13 @@ class GaussMarkov(NoiseTerm):
 
     @classmethod
     def bank(cls, B: float, t_min: float, t_max: float, per_decade: float = 2.0) -> tuple["GaussMarkov", ...]:
-        """Return terms that together are flicker of bias instability `B`, in U, for filters without it.
+        """Return terms whose sum approximates flicker of bias instability `B`, in U, for filters without it.
 
-        Terms whose correlation times are spaced evenly on a logarithmic scale by a ratio r, each of variance
-        B² ln(r)/pi, have together the spectrum of flicker between their shortest and longest correlation
-        time: the density is that of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), a factor of about 3
-        inside each; for samples at tau0, t_min = tau0 / 2 s serves up to the Nyquist frequency. Of so many
-        times `per_decade` it ripples by 5.5 % at 1, 0.65 % at 1.5, 0.08 % at 2. Times that don't rise, and a
-        `B` or `per_decade` that is not positive, are a ValueError.
+        The correlation times are spaced evenly on a logarithmic scale by a ratio r. Each term has the
+        variance B² ln(r)/pi. The sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min),
+        except within a factor of about 3 of these limits. For samples at tau0, t_min = tau0 / 2 is enough
+        up to the Nyquist frequency. The ripple is 5.5 % at 1 term `per_decade`, 0.65 % at 1.5, 0.08 % at 2.
+        Times that do not increase, and a `B` or `per_decade` that is not positive, are a ValueError.
 
         Source: Keshner (1982), "1/f noise", Proc. IEEE 70, 212; the variance follows from the integral of
         sigma² 2T / (1 + (wT)²) over ln T.
@@ -260,7 +259,7 @@ class GaussMarkov(NoiseTerm):
         return np.asarray(samples, dtype=np.float64)
 
     def read_off(self) -> tuple[float | None, float]:
-        # The hump: 0.437 q sqrt(T) = 0.617 sigma at 1.89 T, where q² = 2 sigma²/T drives it.
+        # The hump: 0.437 q sqrt(T) = 0.617 sigma at 1.89 T, with the driving density q² = 2 sigma²/T.
         return 1.89 * self.T, 0.617 * self.sigma
 
     @classmethod
@@ -281,7 +280,7 @@ class GaussMarkov(NoiseTerm):
         return own, np.array([2 * own, self.sigma**2 * slope[0]])
 
 
-#: Symbol of a term -> its class, in the order of a rising slope.
+#: Symbol of a term -> its class, in the order of increasing slope.
 TERMS: dict[str, type[NoiseTerm]] = {
     term.symbol: term
     for term in (
@@ -294,23 +293,23 @@ TERMS: dict[str, type[NoiseTerm]] = {
     )
 }
 
-#: Symbols that every fit reports, as a bound where the data don't show the term.
+#: Symbols that every fit reports, with an upper bound if the data do not show the term.
 ALWAYS = tuple(symbol for symbol, term in TERMS.items() if term.always)
 
 
 def symbol_of(text: str) -> str | None:
-    """Return the symbol that a text is, or is an abbreviation of, such as N for ``ARW``; None for others."""
+    """Return the symbol for a symbol or abbreviation, such as N for ``ARW``; None if unknown."""
     plain = text.strip().upper()
     return next((s for s, term in TERMS.items() if plain == s or plain in term.abbreviations), None)
 
 
 def in_order(symbols: Iterable[str]) -> tuple[str, ...]:
-    """Return symbols in the order of `TERMS`; those that are alike stay as they stand."""
+    """Return symbols in the order of `TERMS`; equal symbols keep their order."""
     return tuple(sorted(symbols, key=list(TERMS).index))
 
 
 def term_keys(symbols: Iterable[str]) -> tuple[str, ...]:
-    """Return what a fit calls its terms: their symbols, numbered where one stands more than once."""
+    """Return the names of terms in a fit: their symbols, numbered if a symbol is duplicated."""
     ordered = tuple(symbols)
     seen = dict.fromkeys(ordered, 0)
     keys = []
@@ -321,7 +320,7 @@ def term_keys(symbols: Iterable[str]) -> tuple[str, ...]:
 
 
 def require_fittable(symbols: Iterable[str], method: str) -> None:
-    """Refuse terms that a method can't fit, by a ValueError that names the methods that can."""
+    """Raise a ValueError for terms that a method cannot fit; it lists the methods that can."""
     for symbol in symbols:
         term = TERMS[symbol]
         refusal = f"method {method!r} can't fit {symbol} ({term.names[0]})"

@@ -1,4 +1,4 @@
-"""Recording -> findings: can it be trusted, as far as one can say without a model of its noise."""
+"""Recording -> findings: checks of a recording that need no noise model."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -30,9 +30,9 @@ __all__ = ["amount", "screen_units", "screen_values", "worst_first"]
 AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
 
-#: Code of the finding that a check could not judge.
+#: Code of the finding for a check that failed to run.
 _FAILED = "not-checked"
-#: Checks over all axes that hold data.
+#: Checks over all axes with data.
 _LOG_CHECKS: tuple[LogCheck, ...] = (
     check_rate,
     check_swapped,
@@ -40,17 +40,17 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
     check_accelerometer_unit,
     check_filled,
 )
-#: Was the IMU at rest; the first that says no is enough.
+#: Checks that the IMU was at rest; they stop at the first one that finds motion.
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_shaken, check_turned, check_motion)
-#: Checks of one axis that holds data.
+#: Checks of one axis with data.
 _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_saturated, check_lsb)
 
 
 def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
-    """Return what speaks against trusting a recording's values, and against its rest; worst first.
+    """Return findings about a recording's values and about motion during it; worst first.
 
-    The samples are passed once, in blocks; NaN and gaps are left out, and fewer than 16 samples in a row
-    say nothing. So many axes as `workers` are passed at a time; the findings are the same for any number.
+    The samples are read once, in blocks. NaN, gaps and runs of fewer than 16 samples are left out. Up to
+    `workers` axes are read at a time; the findings do not depend on it.
     """
 
     def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
@@ -70,12 +70,12 @@ def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, .
 
 
 def screen_units(recording: Recording) -> tuple[Finding, ...]:
-    """Return what speaks against the accelerometer's samples being all of its acceleration, in m/s²."""
+    """Return findings if the accelerometer's samples are not its whole acceleration in m/s²."""
     return _judged(check_accelerometer_unit, [profile(series) for series in recording.series])
 
 
 def _checked(alive: Sequence[Profile]) -> Iterator[Finding]:
-    """Yield what each check says of the axes that hold data, in the order of the tables."""
+    """Yield the findings of each check on the axes with data, in the order of the tables."""
     for log_check in _LOG_CHECKS:
         yield from _judged(log_check, alive)
     moved = _moved(alive)
@@ -88,7 +88,7 @@ def _checked(alive: Sequence[Profile]) -> Iterator[Finding]:
 
 
 def worst_first(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings, errors first, without those that reading the log has said already."""
+    """Return findings, errors first, without those already in `recording.findings`."""
     said = {(finding.code, finding.axis) for finding in recording.findings}
     order = ("error", "warning", "info")
     new = (finding for finding in findings if (finding.code, finding.axis) not in said)
@@ -96,7 +96,7 @@ def worst_first(recording: Recording, findings: Iterable[Finding]) -> tuple[Find
 
 
 def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return what the first check says that sees a motion, and which could not look."""
+    """Return the findings of the first check that finds motion, and of checks that failed before it."""
     moved: tuple[Finding, ...] = ()
     for check in _REST_CHECKS:
         moved += _judged(check, alive)
@@ -108,6 +108,6 @@ def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:
 def _judged(
     check: Callable[..., tuple[Finding, ...]], *checked: object, axis: str | None = None
 ) -> tuple[Finding, ...]:
-    """Return what a check finds, or that it could not look."""
+    """Return the findings of a check, or a finding that explains why it failed."""
     what = f"No check for {check.__name__.removeprefix('check_').replace('_', ' ')}"
     return findings_or_why_not(partial(check, *checked), what=what, code=_FAILED, axis=axis)

@@ -1,4 +1,4 @@
-"""Was the IMU at rest: a hand that holds it, touches, motion at the ends, a turn to another pose."""
+"""Was the IMU at rest? Checks for hand-held logs, touches, motion at the ends and a changed pose."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,38 +11,38 @@ from imucal.recording import Sensor
 from imucal.screening.values import gravity, shaken
 from imucal.screening.windows import Profile, amount, name_list, span, time, usual_variance
 
-#: Disturbances closer than this are one, in s.
+#: Disturbances closer than this are joined, in s.
 _APART_S = 3.0
-#: Quiet time taken off on both sides of a disturbance, in s.
+#: Quiet time removed on both sides of a disturbance, in s.
 _SETTLE_S = 1.0
-#: A shorter rest is not worth keeping, in s.
+#: Shortest rest worth keeping, in s.
 _WORTH_S = 5.0
-#: A log disturbed for more than this part of it was not at rest.
+#: A log disturbed for more than this fraction of it was not at rest.
 _MOVING = 0.2
-#: Disturbances in this part of the log from its ends are its start and its end.
+#: Disturbances within this fraction of the log from an end belong to its start or end.
 _ENDS = 0.1
-#: Disturbances that hold this many times the noise's own power over the log are not within its numbers.
+#: Disturbances with more than this times the noise's energy over the log are an error.
 _LOUDER = 1.0
-#: Gravity that points this far elsewhere, in degrees, is a turn and no drift of a bias.
+#: A larger change of gravity's direction, in degrees, is a turn, not a drift of a bias.
 _TURN_DEG = 2.0
-#: Windows averaged for a pose, and least gravity, in U, to see one.
+#: Windows averaged for a pose, and the smallest gravity, in U, that shows one.
 _POSE_WINDOWS, _LEAST_GRAVITY = 5, 0.5
 
 #: The band of a hand, a walking person or an engine, in Hz.
 _BAND_HZ = (0.5, 10.0)
-#: Rate in it, in rad/s rms, that no gyroscope shows at rest: ten times what a poor one does.
+#: Rate in the band, in rad/s rms, of no gyroscope at rest: ten times the rate of a poor one.
 _LOUD = 3e-3
-#: Shortest and longest stretch that is transformed, in samples; least of them, as many as are wanted of a
-#: short log, and the most that are taken of a long one, spread evenly over it.
+#: Shortest and longest transformed stretch, in samples.
 _SHORTEST, _LONGEST = 256, 16384
+#: Stretches: minimum, number wanted from a short log, and maximum, spread evenly over a long one.
 _LEAST, _WANTED, _MOST = 4, 16, 256
-#: The band's density must exceed that of the upper half of all frequencies by this: it is no white noise.
+#: Coloured noise has a density in the band this many times as high as in the upper half of frequencies.
 _COLOURED = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What moved some axes from start to end, in s: at its loudest so many times as loud as their noise."""
+    """A disturbance of some axes, from start to end in s; `factor` is its peak level over their noise."""
 
     start_s: float
     end_s: float
@@ -57,7 +57,7 @@ class Disturbance:
 def check_shaken(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error if an accelerometer without gravity moves: linear acceleration of a moving device.
 
-    It may move all the time, so that no quiet part is there to compare with.
+    It may move all the time, without a quiet part for comparison.
     """
     if not (found := shaken(profiles)):
         return ()
@@ -71,9 +71,9 @@ def check_shaken(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error when two axes of the gyroscope are shaken all the time.
+    """Return an error if two axes of the gyroscope are shaken all the time.
 
-    No quiet part is there to compare with, so this one check uses absolute figures.
+    This check uses absolute limits because there is no quiet part for comparison.
     """
     shaken = [(p, rms) for p in profiles if p.series.sensor is Sensor.GYROSCOPE and (rms := _tremor(p))]
     if len(shaken) < 2:
@@ -89,7 +89,7 @@ def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _tremor(profile: Profile) -> float:
-    """Return the rms rate in the band, in rad/s, where it is loud and coloured; else 0."""
+    """Return the rms rate in the band, in rad/s, if it is loud and coloured; if not, 0."""
     low, high = _BAND_HZ
     if 4 * high > profile.series.rate_hz or (psd := density_at_rest(profile)) is None:
         return 0.0
@@ -103,11 +103,11 @@ def _tremor(profile: Profile) -> float:
 
 
 def density_at_rest(profile: Profile) -> FloatArray | None:
-    """Return the two-sided density, in U²/Hz, of the stretches that hold no gap and no disturbance.
+    """Return the two-sided density, in U²/Hz, of stretches without gaps and disturbances.
 
-    Shape (k,), at equal spacing from 0 to the Nyquist frequency, by Hann windows that overlap by half;
-    None where fewer than four of 256 samples fit. O(n log n), and no more than 256 stretches however long
-    the log is.
+    Shape (k,), at equal spacing from 0 to the Nyquist frequency, from Hann windows that overlap by half.
+    None if fewer than four stretches of 256 samples fit. O(n log n), with at most 256 stretches for a log
+    of any length.
 
     Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15(2).
     """
@@ -130,7 +130,7 @@ def density_at_rest(profile: Profile) -> FloatArray | None:
 
 
 def _stretches(profile: Profile, size: int) -> IntArray:
-    """Return where undisturbed stretches of some size begin, shape (k,)."""
+    """Return the first samples of undisturbed stretches of `size` samples, shape (k,)."""
     windows, segments = profile.windows, profile.series.clock.segments
     avoid = windows.start[profile.disturbed]
     starts = [np.arange(s.start, s.stop - size + 1, size // 2) for s in segments if s.size >= size]
@@ -140,7 +140,7 @@ def _stretches(profile: Profile, size: int) -> IntArray:
 
 
 def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return findings for what disturbs the rest, over all axes, with the part worth keeping."""
+    """Return findings for disturbances on any axis, with the part worth keeping."""
     disturbances = disturbances_of(profiles)
     if not disturbances:
         return ()
@@ -158,21 +158,21 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
-    """Return the finding of what happened near the start and the end."""
+    """Return the finding for disturbances near the start and the end."""
     sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
     return Finding(level, "motion", text, "Leave this part out.", keep_s=keep)
 
 
 def _touched(middle: list[Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
-    """Return the finding of what happened in between."""
+    """Return the finding for disturbances in between."""
     text = f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}."
     advice = "Record again undisturbed, or keep an undisturbed part."
     return Finding(level, "touch", text, advice, keep_s=keep)
 
 
 def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error when gravity points elsewhere at another time: the IMU rested in two poses."""
+    """Return an error if gravity changes its direction: the IMU rested in two poses."""
     accel = [p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER]
     if gravity(accel) is None:
         return ()
@@ -203,7 +203,7 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def disturbances_of(profiles: Sequence[Profile]) -> list[Disturbance]:
-    """Return when any axis is disturbed, in order of time; close ones joined."""
+    """Return the disturbances of any axis in order of time; close ones are joined."""
     spans = [
         (float(start), float(end), profile.name, factor)
         for profile in profiles
@@ -221,7 +221,7 @@ def disturbances_of(profiles: Sequence[Profile]) -> list[Disturbance]:
 
 
 def _spans(profile: Profile) -> list[tuple[float, float, float]]:
-    """Return start, end and how loud each run of disturbed windows of an axis is."""
+    """Return start, end and level over the noise of each run of disturbed windows of an axis."""
     windows, marks = profile.windows, profile.disturbed
     if not marks.any():
         return []
@@ -237,7 +237,7 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
 
 
 def _level(profiles: Sequence[Profile], disturbances: list[Disturbance], duration: float) -> Level:
-    """Return an error for disturbances that hold more power than the noise of the whole log, on any axis."""
+    """Return ``error`` if disturbances have more energy than the noise of an axis, if not ``warning``."""
     loud = any(_power(profile, disturbances) > _LOUDER * duration for profile in profiles)
     return "error" if loud else "warning"
 
@@ -245,7 +245,7 @@ def _level(profiles: Sequence[Profile], disturbances: list[Disturbance], duratio
 def _power(profile: Profile, disturbances: list[Disturbance]) -> float:
     """Return the energy of disturbances on an axis, as the time, in s, in which its noise has as much.
 
-    Counted are the variance within windows, and means beyond all that the axis's own wander reaches.
+    It includes the variance within windows, and means beyond the range of the undisturbed windows.
     """
     windows, scale = profile.windows, _scale(profile)
     within = np.zeros(windows.size, dtype=bool)
@@ -261,12 +261,12 @@ def _power(profile: Profile, disturbances: list[Disturbance]) -> float:
 
 
 def _scale(profile: Profile) -> float:
-    """Return the variance of a quiet window, in U²; at least that of the rounding."""
+    """Return the variance of a quiet window, in U²; at least the variance of rounding."""
     return max(usual_variance(profile.windows), (profile.lsb or 0.0) ** 2 / 12)
 
 
 def _longest_rest(disturbances: list[Disturbance], duration: float) -> tuple[float, float] | None:
-    """Return the longest part without a disturbance, in s, a second clear of it; None if all are short."""
+    """Return the longest rest, in s, a second clear of disturbances; None if all are short."""
     rests = rests_between([(d.start_s, d.end_s) for d in disturbances], duration, clear_s=_SETTLE_S)
     start, end = max(rests, key=lambda rest: rest[1] - rest[0])
     return (round(start, 1), round(end, 1)) if end - start >= _WORTH_S else None
@@ -275,7 +275,7 @@ def _longest_rest(disturbances: list[Disturbance], duration: float) -> tuple[flo
 def rests_between(
     disturbed: Sequence[tuple[float, float]], duration: float, *, clear_s: float
 ) -> list[tuple[float, float]]:
-    """Return start and end of what lies between disturbances, in s, so far clear of them; some may be empty.
+    """Return start and end of each rest, in s, `clear_s` away from disturbances; some may be empty.
 
     Disturbances may overlap.
     """

@@ -1,7 +1,7 @@
-"""Values that are no measurement: none, stuck, at a limit, coarse, repeated, or those of another axis.
+"""Checks of values: missing, stuck, clipped, coarse, repeated, or copied from another axis.
 
-And do the figures look like those of an IMU in SI units: gravity, the gyroscope's noise, well-known steps,
-the sampling rate, a steady temperature.
+Also checks that gravity, gyroscope noise, steps, sampling rate and temperature are plausible for an IMU in
+SI units.
 """
 
 import math
@@ -17,26 +17,26 @@ from imucal.recording import Sensor, Temperature
 from imucal.screening.windows import Profile, amount, excerpt, time
 from imucal.units import G0
 
-#: How often noise may by chance repeat one value through a window.
+#: Probability that noise repeats one value through a window by chance.
 _FALSE_ALARM = 1e-6
-#: A limit is hit when this many samples lie on the extreme value, and this many times the next one's.
+#: Clipping: this many samples at the extreme value, and this many times the next value's.
 _LEAST_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
-#: An extreme nearer to the middle than this many steps of the axis is the coarseness, not a limit.
+#: An extreme closer to the middle than this many steps is caused by a coarse resolution, not by clipping.
 _LEAST_STEPS = 4.0
-#: Samples that are no numbers, beyond this part, are worth a warning.
+#: Samples that are not finite are a warning above this fraction.
 _MANY = 1e-3
-#: Repeated samples below this part of all are not worth a word.
+#: Repeated samples below this fraction are not reported.
 _LEAST_REPEATS = 0.005
-#: Noise below this many LSB no longer dithers the rounding: N can't be corrected by LSB^2/12 any more.
+#: Noise below this many LSB no longer dithers the rounding, so LSB^2/12 cannot correct N.
 _COARSE = 0.5
-#: White noise of two axes never correlates like this; a mixed-up column does.
+#: White noise of two axes never has this correlation; a duplicated column does.
 _COPY = 0.999
-#: Fewest samples to judge by whether two axes are copies, or repeat.
+#: Minimum number of samples to detect copied axes or repeated samples.
 _LEAST = 64
 
 
 def check_no_data(profile: Profile) -> tuple[Finding, ...]:
-    """Return an error for an axis that holds no sample, or one value only."""
+    """Return an error for an axis without samples, or with a single value."""
     series = profile.series
     first = float(series.samples[0]) if series.n else math.nan
     if series.n and not (profile.windows.size and profile.constant):
@@ -56,7 +56,7 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
 
 
 def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
-    """Return a finding for samples that are no numbers, or none that a sensor gives."""
+    """Return a finding for samples that are not finite or are impossible for a sensor."""
     series, count = profile.series, profile.left_out
     if not count or not series.n:
         return ()
@@ -71,7 +71,7 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
 
 
 def check_stuck(profile: Profile) -> tuple[Finding, ...]:
-    """Return a finding for windows that hold one value, where noise would not by chance."""
+    """Return a finding for windows with one value only, if chance cannot explain them."""
     windows, series = profile.windows, profile.series
     frozen = windows.low == windows.high
     if not frozen.any() or frozen.all():
@@ -83,7 +83,7 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
     text = f"{series.name} is stuck at one value for {time(total)} in all, first at {first:.1f} s."
     advice = "Check the driver and the cable; leave these parts out."
-    # The longest run of windows that are not.
+    # The part to keep: the longest run of windows that are not frozen.
     edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())
     begin, end = int(edges[longest]), int(edges[longest + 1]) - 2
@@ -92,7 +92,7 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
 
 
 def check_saturated(profile: Profile) -> tuple[Finding, ...]:
-    """Return a finding for an axis that lies on its highest or lowest value too often to be noise."""
+    """Return a finding for an axis at its highest or lowest value too often to be noise."""
     windows, series = profile.windows, profile.series
     middle = float(np.median(windows.mean))
     step = profile.lsb or 0.0
@@ -117,7 +117,7 @@ def check_saturated(profile: Profile) -> tuple[Finding, ...]:
 
 
 def _counts(profile: Profile, index: NDArray[np.intp], limit: float) -> tuple[int, int]:
-    """Return how many samples of some windows lie at the limit, and at the next value towards the middle."""
+    """Return how many samples of some windows are at the limit, and at the next value towards the middle."""
     windows = profile.windows
     at_limit = 0
     nearest: dict[float, int] = {}
@@ -159,7 +159,7 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _held(group: list[Profile]) -> float:
-    """Return the share of samples that repeat the one before on all axes; 0 if chance explains it."""
+    """Return the share of samples that repeat the previous one on all axes; 0 if chance explains it."""
     return _together(group, lambda _, samples: np.diff(samples) == 0)
 
 
@@ -167,7 +167,7 @@ def _interpolated(group: list[Profile]) -> float:
     """Return the share of samples midway between their neighbours on all axes; 0 if chance explains it."""
 
     def midway(p: Profile, samples: FloatArray) -> BoolArray:
-        # A log in text rounds each of three samples by up to half a step.
+        # A text log rounds each of three samples by up to half a step.
         rounding = max(2.01 * (p.lsb or 0.0), 8 * float(np.spacing(np.abs(samples).max())))
         steps = np.diff(samples)
         return np.asarray((np.abs(np.diff(steps)) <= rounding) & (steps[1:] != 0))
@@ -176,7 +176,7 @@ def _interpolated(group: list[Profile]) -> float:
 
 
 def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], BoolArray]) -> float:
-    """Return the share of samples that are marked on all axes, if it is more than axes share by chance."""
+    """Return the share of samples marked on all axes; 0 if chance explains it."""
     shares = []
     for part in excerpt(group[0].series.n):
         marks = np.stack([marked(p, p.series.samples[part]) for p in group])
@@ -187,10 +187,10 @@ def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], Bool
 
 
 def check_lsb(profile: Profile) -> tuple[Finding, ...]:
-    """Return a finding where the noise is below half an LSB.
+    """Return a finding if the noise is below half an LSB.
 
     Rounding adds LSB²/12 to the variance of well-dithered noise (Sheppard's correction); it is
-    taken off before comparing.
+    subtracted before the comparison.
     """
     lsb, series = profile.lsb, profile.series
     if lsb is None or not profile.noise**2 < lsb**2 * (_COARSE**2 + 1 / 12):
@@ -206,7 +206,7 @@ def check_lsb(profile: Profile) -> tuple[Finding, ...]:
 
 
 def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error for each two axes that hold the same samples, up to sign, scale and offset."""
+    """Return an error for each pair of axes with the same samples, up to sign, scale and offset."""
     findings = []
     advice = "Check the choice of columns, or the driver that fills them."
     for one, two in combinations(profiles, 2):
@@ -221,7 +221,7 @@ def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _correlation(one: Profile, two: Profile) -> float:
-    """Return the correlation of the steps from sample to sample, over an excerpt."""
+    """Return the correlation of the differences between successive samples, over an excerpt."""
     products = np.zeros(3)
     for part in excerpt(one.series.n):
         x, y = np.diff(one.series.samples[part]), np.diff(two.series.samples[part])
@@ -230,32 +230,32 @@ def _correlation(one: Profile, two: Profile) -> float:
     return xy / (xx**0.5 * yy**0.5) if xx > 0 and yy > 0 else 0.0
 
 
-#: Gravity as an uncalibrated accelerometer may show it, in m/s²: 20 % off at most.
+#: Range of gravity of an uncalibrated accelerometer, in m/s²: within 20 %.
 _GRAVITY = (0.8 * G0, 1.2 * G0)
-#: Below this, in m/s², there is no gravity in the figures, whatever their unit.
+#: Below this, in m/s², the values contain no gravity in any unit.
 _NO_GRAVITY = 0.3
-#: Mean vector, in m/s², that is no gravity, and a standard deviation that no accelerometer has at rest.
+#: Largest mean vector, in m/s², without gravity, and smallest standard deviation of a moving accelerometer.
 _WEIGHTLESS, _SHAKEN = 0.3 * G0, 0.3
-#: N above this, in rad/s/sqrt(Hz), is no gyroscope: poor ones have 1e-3.
+#: Largest N of a gyroscope, in rad/s/sqrt(Hz): poor ones have 1e-3.
 _NOISY = 4e-3
-#: Mean rate above this, in rad/s, is no bias: 20 deg/s is the worst that data sheets allow.
+#: Largest bias of a gyroscope, in rad/s: 20 deg/s is the largest in data sheets.
 _BIASED = 0.4
-#: LSB that gyroscopes have, in deg/s: 131, 65.5, 32.8, 16.4 and 16 counts and 4.375 … 70 mdeg/s.
+#: LSB of common gyroscopes, in deg/s: 131, 65.5, 32.8, 16.4 and 16 counts and 4.375 … 70 mdeg/s.
 _GYRO_LSB = (1 / 131, 1 / 65.5, 1 / 32.8, 1 / 16.4, 1 / 16, 250 / 32768, 1000 / 32768, 2000 / 32768,
              0.004375, 0.00875, 0.0175, 0.035, 0.07)  # fmt: skip
-#: How closely an LSB must agree with one of these.
+#: Relative tolerance of a match with one of these.
 _AGREE = 2e-3
 
 
 def gravity(profiles: Sequence[Profile]) -> float | None:
-    """Return the usual length of a sensor's mean vector, in U; None without all three axes."""
+    """Return the typical length of a sensor's mean vector, in U; None without all three axes."""
     if len(profiles) != 3 or len({p.windows.size for p in profiles}) != 1 or not profiles[0].windows.size:
         return None
     return float(np.median(np.sqrt(sum(p.windows.mean**2 for p in profiles))))
 
 
 def shaken(profiles: Sequence[Profile]) -> tuple[str, float] | None:
-    """Return the most restless axis of an accelerometer that moves and shows no gravity, and its deviation.
+    """Return the axis with the largest deviation if an accelerometer moves and has no gravity.
 
     The deviation is in m/s². None for an accelerometer at rest, with gravity, or without all three axes.
     """
@@ -268,7 +268,7 @@ def shaken(profiles: Sequence[Profile]) -> tuple[str, float] | None:
 
 
 def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error when gravity is in the gyroscope and not in the accelerometer."""
+    """Return an error if gravity is in the gyroscope and not in the accelerometer."""
     gyro, accel = (gravity(_of(sensor, profiles)) for sensor in Sensor)
     if not swapped(profiles):
         return ()
@@ -281,7 +281,7 @@ def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def swapped(profiles: Sequence[Profile]) -> bool:
-    """Whether gravity is in the gyroscope and not in the accelerometer."""
+    """Return whether gravity is in the gyroscope and not in the accelerometer."""
     gyro, accel = (gravity(_of(sensor, profiles)) for sensor in Sensor)
     if gyro is None or accel is None:
         return False
@@ -295,7 +295,7 @@ def _of(sensor: Sensor, profiles: Sequence[Profile]) -> list[Profile]:
 
 
 def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return a finding when the length of gravity is not that of m/s²."""
+    """Return a finding if the length of gravity does not match m/s²."""
     accel = _of(Sensor.ACCELEROMETER, profiles)
     length = gravity(accel)
     if length is None or swapped(profiles) or shaken(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
@@ -311,7 +311,7 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
 
 
 def _unit_advice(sensor: Sensor, unit: str) -> str:
-    """Return what to do about a unit that looks like `unit`, ``count``, or like no unit that is known."""
+    """Return advice for data that seem to be in `unit`: a unit, ``count``, or empty if unknown."""
     scales = "all its numbers scale with the unit."
     if not unit:
         return f"Give the {sensor}'s unit when reading; {scales}"
@@ -320,11 +320,11 @@ def _unit_advice(sensor: Sensor, unit: str) -> str:
 
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, str]:
-    """Return what the length of gravity looks like, and the unit to read the log with, if there is one."""
+    """Return an explanation of the length of gravity, and the unit to read the log with, if known."""
     for unit, expected in (("g", 1.0), ("mg", 1e3), ("ug", 1e6)):
         if abs(length / expected - 1) < 0.15 and not (unit == "mg" and _are_counts(accel)):
             return f"the unit looks like {unit}", unit
-    # g taken for m/s² twice, or m/s² taken for g
+    # g converted to m/s² twice, or m/s² read as g
     if abs(length / G0**2 - 1) < 0.15:
         return "values in m/s^2 seem to have been read as g", "m/s^2"
     if _are_counts(accel) or length > 1e3:
@@ -333,12 +333,12 @@ def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, 
 
 
 def _are_counts(profiles: Sequence[Profile]) -> bool:
-    """Whether all axes step by exactly 1."""
+    """Return whether all axes have steps of exactly 1."""
     return bool(profiles) and all(p.lsb == 1 and float(p.series.samples[0]).is_integer() for p in profiles)
 
 
 def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return a finding when a gyroscope at rest does not look like rad/s: its steps, noise or mean."""
+    """Return a finding if a gyroscope at rest is not in rad/s, from its steps, noise or mean."""
     gyro = _of(Sensor.GYROSCOPE, profiles)
     reason = None if swapped(profiles) else _gyroscope_reason(gyro)
     if reason is None:
@@ -349,7 +349,7 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
-    """Return what says that a gyroscope is in another unit, the surest sign first; None for rad/s."""
+    """Return the strongest evidence that a gyroscope is in another unit; None for rad/s."""
     if _are_counts(gyro):
         return "all its values are whole numbers, like raw counts"
     known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / lsb - 1) < _AGREE for lsb in _GYRO_LSB)]
@@ -367,17 +367,17 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     return None
 
 
-#: Slowest and fastest, in Hz: averages of 1 s are logged, and no bench instrument gives more than 100 kHz.
+#: Lowest and highest rate, in Hz: averages of 1 s are logged, and bench instruments reach 100 kHz.
 _SLOWEST, _FASTEST = 0.5, 150e3
-#: Fastest of MEMS sensors, in Hz: 32 kHz, and some room for their clocks.
+#: Highest rate of MEMS sensors, in Hz: 32 kHz, with a margin for their clocks.
 _FASTEST_MEMS = 40e3
 
 
 def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error for each rate that comes of stamps in another unit, or of a wrong rate given.
+    """Return an error for each rate that suggests time stamps in another unit, or a wrong given rate.
 
-    Every density and every time of the result follows the rate. Instruments on a bench sample at up to
-    100 kHz, which is also 100 Hz with stamps in a wrong unit: a rate between is a warning.
+    All densities and times in the result scale with the rate. A rate too high for MEMS sensors but possible
+    for bench instruments is a warning: 100 kHz may also be 100 Hz with time stamps in the wrong unit.
     """
     found = []
     advice = "Check the unit of the time stamps (s, ms, us, ns), or give the sampling rate in Hz."
@@ -392,14 +392,14 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-#: A change of temperature that is worth a word of its own, in degrees.
+#: Change of temperature that is reported, in degrees.
 _LARGE_CHANGE = 3.0
 
 
 def temperature_finding(temperature: Temperature | None) -> tuple[Finding, ...]:
-    """Return a note on a large change of the temperature; which axes follow it is another question."""
+    """Return a note on a large change of temperature, whether or not an axis follows it."""
     degrees = temperature.samples[np.isfinite(temperature.samples)] if temperature else np.zeros(0)
-    # Means of nine, as the thermometer's own noise is no change.
+    # Means of nine samples suppress the thermometer's own noise.
     change = float(np.ptp(np.convolve(degrees, np.full(9, 1 / 9), "valid"))) if degrees.size > 32 else 0.0
     if change <= _LARGE_CHANGE:
         return ()

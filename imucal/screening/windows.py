@@ -1,8 +1,8 @@
-"""What all checks of one axis share, worked out once: its windows, and which are disturbed.
+"""The windows of an axis, and which of them are disturbed: computed once for all checks.
 
-An axis is cut into short windows: a small table that most checks work on instead of the samples. A window
-is disturbed where it is louder than the quiet ones, or off their level. Every limit comes from the axis's
-own quiet windows, so that a touch does not hide itself by raising the yardstick.
+An axis is divided into short windows. Most checks use this small table instead of the samples. A window
+is disturbed if it is louder than the quiet ones, or has another mean. All limits come from the axis's
+own quiet windows, so that a touch does not hide itself by raising the limit.
 """
 
 import math
@@ -19,13 +19,13 @@ from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import G0
 
-#: Length of a window, in s: long against a knock's ringing, short against what one wants to keep.
+#: Length of a window, in s: long compared with a knock's ringing, short compared with the part to keep.
 _LENGTH_S = 0.5
-#: Least samples of a window: its variance then has 15 degrees of freedom.
+#: Minimum samples of a window: its variance then has 15 degrees of freedom.
 _LEAST = 16
-#: Windows wanted of a short log.
+#: Number of windows wanted from a short log.
 _WANTED = 64
-#: Samples worked on at a time: they stay in the cache, and a mapped file is never in memory as a whole.
+#: Samples processed at a time: they fit in the cache, and a mapped file is never fully in memory.
 _BLOCK = 1 << 17
 
 
@@ -33,10 +33,10 @@ _BLOCK = 1 << 17
 class Windows(ReadOnlyArrays):
     """Statistics of each window of an axis; all arrays have shape (k,), in order of time.
 
-    A window has `width` samples and without missing ones spans `length_s`; it begins with the sample of index
-    `start`, taken at `time_s` from the first of the axis. `mean`, `variance` and the extremes `low` and
-    `high` are in U and U²; `step_variance` is half the mean square of successive differences, in U²: the
-    variance of white noise. `repeats` are samples that equal the one before.
+    A window has `width` samples and spans `length_s` if none is missing. It begins at sample index `start`,
+    at `time_s` after the first sample of the axis. `mean`, `low` and `high` (the extremes) are in U,
+    `variance` in U². `step_variance` is half the mean square of successive differences, in U²: the variance
+    of white noise. `repeats` counts samples equal to the previous one.
     """
 
     width: int
@@ -67,11 +67,11 @@ class Windows(ReadOnlyArrays):
 
 
 def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _LEAST) -> Windows:
-    """Return the windows of an axis without NaN; none where it has less than `least` samples in a row.
+    """Return the windows of an axis without NaN; none if it never has `least` samples in a row.
 
-    A window never spans a gap longer than a quarter of itself; windows over shorter gaps count as
-    whole ones. The last window of a stretch is set to its end, so that no sample is left out: it
-    may overlap the one before. O(n), one pass, in blocks.
+    A window never spans a gap longer than a quarter of its length; windows over shorter gaps count as
+    complete. The last window of a stretch ends with it, so that no sample is left out: it may overlap the
+    previous one. O(n), one pass, in blocks.
     """
     width = max(least, min(round(series.rate_hz * length_s), series.n // _WANTED))
     starts, places = _starts(series.clock.segments, width)
@@ -94,7 +94,7 @@ def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _LEAST)
 
 
 def _starts(segments: tuple[Segment, ...], width: int) -> tuple[IntArray, FloatArray]:
-    """Return where windows start, clear of long gaps: index, and place on the grid from the first sample."""
+    """Return the starts of windows, clear of long gaps: index, and grid place from the first sample."""
     if not segments:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     table = np.array([(s.start, s.stop, s.offset) for s in segments], dtype=np.int64)
@@ -121,7 +121,7 @@ def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray
         table = np.asarray(block).reshape(starts.size, width)
     else:
         table = np.lib.stride_tricks.sliding_window_view(block, width)[starts - starts[0]]
-    # The first sample is taken off before squaring: an offset of 1e6 noise deviations costs no digits.
+    # Subtract the first sample before squaring, to keep precision with an offset of 1e6 deviations.
     mean = table[:, 0] + (table - table[:, :1]).mean(axis=1)
     rest = table - mean[:, None]
     steps = np.diff(table, axis=1)
@@ -137,15 +137,15 @@ def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray
     )
 
 
-#: How often an axis at rest may have one disturbed window, by chance.
+#: Probability that an axis at rest has a disturbed window by chance.
 _FALSE_ALARM = 1e-4
-#: Real noise breathes with the temperature: a variance or a jump must pass the limit by this much.
+#: A variance or a jump must exceed its limit by this factor, because real noise varies with temperature.
 _MARGIN = 1.25
-#: A spike stands out by this many robust deviations and is at most two samples long.
+#: A spike exceeds this many robust deviations and is at most two samples long.
 _SPIKE = 5 * 1.4826
-#: Spikes in more than this part of a window are no spikes.
+#: If more than this fraction of a window would be spikes, they are not spikes.
 _MOST_SPIKES = 0.15
-#: Fewer windows than this say nothing about what is usual.
+#: Minimum number of windows to estimate the limits.
 _LEAST_WINDOWS = 8
 #: Median of chi2(1).
 _MEDIAN_CHI2 = 0.4549364
@@ -160,7 +160,7 @@ def usual_variance(windows: Windows) -> float:
 def quietest(variance: FloatArray, count: int) -> float:
     """Return the median variance of the `count` quietest windows in a row, in U²; 0 if all are constant.
 
-    The yardstick of a log that is mostly in motion.
+    This is the reference for a log that is mostly in motion.
     """
     logs = np.log(variance[variance > 0])
     if logs.size > count:
@@ -172,9 +172,9 @@ def quietest(variance: FloatArray, count: int) -> float:
 def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None) -> NDArray[np.bool_]:
     """Return which windows are disturbed, shape (k,).
 
-    A window is when its variance, or the jump of its mean from the window before, is larger than
-    chance allows; both must also exceed the resolution `lsb`, below which values only toggle. What
-    chance allows, the `quiet` windows say: by default all of them, most of which are at rest.
+    A window is disturbed if its variance, or the jump of its mean from the previous window, exceeds the
+    limit of chance. Both must also exceed the resolution `lsb`, below which values only toggle. The limits
+    are estimated from the `quiet` windows: by default all of them, most of which are at rest.
     """
     if windows.size < _LEAST_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
@@ -193,12 +193,12 @@ def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None)
 
 
 def variance_limit(variances: FloatArray, p_above: float) -> float:
-    """Return what the variance of a quiet window exceeds with a probability of at most about `p_above`.
+    """Return the variance that a quiet window exceeds with a probability of at most about `p_above`.
 
-    A variance is a sum of weighted chi-squares: its tail falls as exp(-x/c), where c shows between
-    the median and the 80 % quantile, whatever the colour of the noise. Windows in motion, when they
-    are more than a fifth, would raise that; so the limit is never above that of two degrees of
-    freedom with the same median. Shape of `variances` (k,), k >= 1.
+    A variance is a sum of weighted chi-squares. Its tail falls as exp(-x/c); c is estimated between
+    the median and the 80 % quantile, for any colour of the noise. If more than a fifth of the windows are in
+    motion, they raise c. The limit is therefore at most the limit for two degrees of freedom with the same
+    median. Shape of `variances` (k,), k >= 1.
     """
     middle, upper = (float(q) for q in np.quantile(variances, [0.5, 0.8]))
     reach = math.log(0.5 / p_above)
@@ -207,16 +207,16 @@ def variance_limit(variances: FloatArray, p_above: float) -> float:
 
 
 def _jumps(windows: Windows) -> FloatArray:
-    """Return how far the mean moves from each window to the next, shape (k - 1,); 0 over a gap."""
+    """Return the change of the mean from each window to the next, shape (k - 1,); 0 over a gap."""
     jumps = np.abs(np.diff(windows.mean))
     jumps[np.diff(windows.time_s) > 1.5 * windows.length_s] = 0.0
     return jumps
 
 
 def without_spikes(series: AxisSeries, windows: Windows, suspects: NDArray[np.bool_]) -> Windows:
-    """Return the windows, mean and variance of the suspects taken without outliers of one or two samples.
+    """Return the windows, with outliers of one or two samples removed from the suspects' statistics.
 
-    Spikes are errors of the data, not of the stillness; the fit cleans and counts them.
+    Spikes are errors of the data, not motion; the fit removes and counts them.
     """
     mean, variance = windows.mean.copy(), windows.variance.copy()
     offsets = np.arange(windows.width)
@@ -235,10 +235,10 @@ def without_spikes(series: AxisSeries, windows: Windows, suspects: NDArray[np.bo
 
 
 def _spikes(table: FloatArray) -> NDArray[np.bool_]:
-    """Return which samples of each row stand out alone or in pairs, shape of `table`."""
+    """Return which samples of each row are outliers, alone or in pairs, shape of `table`."""
     rest = np.abs(table - np.median(table, axis=1, keepdims=True))
     deviation = np.median(rest, axis=1, keepdims=True)
-    # Of a coarse axis most samples are equal: then the mean deviation is the yardstick.
+    # If most samples of a coarse axis are equal, use the mean deviation.
     deviation = np.where(deviation > 0, deviation, rest.mean(axis=1, keepdims=True))
     out = np.pad(rest > _SPIKE * deviation, ((0, 0), (2, 2)))
     left, here, right = out[:, 1:-3], out[:, 2:-2], out[:, 3:-1]
@@ -247,21 +247,21 @@ def _spikes(table: FloatArray) -> NDArray[np.bool_]:
     return here & ~longer
 
 
-#: Samples that show the LSB, in stretches spread over the log.
+#: Number and length of the stretches that are used to find the LSB, spread over the log.
 _STRETCHES, _STRETCH = 16, 2048
-#: Steps of more LSB than this say little about the LSB.
+#: Steps larger than this many LSB are not used to find the LSB.
 _FEW = 12
-#: A step may differ by this part of an LSB from a multiple: decimal and float32 rounding.
+#: A step may differ by this fraction of an LSB from a multiple: decimal and float32 rounding.
 _TOLERANCE = 0.15
 
 
 @frozen_alone
 class Profile:
-    """One axis, as the checks see it: without NaN, infinite and absurd samples, `left_out` in number.
+    """One axis for the checks, without NaN, infinite and impossible samples; `left_out` is their number.
 
-    Of its `windows`, those that stand out have mean and variance without spikes; `disturbed`, shape (k,),
-    says which are not at rest. `lsb` is the step of its values in U, None where they are not on a lattice,
-    and `noise` the deviation of its white noise per sample, in U.
+    In suspect `windows`, mean and variance exclude spikes. `disturbed`, shape (k,), marks the windows that
+    are not at rest. `lsb` is the step of the values in U, None if they are not on a lattice. `noise` is the
+    standard deviation of the white noise per sample, in U.
     """
 
     series: AxisSeries
@@ -278,14 +278,14 @@ class Profile:
 
     @property
     def constant(self) -> bool:
-        """Whether no sample differs from another."""
+        """Whether all samples are equal."""
         return not self.windows.size or bool(self.windows.low.min() == self.windows.high.max())
 
 
 def profile(series: AxisSeries, resting: Callable[[Windows], Windows] | None = None) -> Profile:
     """Return the profile of an axis; one pass over the samples.
 
-    Of a log that is mostly in motion, `resting` returns those of its windows that are at rest.
+    For a log that is mostly in motion, `resting` selects the windows at rest.
     """
     n, series = series.n, series.finite()
     windows = cut(series)
@@ -314,7 +314,7 @@ def excerpt(n: int) -> list[slice]:
 
 
 def resolution(series: AxisSeries) -> float | None:
-    """Return the step between neighbouring values, in U; None where values are not on a lattice.
+    """Return the step between neighbouring values, in U; None if values are not on a lattice.
 
     A constant axis has none.
     """
@@ -322,7 +322,7 @@ def resolution(series: AxisSeries) -> float | None:
     if values.size < 2:
         return None
     steps = np.diff(values)
-    # Values that differ by the rounding of a 32-bit float are one value.
+    # Values closer than the rounding of a 32-bit float are equal.
     steps = steps[steps > 4e-7 * np.abs(values).max()]
     if not steps.size:
         return None
@@ -347,7 +347,7 @@ def time(seconds: float) -> str:
 
 
 def span(start_s: float, end_s: float) -> str:
-    """Return ``12.3 to 15.2 s``: always in seconds, as these are what a person cuts by."""
+    """Return ``12.3 to 15.2 s``: always in seconds, because users cut the log in seconds."""
     return f"{start_s:.1f} to {end_s:.1f} s"
 
 
@@ -359,7 +359,7 @@ def amount(value: float, sensor: Sensor) -> str:
 
 
 def _figure(value: float) -> str:
-    """Return three digits, without an exponent where four or five digits say it as well."""
+    """Return three digits, without an exponent if four or five digits are enough."""
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e5 else f"{value:.3g}"
 
 
