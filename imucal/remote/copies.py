@@ -1,7 +1,7 @@
-"""Copies of remote logs on this machine: each whole or not at all, lent while it is used, kept in a cache.
+"""Cache of remote logs on this machine: only complete copies, locked during use.
 
-The cache has a folder for each; the least recently used goes first. Its locks between processes are those
-that the system takes back when their holder dies.
+Each copy has a folder; the least recently used copy is removed first. The operating system releases the locks
+between processes if a process dies.
 
 ::
 
@@ -232,8 +232,8 @@ def fetched(
 ) -> Iterator[LocalCopy]:
     """Yield a copy of a remote log, from the cache or downloaded; it is not removed during use.
 
-    After use it stays in the cache if there is space, unless `RemoteLog.keep` is false or the store gives no
-    ETag. With `exact` a changed object is refused, as results would be stored under the wrong key; otherwise
+    After use it stays in the cache if there is space, unless `RemoteLog.keep` is false or `RemoteLog.etag` is
+    empty. With `exact` a changed object is refused, as results would be stored under the wrong key; otherwise
     the new object is used.
 
     Raises ReadError if the log is missing, can't be fetched or has changed, or if the disk is full.
