@@ -102,7 +102,7 @@ class NamedTable:
         units: Sequence[str | None] = (),
         preamble: Sequence[str] = (),
     ) -> Self:
-        """Return the table of columns with these names; `preamble` is the text above."""
+        """Return the table with these columns; `units` is a row of units, `preamble` the text above."""
         context = frozenset(header.strip().strip("\"'").lower() for header in headers)
         units = units or [None] * len(headers)
         columns = [
