@@ -1,4 +1,4 @@
-"""Columns of samples -> Recording: the one way, whatever kind of log they come from."""
+"""Build a `Recording` from columns of samples, for every kind of log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,37 +19,37 @@ from imucal.units import SAMPLE_UNITS
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class RecordingBuilder:
-    """A recording in the making; sensors stand in it in the order in which they are added."""
+    """Collects the parts of a recording; sensors keep the order in which they are added."""
 
-    #: The log as the user named it, and what it is.
+    #: The log as the user named it, and its format.
     path: str
     format: str
-    #: What the caller says of it.
+    #: The caller's choices.
     options: ReadOptions = field(default_factory=ReadOptions)
-    #: Sampling rate that it states beside its stamps, in Hz; None where it states none.
+    #: Sampling rate stated in the log in addition to its stamps, in Hz; None if there is none.
     rate_hz: float | None = None
-    #: What was decided, and why, in order.
+    #: Decisions with their reasons, in order.
     decisions: list[tuple[str, str]] = field(default_factory=list)
-    #: What was seen, in order; what is said twice is kept once.
+    #: Findings in order; `build` removes duplicates.
     findings: list[Finding] = field(default_factory=list)
     series: list[AxisSeries] = field(default_factory=list)
     temperature: Temperature | None = None
 
     @property
     def room(self) -> Room:
-        """Where samples are put that are not kept as they are."""
+        """Memory for samples that have to be copied."""
         return Room(self.options.memory_limit)
 
     def decide(self, what: str, how: str) -> None:
-        """Note what was decided, and why, unless it is known."""
+        """Add a decision and its reason, once."""
         if (what, how) not in self.decisions:
             self.decisions.append((what, how))
 
     def add(self, samples: Sequence[Unscaled], *, where: str = "") -> None:
-        """Add sensors in SI; `where` stands in front of an error's message, or else the path.
+        """Add sensors in SI; error messages start with `where`, or with the path if it is empty.
 
-        Raises ChoiceError if a unit is open, or the one that is given is none of the sensor's, or the rate is
-        none of an IMU's and nobody gave it.
+        Raises ChoiceError if a unit is unknown, a given unit does not suit the sensor, or the measured rate
+        is not plausible for an IMU and the caller gave none.
         """
         for entry in samples:
             clock, given = entry.clock, self.options.rate_hz is not None or self.options.time_unit is not None
@@ -67,7 +67,7 @@ class RecordingBuilder:
             self.add_sensor(entry, scale)
 
     def add_sensor(self, entry: Unscaled, scale: float) -> None:
-        """Add the axes of a sensor, `scale` SI a unit; scaled in place where the memory is this package's."""
+        """Add the axes of a sensor; `scale` converts to SI, in place if the samples are writeable."""
         for axis, values in zip(entry.axes, entry.rows, strict=True):
             samples = _scaled(_kept(values, entry.order, self.room), scale, self.room)
             self.series.append(AxisSeries(sensor=entry.sensor, axis=axis, samples=samples, clock=entry.clock))
@@ -99,7 +99,7 @@ def _kept(values: FloatArray, order: IntArray | None, room: Room) -> FloatArray:
 
 
 def _scaled(samples: FloatArray, scale: float, room: Room) -> FloatArray:
-    """Return samples in SI; in place where they are this package's own memory."""
+    """Return samples in SI; writeable samples are scaled in place."""
     if scale == 1.0:
         return samples
     scaled = samples if samples.flags.writeable else room.empty(samples.size, np.float64)

@@ -1,6 +1,6 @@
-"""Addresses of logs: what a URL says, what may be shown of it, and what tells the log behind it from others.
+"""URLs of logs: their parts, their form without secrets, and keys that identify the logs.
 
-And what goes wrong between here and a store: what may pass is tried again, the rest is a message.
+Also the errors of stores: temporary failures are retried, others become messages.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from imucal.frozen import frozen
 
 #: A scheme has two letters or more: C: is a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
-#: What is left of a URL that went through a `Path`, which takes one of the slashes away.
+#: A URL that was converted to a `Path`, which removes a slash.
 _COLLAPSED = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/(?!/)")
 WEB = frozenset({"http", "https"})
 #: Scheme -> protocol of fsspec, its package, and the extra that brings it.
@@ -31,15 +31,15 @@ OBJECT_STORES = {
     "abfs": ("abfs", "adlfs", "azure"),
     "abfss": ("abfs", "adlfs", "azure"),
 }
-#: Bytes that a file's name may have on every file system that is common.
+#: Longest file name, in bytes; every common file system allows it.
 _LONGEST = 200
 _GLOB = frozenset("*?[")
 
 
 def is_url(log: object) -> bool:
-    """Return whether a text is a URL and not the path of a file.
+    """Return whether a log is given as a URL, not as the path of a file.
 
-    Raises ReadError if it is a URL that was made a `Path`.
+    Raises ReadError for a URL that was converted to a `Path`.
     """
     if isinstance(log, Path):
         if (match := _COLLAPSED.match(str(log))) and not log.exists():
@@ -50,7 +50,7 @@ def is_url(log: object) -> bool:
 
 
 def scheme_of(url: str) -> str:
-    """Return such as ``s3``, in small letters."""
+    """Return the scheme in small letters, such as ``s3``."""
     match = _URL.match(url)
     return match[1].lower() if match else ""
 
@@ -97,18 +97,18 @@ def name_of(url: str) -> str:
 
 
 def has_wildcards(url: str) -> bool:
-    """Return whether a URL stands for several: ``*``, ``?`` and ``[…]``; in a web address ``*`` alone."""
+    """Return whether a URL has wildcards: ``*``, ``?`` and ``[…]``; in a web address only ``*``."""
     signs = _GLOB if scheme_of(url) not in WEB else {"*"}
     return bool(signs & set(path_of(url)))
 
 
 def is_folder_name(url: str) -> bool:
-    """Return whether a URL says that it is a folder."""
+    """Return whether a URL has the form of a folder."""
     return path_of(url).endswith("/") or not path_of(url)
 
 
 def without_secrets(text: str, url: str) -> str:
-    """Return what a library said, without the query of a URL."""
+    """Return a library's message without the queries of URLs."""
     text = text.replace(url, shown(url))
     return re.sub(r"(\w://[^\s?'\"]*)\?[^\s'\")]*", r"\1", text)
 
@@ -117,22 +117,21 @@ def without_secrets(text: str, url: str) -> str:
 class RemoteFile:
     """One object of a store."""
 
-    #: Where it is, as it was given: with the query, which may be a secret.
+    #: The URL as given, with its query, which may be a secret.
     url: str = field(repr=False)
-    #: What changes when the object does: its ETag, or the time of its last change; empty where the
-    #: store says neither.
+    #: The ETag, or the time of the last change; empty if the store gives neither.
     etag: str
-    #: Bytes; None where the store doesn't say.
+    #: Size in bytes; None if unknown.
     size: int | None
-    #: Whether parts of it can be read.
+    #: Whether the store serves parts of the object.
     ranges: bool = True
 
     @property
     def key(self) -> str:
-        """Digest of what tells it from any other.
+        """Digest that identifies the object: of its URL, ETag and size.
 
-        An ETag stands for the content, so the query, which a signature changes every time, is left out.
-        A time of last change does not: then the query may choose the content.
+        An ETag identifies the content, so the query is left out: each signature changes it. With a time of
+        last change the query stays, as it may select the content.
         """
         url = shown(self.url) if self.etag.startswith(('"', "W/")) else self.url
         return _digest(f"{url}\n{self.etag}\n{self.size}")
@@ -142,11 +141,11 @@ class RemoteFile:
 class RemoteLog:
     """A log behind a URL: one object, or the folder of a bag."""
 
-    #: Where it is: a secret where it is signed; `shown` is for people and files.
+    #: The URL, a secret if it is signed; show or write `shown` instead.
     url: str = field(repr=False)
     #: Its objects.
     files: tuple[RemoteFile, ...]
-    #: Whether it is a folder, which may hold one file.
+    #: Whether it is a folder, perhaps of one file.
     folder: bool = False
     #: Whether the copy stays in the cache after use.
     keep: bool = True
@@ -163,7 +162,7 @@ class RemoteLog:
 
     @property
     def etag(self) -> str:
-        """What changes when the log does; empty where the store doesn't say it of every file."""
+        """ETag of the file, or a digest of all ETags; empty if a file has none."""
         tags = [file.etag for file in self.files]
         if not all(tags):
             return ""
@@ -171,13 +170,13 @@ class RemoteLog:
 
     @property
     def size(self) -> int | None:
-        """Bytes of all files; None where the store doesn't say."""
+        """Total size in bytes; None if the size of a file is unknown."""
         sizes = [file.size for file in self.files]
         return None if None in sizes else sum(size for size in sizes if size is not None)
 
     @property
     def key(self) -> str:
-        """Name of its place in the cache, and of its results in a fleet: 32 hexadecimal digits."""
+        """Name of the log in the cache and in a fleet's results: 32 hexadecimal digits."""
         if not self.folder:
             return self.files[0].key
         return _digest("\n".join([self.shown, *(file.key for file in self.files)]))
@@ -201,7 +200,7 @@ _CREDENTIALS = frozenset({
     "ProfileNotFound", "DefaultCredentialsError", "RefreshError", "ClientAuthenticationError",
     "CredentialUnavailableError",
 })  # fmt: skip
-#: Names of the errors of libraries that may be missing here: of a connection, and of waiting for an answer.
+#: Names of connection errors and timeouts; the libraries that define them may not be installed.
 _CONNECTION = frozenset({
     "EndpointConnectionError", "ClientConnectionError", "ConnectionError", "ServiceRequestError",
     "ServiceResponseError", "HTTPClientError", "ClientPayloadError", "ResponseStreamingError",
@@ -221,17 +220,17 @@ _LOG_IN = {
 
 
 class PassingError(Exception):
-    """Something that may pass: worth another attempt."""
+    """A temporary failure, worth another attempt."""
 
 
 class ChangedError(Exception):
-    """The object is not the one that was asked for any more."""
+    """The object has changed since it was identified."""
 
 
 def timeout() -> float:
-    """Return how many seconds an answer may take: ``IMUCAL_REMOTE_TIMEOUT``, or 30.
+    """Return the timeout of an answer in s: ``IMUCAL_REMOTE_TIMEOUT``, or 30.
 
-    Raises SettingError if it is no positive number.
+    Raises SettingError if it is not a positive number below 1e6.
     """
     text = os.environ.get(TIMEOUT, "").strip()
     if not text:
@@ -246,16 +245,16 @@ def timeout() -> float:
 
 
 class Attempts:
-    """Counts failures in a row; each is waited for, and the last one is the message."""
+    """Counts consecutive failures, waits after each, and raises an error after the last."""
 
     def __init__(self, url: str) -> None:
         self._url = url
         self._failed = 0
-        # The libraries of Google and Azure wait and try again themselves, for half a minute.
+        # The libraries of Google and Azure retry by themselves for half a minute.
         self._waits = WAITS if scheme_of(url) in _RETRIED_HERE else ()
 
     def went_on(self) -> None:
-        """Start to count anew: something came."""
+        """Reset the count after progress."""
         self._failed = 0
 
     def wait(self, error: PassingError) -> None:
@@ -268,7 +267,7 @@ class Attempts:
 
 
 def retried(url: str, work: Callable[[], Result]) -> Result:
-    """Return what `work` does, tried again where that may pass; raises ReadError if it fails every time."""
+    """Return the result of `work`, retried after a PassingError; raises ReadError after the last attempt."""
     attempts = Attempts(url)
     while True:
         try:
@@ -278,12 +277,12 @@ def retried(url: str, work: Callable[[], Result]) -> Result:
 
 
 def missing(url: str, what: str = "object") -> ReadError:
-    """Return the error of what is not there."""
+    """Return the error of a missing object."""
     return refused(url, f"there is no such {what} (404); check the address")
 
 
 def forbidden(url: str, code: int = 403) -> ReadError:
-    """Return the error of what may not be read."""
+    """Return the error of denied access."""
     scheme = scheme_of(url)
     if scheme not in _LOG_IN:
         hint = "perhaps a signed address has expired; create a new one, or put name and password in ~/.netrc"
@@ -292,7 +291,7 @@ def forbidden(url: str, code: int = 403) -> ReadError:
 
 
 def explained(error: Exception, url: str) -> Exception:
-    """Return an error as one of ours, which stay: a `PassingError`, or a `ReadError` with a message."""
+    """Convert a library's error to a `PassingError` or `ReadError`; return errors of imucal unchanged."""
     if isinstance(error, ImucalError | PassingError | ChangedError):
         return error
     names = {kind.__name__ for cause in _chain(error) for kind in type(cause).__mro__}
@@ -313,7 +312,7 @@ def explained(error: Exception, url: str) -> Exception:
 
 
 def _passing(names: set[str], text: str) -> str:
-    """Return what may pass; empty where it is something else."""
+    """Return a description of a temporary failure; empty for other errors."""
     if names & (_CREDENTIALS | {"SSLCertVerificationError"}):
         return ""
     if names & {"gaierror", "ClientConnectorDNSError"}:
@@ -324,7 +323,7 @@ def _passing(names: set[str], text: str) -> str:
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and what led to it."""
+    """Yield an error and its causes."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))

@@ -1,14 +1,14 @@
-"""Copies of remote logs on this machine: each whole or not at all, lent while it is used, kept in a cache.
+"""Cache of remote logs on this machine: only complete copies, locked during use.
 
-The cache has a folder for each; the least recently used goes first. Its locks between processes are those
-that the system takes back when their holder dies.
+Each copy has a folder; the least recently used copy is removed first. The operating system releases the locks
+between processes if a process dies.
 
 ::
 
-    KEY.lock     held by whoever reads the copy (shared) or makes and removes it (alone); its time is that of
-                 the last use
+    KEY.lock     lock for reading the copy (shared) or for making and removing it (exclusive); its time is
+                 the time of the last use
     KEY/         the copy: a file, or the folder of a bag, under the log's own name
-    KEY.part/    a copy on its way
+    KEY.part/    an unfinished copy
 """
 
 import os
@@ -42,9 +42,9 @@ except ImportError:  # Windows: an open file can't be removed there, which prote
 
 @contextmanager
 def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock that is the file `path`; yield whether it was had, which only `wait=False` leaves open.
+    """Hold the lock file `path`; yield whether the lock was acquired, always true with `wait`.
 
-    Whoever holds it alone may remove the file: those who wait for it then take the new one.
+    The holder of the exclusive lock may remove the file; waiting processes then lock the new file.
     """
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
@@ -56,7 +56,7 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
                     fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
                 except BlockingIOError:
                     had = False
-            # Whether the open file is still the one of that name.
+            # Check that the file was not replaced.
             same = not had
             with suppress(OSError):
                 same = same or os.path.samestat(os.fstat(file), path.stat())
@@ -68,32 +68,32 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
 
 
 FOLDER, SIZE = "IMUCAL_CACHE", "IMUCAL_CACHE_SIZE"
-#: Bytes that copies may take together, where nothing else is said.
+#: Default size of the cache, in bytes.
 _DEFAULT_SIZE = 10 << 30
-#: Left free on the disk beside a copy, in bytes: others write too.
+#: Free space left on the disk for other programs, in bytes.
 _MARGIN = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The place of a log in the cache."""
+    """The paths of a log in the cache."""
 
     root: Path
     key: str
 
     @property
     def lock(self) -> Path:
-        """The file that is locked."""
+        """The lock file."""
         return self.root / f"{self.key}.lock"
 
     @property
     def whole(self) -> Path:
-        """Where the copy is."""
+        """The folder of the copy."""
         return self.root / self.key
 
     @property
     def part(self) -> Path:
-        """Where it is made."""
+        """The folder of an unfinished copy."""
         return self.root / f"{self.key}.part"
 
     def path(self, log: RemoteLog) -> Path:
@@ -101,13 +101,13 @@ class Entry:
         return self.whole / log.name
 
     def files(self, log: RemoteLog, within: Path) -> list[Path]:
-        """Return the files of a copy that is in a folder, in the order of the log's."""
+        """Return the files of a copy in a folder, in the order of `log.files`."""
         if not log.folder:
             return [within / log.name]
         return [within / log.name / name_of(file.url) for file in log.files]
 
     def is_whole(self, log: RemoteLog) -> bool:
-        """Return whether the copy is there, each file with its size."""
+        """Return whether all files exist with the right size."""
         try:
             sizes = [path.stat().st_size for path in self.files(log, self.whole)]
         except OSError:
@@ -115,12 +115,12 @@ class Entry:
         return all(file.size in {None, size} for file, size in zip(log.files, sizes, strict=True))
 
     def remove(self) -> bool:
-        """Remove the copy, unless somebody uses it; return whether it is gone."""
+        """Remove the copy unless it is in use; return whether it was removed."""
         try:
             with locked(self.lock, wait=False) as had:
                 if not had:
                     return False
-                # Renamed at first: half a copy never stands in its place.
+                # Rename first, so that a partly removed copy is never used.
                 with suppress(FileNotFoundError):
                     shutil.rmtree(self.part)
                 with suppress(FileNotFoundError):
@@ -132,7 +132,7 @@ class Entry:
         return not self.whole.exists()
 
     def size(self) -> int:
-        """Return the bytes that it takes, of a copy on its way too."""
+        """Return the size in bytes, including an unfinished copy."""
         return sum(_size(path) for folder in (self.whole, self.part) for path in folder.rglob("*"))
 
 
@@ -144,9 +144,9 @@ def _size(path: Path) -> int:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the copies: ``IMUCAL_CACHE``, or the user's own for caches.
+    """Return the folder of the cache: ``IMUCAL_CACHE``, or the user's folder for caches.
 
-    Raises ReadError if it can't be made or written to.
+    Raises ReadError if it can't be created or written to.
     """
     asked = os.environ.get(FOLDER, "").strip()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -163,25 +163,25 @@ def cache_folder() -> Path:
 
 
 def cache_size() -> int:
-    """Return how many bytes copies may take together: ``IMUCAL_CACHE_SIZE``, or 10 GB; 0 keeps none.
+    """Return the size of the cache in bytes: ``IMUCAL_CACHE_SIZE``, or 10 GB; 0 keeps no copies.
 
-    Raises SettingError if it is no size.
+    Raises SettingError if the value is not a size.
     """
     size = size_setting(SIZE, least=0)
     return _DEFAULT_SIZE if size is None else size
 
 
 def entry_of(log: RemoteLog) -> Entry:
-    """Return the place of a log in the cache."""
+    """Return the entry of a log in the cache."""
     return Entry(cache_folder(), log.key)
 
 
 def make_room(root: Path, wanted: int, *, most: int) -> None:
-    """Remove copies that nobody uses, the least recently used first.
+    """Remove unused copies, the least recently used first.
 
-    Until all together take `most` bytes, and `wanted` bytes are free on the disk.
+    Stops once the cache takes at most `most` bytes and `wanted` bytes are free on the disk.
 
-    Raises ReadError if the disk has not so many bytes even then.
+    Raises ReadError if fewer than `wanted` bytes are free at the end.
     """
     used: list[tuple[float, str]] = []
     for path in root.glob("*.lock"):
@@ -207,10 +207,10 @@ def _lacks(root: Path, wanted: int) -> bool:
     return wanted > 0 and shutil.disk_usage(root).free < wanted + _MARGIN
 
 
-#: Called with bytes done and bytes in all (0 where nobody knows).
+#: Called with the bytes done and the total (0 if unknown).
 Progress: TypeAlias = Callable[[int, int], None]
 
-#: An object that changes so often while it is read is being written.
+#: Most changes of an object during reading; with more it is being written.
 _MOST_CHANGES = 3
 
 
@@ -218,7 +218,7 @@ _MOST_CHANGES = 3
 class LocalCopy:
     """The copy of a remote log."""
 
-    #: What it is a copy of.
+    #: The remote log.
     log: RemoteLog
     #: The file, or the folder of a bag; valid inside the ``with`` block.
     path: Path
@@ -230,14 +230,13 @@ class LocalCopy:
 def fetched(
     log: RemoteLog | str, *, progress: Progress | None = None, exact: bool = True
 ) -> Iterator[LocalCopy]:
-    """Lend a copy of a remote log, from the cache or downloaded; nobody removes it meanwhile.
+    """Yield a copy of a remote log, from the cache or downloaded; it is not removed during use.
 
-    After use it stays in the cache as far as there is room, unless `RemoteLog.keep` is false or nothing
-    tells whether the object has changed. With `exact` a `RemoteLog` that changed is refused, as its results
-    would go under the name of another; without it the new one is taken.
+    After use it stays in the cache if there is space, unless `RemoteLog.keep` is false or `RemoteLog.etag` is
+    empty. With `exact` a changed object is refused, as results would be stored under the wrong key; otherwise
+    the new object is used.
 
-    Raises ReadError if there is no such log, it can't be fetched, the disk is full, or it is another than
-    `log` by now.
+    Raises ReadError if the log is missing, can't be fetched or has changed, or if the disk is full.
     """
     asked = identify(log) if isinstance(log, str) else log
     for _ in range(_MOST_CHANGES):
@@ -263,18 +262,18 @@ def fetched(
 
 @contextmanager
 def _made(log: RemoteLog, entry: Entry, progress: Progress | None) -> Iterator[LocalCopy]:
-    """Hold a copy, which is made where there is none."""
+    """Hold a copy; download it if there is none."""
     while True:
         with locked(entry.lock, shared=True):
             if entry.is_whole(log):
-                # The time of its last use.
+                # Set the time of the last use.
                 with suppress(OSError):
                     os.utime(entry.lock)
                 files = tuple(entry.files(log, entry.whole))
                 yield LocalCopy(log=log, path=entry.path(log), files=files)
                 return
         with locked(entry.lock):
-            # Another process may have made it while this one waited.
+            # Another process may have made the copy during the wait.
             if not entry.is_whole(log):
                 _make(log, entry, progress)
 
@@ -293,7 +292,7 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
     try:
         for folder in (entry.part, entry.whole):
             if folder.exists():
-                # Left by a process that was killed, or touched by somebody.
+                # Left by a killed process, or modified.
                 shutil.rmtree(folder)
         for file, path in zip(log.files, entry.files(log, entry.part), strict=True):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -313,9 +312,9 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
 
 
 def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> None:
-    """Write an object into an open file; goes on where a connection broke off.
+    """Write an object to an open file; resume after a broken connection.
 
-    What came before is no progress: a server that gives no parts and ends early is given up, too.
+    Bytes received again are no progress: give up on a server without parts that always ends early.
     """
     store = store_of(file.url)
     attempts = Attempts(file.url)

@@ -1,10 +1,10 @@
-"""Stores of logs: which store a URL is of, what it can do, and which logs stand behind a URL.
+"""Stores of logs: find the store of a URL, read its objects and list the logs of the URL.
 
-Behind http and https by the standard library: parts, signed addresses, proxies, ~/.netrc. A look is a GET of
-the first bytes, not a HEAD: addresses that are signed for GET refuse every other method.
+http and https use the standard library: parts, signed addresses, proxies, ~/.netrc. Objects are identified by
+a GET of the first bytes, not a HEAD, because addresses signed for GET refuse other methods.
 
-In object stores (S3, Google Cloud Storage, Azure) by fsspec; credentials, endpoints and proxies are found as
-s3fs, gcsfs and adlfs find them.
+Object stores (S3, Google Cloud Storage, Azure) use fsspec; s3fs, gcsfs and adlfs find credentials, endpoints
+and proxies.
 """
 
 import contextlib
@@ -50,7 +50,7 @@ from imucal.remote.addresses import (
 
 
 def store_of(url: str) -> "Store":
-    """Return the store of a URL; raises ReadError if its scheme has none, or its package is not installed."""
+    """Return the store of a URL; raises ReadError for an unknown scheme or a package not installed."""
     scheme = scheme_of(url)
     if scheme in WEB:
         return HttpStore()
@@ -61,29 +61,29 @@ def store_of(url: str) -> "Store":
     return ObjectStore(url)
 
 
-#: Codes of servers that are busy or starting.
+#: HTTP codes of temporary failures.
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
-#: Bytes that a look asks for: enough to tell a web page from a log.
+#: Bytes fetched to identify an object: enough to distinguish a web page from a log.
 _HEAD = 512
 _BLOCK = 1 << 20
-#: A listing that is larger is none, in bytes.
+#: Largest listing of a folder, in bytes.
 _PAGE = 1 << 24
 _PAGE_STARTS = (b"<!doctype html", b"<html")
 _RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
 
 
 class HttpStore:
-    """Files of web servers. Methods raise ReadError with a message for people, as those of `ObjectStore`."""
+    """Files of web servers. Methods raise ReadError with a message for users, as in `ObjectStore`."""
 
     def look_at(self, url: str) -> RemoteFile | None:
-        """Return what is known of an object; None where it is a folder."""
+        """Return the ETag and size of an object; None for a folder."""
         if is_folder_name(url):
             return None
 
         def looked_at() -> RemoteFile:
             with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
                 if body.read(_HEAD).lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
-                    # No log begins so.
+                    # No log begins like a web page.
                     kind = headers.get_content_type()
                     expected = "expected the address of the file itself, signed if necessary"
                     why = f"the answer is a web page ({kind}), perhaps for login, not a log; {expected}"
@@ -98,7 +98,7 @@ class HttpStore:
         return retried(url, looked_at)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        """Return bytes `start` to `stop` of an object; raises ChangedError where it is another by now."""
+        """Return bytes `start` to `stop` of an object; raises ChangedError if it has changed."""
 
         def part() -> bytes:
             data = b"".join(self.blocks(file, start, stop))
@@ -109,7 +109,7 @@ class HttpStore:
         return retried(file.url, part)
 
     def blocks(self, file: RemoteFile, start: int, stop: int | None = None) -> Iterator[bytes]:
-        """Yield bytes `start` to `stop` of an object, or all behind; raises PassingError, or ChangedError."""
+        """Yield bytes `start` to `stop` (None: the end); raises PassingError or ChangedError."""
         part = f"bytes={start}-{'' if stop is None else stop - 1}" if start or stop else None
         with _open(file.url, part) as (status, headers, body):
             if (part and status != 206) or _tag(headers) != file.etag:
@@ -118,12 +118,12 @@ class HttpStore:
                 yield block
 
     def files_in(self, url: str) -> list[str]:
-        """Return the URLs of what stands in a folder, without its folders."""
+        """Return the URLs of the files in a folder, without subfolders."""
         folder = url if is_folder_name(url) else f"{shown(url)}/"
         return [link for link in _links(folder) if not link.endswith("/")]
 
     def matches(self, url: str) -> list[str]:
-        """Return the URLs that a URL with wildcards stands for."""
+        """Return the URLs matched by a URL with wildcards."""
         parts = urlsplit(url)
         path, _, pattern = parts.path.rpartition("/")
         if "*" in path:
@@ -134,7 +134,7 @@ class HttpStore:
 
 
 class _WebRedirects(HTTPRedirectHandler):
-    """Goes where an address leads, as long as that is on the web; `urllib` follows to ftp, too."""
+    """Follows redirects only to http and https; `urllib` also follows to ftp."""
 
     def http_error_302(self, req: Request, fp: Any, code: int, msg: str, headers: Any) -> Any:  # noqa: ANN401
         target = scheme_of(urljoin(req.full_url, headers.get("Location", "")))
@@ -154,9 +154,9 @@ def _led_astray(url: str, where: str) -> ReadError:
 def _open(
     url: str, part: str | None = None, *, empty: bool = False
 ) -> Iterator[tuple[int, Message, IO[bytes]]]:
-    """Yield status, headers and body of an answer; with `empty`, a file without bytes is one.
+    """Yield status, headers and body of an answer; `empty` allows a file without bytes.
 
-    What the library raises, also while the body is read, becomes an error of ours.
+    Errors of the library, also during reading of the body, are converted by `explained`.
     """
     try:
         with build_opener(_WebRedirects).open(_request(url, part), timeout=timeout()) as response:
@@ -187,10 +187,10 @@ def _refusal(url: str, code: int) -> Exception:
 
 
 def _request(url: str, part: str | None) -> Request:
-    """Return a request; name and password of the URL or of ~/.netrc go to this host alone."""
+    """Return a request; name and password from the URL or ~/.netrc are sent only to this host."""
     parts = urlsplit(url)
     user, _, host = parts.netloc.rpartition("@")
-    # Letters beyond ASCII and spaces, as people type them; what is quoted stays.
+    # Quote spaces and non-ASCII letters; keep quoted characters.
     path = quote(parts.path, safe="/%:@!$&'()*+,;=~-._")
     request = Request(urlunsplit((parts.scheme.lower(), host, path, parts.query, "")))  # noqa: S310
     request.add_header("User-Agent", f"imucal/{__version__}")
@@ -216,7 +216,7 @@ def _tag(headers: Message) -> str:
 
 
 def _links(folder: str) -> list[str]:
-    """Return what the listing of a folder links to in that folder, in the order of the names."""
+    """Return the links in a folder's listing that point into that folder, sorted by name."""
 
     def page() -> bytes:
         with _open(folder) as (_, _, body):
@@ -268,7 +268,7 @@ class ObjectStore:
                 yield self._part(file, at, min(at + _PART, size))
             except Exception as error:
                 raise explained(error, file.url) from error
-        # Parts may be of two objects where one took the place of the other meanwhile.
+        # If the object was replaced meanwhile, parts may belong to two objects.
         now = self.look_at(file.url)
         if now is None or (now.etag, now.size) != (file.etag, file.size):
             raise ChangedError
@@ -294,7 +294,7 @@ class ObjectStore:
         return f"{self._scheme}://{key}"
 
     def _asked(self, url: str, work: Callable[[], Result]) -> Result:
-        """Return what the library answers; its errors become ours."""
+        """Return the library's answer; its errors are converted by `explained`."""
 
         def attempt() -> Result:
             try:
@@ -306,7 +306,7 @@ class ObjectStore:
 
 
 def _entity_tag(info: dict[str, Any]) -> str:
-    """Return the ETag in quotes, as S3 writes it; Google and Azure leave them out at times."""
+    """Return the ETag in quotes, as in S3; Google and Azure sometimes omit them."""
     tag = info.get("ETag") or info.get("etag")
     if tag:
         return str(tag) if str(tag).startswith('"') else f'"{tag}"'
@@ -315,24 +315,24 @@ def _entity_tag(info: dict[str, Any]) -> str:
 
 
 def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
-    """Return a file system that remembers no listings: objects change."""
+    """Return a file system without a cache of listings, because objects change."""
     import fsspec
 
     for name in ("fsspec", "s3fs", "gcsfs", "adlfs", "botocore", "aiobotocore", "google", "azure"):
-        # What they have to say of a failure stands in its message.
+        # Failures are reported in the error's message.
         logging.getLogger(name).addHandler(logging.NullHandler())
     settings: dict[str, Any] = {"use_listings_cache": False}
     if protocol == "s3":
-        # Further attempts are made here, with a message at their end.
+        # `Attempts` retries, with a message after the last attempt.
         config = {"connect_timeout": timeout(), "read_timeout": timeout(), "retries": {"max_attempts": 1}}
         settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
     return fsspec.filesystem(protocol, **settings)
 
 
-#: A place that holds logs.
+#: A store of logs.
 Store: TypeAlias = HttpStore | ObjectStore
 
-#: The file that makes a folder a bag.
+#: File that identifies a folder as a bag.
 _METADATA = "metadata.yaml"
 #: Endings of logs; a compressed text may have one more.
 _MESSAGES = (".mcap", ".bag", ".db3", ".bag.active", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst")
@@ -343,26 +343,26 @@ _LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED
 
 
 def expand(url: str) -> list[str]:
-    """Return the URLs of the logs that one stands for: itself, what its wildcards match, or a folder's logs.
+    """Return the URLs of the logs of a URL: itself, the matches of its wildcards, or a folder's logs.
 
-    A folder with ``metadata.yaml`` is one log, the bag of ROS 2; so is one that holds only tables, as
-    they may be an app's set. Of any other, each log stands for itself.
+    A folder with ``metadata.yaml`` is one log, a ROS 2 bag. A folder with only tables is one log too, as an
+    app may have written them together. In other folders each file is a log.
 
-    Raises ReadError if there is none, or it can't be asked.
+    Raises ReadError if there are no logs, or the store can't list them.
     """
     store = store_of(url)
     return [url] if _object_at(store, url) else _expanded(store, url)
 
 
 def logs_at(url: str) -> list[RemoteLog]:
-    """Return the logs that a URL stands for, as `expand` does, with what `identify` says of each."""
+    """Return the result of `identify` for each log of a URL; see `expand`."""
     store = store_of(url)
     file = _object_at(store, url)
     return [_of_one(url, file)] if file else [identify(log) for log in _expanded(store, url)]
 
 
 def _object_at(store: Store, url: str) -> RemoteFile | None:
-    """Return what is known of the object that a URL names; None where the URL stands for several."""
+    """Return the object of a URL; None if the URL has several."""
     return None if has_wildcards(url) or is_folder_name(url) else store.look_at(url)
 
 
@@ -372,7 +372,7 @@ def _expanded(store: Store, url: str) -> list[str]:
         if found:
             return found
         with suppress(ReadError):
-            # Such signs may stand in a name.
+            # Names may contain wildcard characters.
             if store.look_at(url) is not None:
                 return [url]
         raise refused(url, "no log has this name; expected an ending such as .mcap, .bag or .csv")
@@ -384,9 +384,9 @@ def _expanded(store: Store, url: str) -> list[str]:
 
 
 def identify(url: str, *, keep: bool = True) -> RemoteLog:
-    """Return name, ETag and size of a log without reading it; `keep` says whether its copy stays after use.
+    """Return name, ETag and size of a log without reading it; with `keep` its copy stays in the cache.
 
-    Raises ReadError if there is none, it may not be read, or the store can't be asked.
+    Raises ReadError if the log is missing, access is denied or the store does not answer.
     """
     store = store_of(url)
     file = None if is_folder_name(url) else store.look_at(url)

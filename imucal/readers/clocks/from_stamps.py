@@ -1,7 +1,7 @@
-"""Stamps -> clock: the rate, what is missing, and what the stamps look like.
+"""Compute a clock from time stamps: the rate, the missing samples, and findings about the stamps.
 
-Samples keep the order of the log: it is the order in which the sensor gave them, while stamps jitter. The
-rate and each sample's place on the even grid come from `imucal.readers.clocks.placing`.
+Samples keep the order of the log, because stamps jitter. The rate and each sample's place on the even grid
+come from `imucal.readers.clocks.placing`.
 """
 
 from collections.abc import Sequence
@@ -29,23 +29,23 @@ from imucal.readers.clocks.placing import (
 from imucal.readers.store import Room, count, equal, is_constant
 from imucal.recording import gap_findings
 
-#: Name of the time at which a message was recorded.
+#: Source name of recording times.
 LOG_TIME = "log time"
 
-#: Share of zero stamps above which stamps are of no use.
+#: Share of zero stamps above which log time is used.
 _ZEROS = 0.01
-#: A jump forward longer than this, in ns, is the clock being set, not a gap. One day.
+#: Longest gap, in ns: one day. A longer jump forward means that the clock was set.
 _DAY = 86_400 * 10**9
-#: More resets of a clock than one in so many samples: the stamps are noise.
+#: Fewest samples per clock reset; with fewer the stamps are noise.
 _RESETS = 20
-#: Samples looked at, evenly spread.
+#: Most samples examined.
 _MOST = 100_000
-#: Shortest log whose clocks are compared, in s, and difference worth a word, as a fraction.
+#: Shortest log for a comparison of clocks, in s, and smallest reported relative difference.
 _SHORTEST, _DRIFT = 60.0, 5e-4
 
 
 def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
-    """Return what the stamps show apart from gaps, jumps and jitter."""
+    """Return findings about the stamps, except gaps, jumps and jitter."""
     notes: list[Finding] = []
     same, back, tau, doubled = steps.same, steps.back, period.tau_ns, breaks.doubled.size
     if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
@@ -84,14 +84,14 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
 
 
 def _kind(period: Period) -> str:
-    """Return what the other reading of a period says of the samples."""
+    """Return the explanation of the other possible period."""
     if period.other_ns > period.tau_ns:
         return f"no missing samples and a clock with ticks of {period.tau_ns / 1e6:.4g} ms"
     return f"{1 - period.other_ns / period.tau_ns:.2g} of the samples missing"
 
 
 def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
-    """Return a finding where stamps are no times of sampling, and what that does to the rate."""
+    """Return a finding if stamps are not the times of sampling, with the effect on the rate."""
     tau, usual = period.tau_ns, period.usual_ns
     text = ""
     if period.coherent:
@@ -125,7 +125,7 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
 
 
 def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
-    """Return a finding for the settings of the clock, with the largest."""
+    """Return one finding if the clock was set: how often, and the largest step."""
     if not jumps:
         return []
     step, at = max(
@@ -142,11 +142,11 @@ def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
 def repeats(
     stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
 ) -> BoolArray | None:
-    """Return which samples have the stamp and all values of the one before; None where none was sent twice.
+    """Return which samples repeat the previous stamp and all values; None if no sample was sent twice.
 
-    Shape (n,), like the stamps and each of the `rows` of values. A stamp of zero is none, and tells nothing.
-    Where most equal stamps have values of their own, in bursts and on a coarse clock, equal values are the
-    sensor's resolution, and so they are where they are nearly as usual between different stamps.
+    Shape (n,), like the stamps and each of the `rows` of values. Zero stamps are ignored. Equal values are
+    attributed to the sensor's resolution in two cases: at most half of the samples with equal stamps have
+    equal values (bursts, a coarse clock), or equal values are nearly as frequent between different stamps.
     """
     advancing = 0
 
@@ -172,7 +172,7 @@ def repeats(
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
-    """Compare header stamps with log time: the delay, and whether the clocks agree on a second."""
+    """Compare header stamps with log time: the delay and the relative rate of the clocks."""
     if stamps.size < 2 or equal(stamps, log) or not any(log[part].any() for part in blocks(log.size, log)):
         return []
     step = max(stamps.size // _MOST, 1)
@@ -195,13 +195,13 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
 
 @frozen_alone
 class ClockReading:
-    """What stamps say."""
+    """The clock, the samples to keep and the findings."""
 
-    #: The clock of the samples that are kept.
+    #: The clock of the kept samples.
     clock: Clock
-    #: Samples to keep, in order, shape (clock.n,); None where all are kept as they are.
+    #: Samples to keep, in order, shape (clock.n,); None keeps all.
     order: IntArray | None = None
-    #: What was seen; `Finding.axis` is None.
+    #: Findings; `Finding.axis` is None.
     findings: tuple[Finding, ...] = ()
 
 
@@ -217,15 +217,14 @@ def clock_from_stamps(
 ) -> ClockReading:
     """Return the clock of samples from their stamps.
 
-    Stamps are in ns, int64, shape (n,), in the order of the log. `source` says what they are, such as
-    ``header stamp`` or ``column time_us``; `where`, such as the file, stands in front of an error's message.
-    The log times, shape (n,), are used where stamps are zero or constant, and to measure how far a clock was
-    set. A `rate_hz` overrides the measured one. Samples that are `repeated`, shape (n,), have the stamp *and*
-    the values of the one before, and are dropped. `room` makes arrays as long as the stamps; None for one of
-    the usual limit.
+    Stamps are in ns, int64, shape (n,), in the order of the log. `source` names them, such as
+    ``header stamp`` or ``column time_us``. Error messages start with `where`, such as the file. The log
+    times, shape (n,), replace stamps that are zero, constant or not increasing, and show how far a clock was
+    set. A `rate_hz` overrides the measured rate. `repeated`, shape (n,), marks samples that repeat the
+    previous stamp *and* values; they are dropped. `room` allocates long arrays; None for the default limit.
 
-    Raises DataError if there is no sample, or no rate can be measured and none is given; ChoiceError if the
-    stamps have two rates, and none is given.
+    Raises DataError if there is no sample, or if no rate is given and none can be measured; ChoiceError if
+    the stamps have two rates and none is given.
     """
     try:
         return _Stamps(stamps_ns, source, log_ns, room or Room()).read(rate_hz, repeated)
@@ -236,7 +235,7 @@ def clock_from_stamps(
 
 
 class _Stamps:
-    """Stamps while their clock is looked for, and what was seen."""
+    """The stamps and findings during the search for the clock."""
 
     def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None, room: Room) -> None:
         self.stamps = np.ascontiguousarray(stamps, dtype=np.int64)
@@ -279,7 +278,7 @@ class _Stamps:
         self.log_ns = self.room.chosen(self.log_ns, keep) if self.log_ns is not None else None
 
     def _keep_one_rate(self, rate_hz: float | None) -> None:
-        """Keep the part with one rate: the one nearest to a given rate, or else the longer one."""
+        """Keep the part with the rate nearest to `rate_hz`, or the longer part if None."""
         while (change := rate_change(self.stamps)) is not None:
             n = self.stamps.size
             part, rate = change.part(n, rate_hz)
@@ -303,11 +302,11 @@ class _Stamps:
             self.log_ns = self.log_ns[part] if self.log_ns is not None else None
 
     def _replace_zeros(self) -> None:
-        """Take log time instead of zeros or constants; fill single zeros."""
+        """Use log time if stamps are constant or often zero; interpolate a few zeros."""
         stamps, n = self.stamps, self.stamps.size
         zeros = n - sum(int(np.count_nonzero(stamps[part])) for part in blocks(n, stamps))
         if 0 < zeros < n and not stamps[:zeros].any() and 2 * int(stamps[zeros]) <= int(stamps[-1]):
-            # The clock of a device starts at zero, which is a stamp like any other.
+            # The clock of a device may start at zero.
             return
         constant = n > 1 and is_constant(stamps[None])
         if (zeros > _ZEROS * n or constant) and self.log_ns is not None:
@@ -319,14 +318,14 @@ class _Stamps:
             self.notes.append(Finding("info", "zero-stamps", text))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
-        """Take log time instead of the stamps."""
+        """Use log time instead of the stamps, with a warning."""
         text = f"The time stamps ({self.source}) {why}; the recording time of the messages is used instead."
         advice = "The recording time includes delays of the computer; let the driver stamp the messages."
         self.notes.append(Finding("warning", "log-time-used", text, advice))
         self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
 
     def _clock(self, period: Period, rate_hz: float | None) -> Clock:
-        """Place every sample on the grid, twice: the second time with the rate that the first gave."""
+        """Place the samples on an even grid, in two passes: the first one refines the period."""
         stamps, notes = self.stamps, self.notes
         steps = step_statistics(stamps, period.tau_ns)
         resets = steps.resets
@@ -335,13 +334,12 @@ class _Stamps:
             raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
         breaks = NO_BREAKS
         stamps = evened(stamps, period, self.room)
-        # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
-        # How many samples a gap between two batches misses is known to a batch.
+        # The first estimate has an error of 1 %, so only short gaps have reliable counts in the first pass.
         for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
             if period.coherent:
-                # About places of which some are wrong, stamps seem to stray farther than they do.
+                # Some places are wrong, so the measured jitter would be too large.
                 jitter = period.jitter * period.tau_ns
             elif 0.5 < tau / period.tau_ns < 2:
                 period = replace(period, tau_ns=tau)
@@ -374,10 +372,10 @@ class _Stamps:
 
 
 def _filled(stamps: IntArray, room: Room) -> IntArray:
-    """Put zero stamps between their neighbours; before the first and after the last, go on evenly."""
+    """Interpolate zero stamps; extrapolate evenly before the first and after the last stamp."""
     found = [np.flatnonzero(stamps[part] == 0) + part.start for part in blocks(stamps.size, stamps)]
     bad = np.concatenate(found)
-    # The good ones beside them say all that the others do.
+    # Interpolation needs only the stamps next to zeros.
     starts = bad[np.flatnonzero(np.diff(bad, prepend=-2) > 1)]
     ends = bad[np.flatnonzero(np.diff(bad, append=stamps.size + 1) > 1)]
     first = int(ends[0]) + 1 if starts[0] == 0 else 0
@@ -396,10 +394,11 @@ def _filled(stamps: IntArray, room: Room) -> IntArray:
 def _believable(
     stamps: IntArray, log_ns: IntArray | None, breaks: Breaks, resets: IntArray, tau: float
 ) -> tuple[IntArray, dict[int, int]]:
-    """Return how many samples each break misses, and sample -> missing for each setting of the clock.
+    """Return the number of missing samples at each break, and a dict from sample to number for clock jumps.
 
-    A clock was set where it goes back, or where it goes ahead by far more than the log time does, or by
-    more than a day. How much is missing there only the log time knows; without it one sample is.
+    The clock was set if it goes back, or forward by far more than log time does. Without log time, a step is
+    a jump if it is longer than a day and than ten times the sampled time. Log time gives the number of
+    missing samples at a jump; without it the number is one.
     """
 
     def by_log(at: int) -> int:
@@ -423,7 +422,7 @@ def _believable(
 
 
 def _segments(n: int, breaks: Breaks, missing: IntArray, jumps: dict[int, int]) -> tuple[Segment, ...]:
-    """Return the runs between breaks, numbered in the samples that are kept."""
+    """Return the runs between breaks, with indices of kept samples."""
     lost = dict(zip(breaks.at.tolist(), missing.tolist(), strict=True)) | jumps
     ends = [*sorted(lost), n]
     stops = (np.array(ends) - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()

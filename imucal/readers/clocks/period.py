@@ -1,15 +1,15 @@
-"""The sampling period of stamps: two readings of one clock, held against each other.
+"""Estimate the sampling period from stamps by comparing two explanations.
 
-A sensor samples evenly; its stamps t[k] differ from k tau as samples were *late*, or as some are *missing*.
+A sensor samples evenly; its stamps t[k] differ from k tau because samples are *late* or *missing*.
 
-- Late: a buffer is read in batches, a clock counts in coarse ticks. Every sample is there, and t[k] - k tau
-  stays bounded however long the log is. tau is the mean step, and steps are seldom as long as it.
-- Missing: steps are whole multiples of the shortest, which is tau, and t[k] - k (mean step) goes astray like
-  a random walk: losses don't know of each other.
+- Late: a buffer is read in batches, or a clock counts in coarse ticks. No sample is missing, and t[k] - k tau
+  stays bounded in a log of any length. tau is the mean step; few steps are equal to it.
+- Missing: steps are whole multiples of the shortest, which is tau. t[k] - k (mean step) is a random walk,
+  because losses are independent.
 
-The von Neumann ratio of t[k] - k (mean step) tells them apart: 2 where one batch is as late as another, 0 for
-a random walk. Of a batch one stamp counts, with its first or its last sample: whichever scatters least.
-Where most samples would be missing and none of the two explains the stamps, both are for the caller to name.
+The von Neumann ratio of t[k] - k (mean step) decides: 2 if the lateness of batches is independent, 0 for a
+random walk. One stamp of each batch is used, with its first or last sample: the choice that scatters least.
+If most samples would be missing and neither explains the stamps, the error offers both rates.
 """
 
 from dataclasses import replace
@@ -22,86 +22,85 @@ from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.store import Room
 
-#: Runs of neighbouring samples by which the period is estimated, and samples in each; all samples where there
-#: are fewer.
+#: Number of runs that are examined, and samples in each; shorter logs are examined completely.
 _RUNS, _RUN = 10, 4096
-#: Rates at which IMUs are logged, in Hz: what is outside is for the user to say.
+#: Plausible rates of IMUs, in Hz; the user has to give others.
 RATES = (1.0, 20_000.0)
 #: Relative difference of two slopes that counts as the same.
 _SAME = 0.03
-#: Steps over which a mean step is taken; it hardly depends on where batches of up to 128 begin.
+#: Steps in a mean step: long compared with batches of up to 128 samples.
 _WINDOW = 512
-#: Batches over which a slope is taken, at most.
+#: Most batches between the two anchors of a slope.
 _FAR = 64
-#: Longest batch of a buffer, and longest time between samples that are read one after another, in ns.
+#: Longest batch of a buffer, in samples, and longest step within it, in ns.
 _DEEPEST, _SLOWEST = 512, 2_000_000
-#: Whether the last stamp of a batch tells when it was read, or its first, and the same for its sample.
+#: Candidates for the anchor of a batch: use its last stamp (or first), use its last sample (or first).
 _READ = ((True, True), (False, False), (False, True))
-#: Of single samples with white jitter: the least jitter, in periods, share of steps about a period, fewest
-#: stamps of a run that tell their period, most that are looked at, and least mean length of their phases.
+#: Limits for white jitter: least jitter in periods, least share of steps near a period, fewest and most
+#: stamps of a run, and least mean length of the phases.
 _WHITE, _ALONE, _FEWEST, _PHASES, _COHERENT = 0.1, 0.55, 256, 2048, 0.12
-#: The least ratio of the period to the mean step where losses are many enough to be worth it.
+#: Least ratio of the mean step to the period; below it losses are too few to matter.
 _LOST = 1.003
-#: Trials: a pause is longer than so many usual steps, a trial has so many samples, fewest pauses, and fewest
-#: starts that show whether the beat is even.
+#: Limits for trials: shortest pause in usual steps, fewest samples of a trial, fewest pauses, and fewest
+#: batches for a test of their beat.
 _PAUSE, _TRIAL, _PAUSES, _STARTS = 4, 8, 3, 6
 #: The highest rate, in Hz, at which the steps inside a batch may also be those of a sensor.
 _SENSOR = 2000.0
-#: Share of missing samples up to which a driver may have stamped batches with a nominal period.
+#: Largest share of missing samples that a nominal period in the stamps of batches can explain.
 _NOMINAL = 0.1
-#: Share of missing samples up to which steps inside a batch are too long for the reading of a buffer.
+#: Share of missing samples below which steps inside a batch are too long for a buffer.
 _MOST = 0.55
-#: Longest cycle of losses, in samples, fewest cycles, most missing samples per sample, and tolerances of
-#: a mean step and of the number of periods that the longest one has.
+#: Limits for cycles of losses: most samples, fewest cycles, most missing samples per sample, and tolerances
+#: of a mean step and of the longest step's number of periods.
 _CYCLE, _CYCLES, _LOSES, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
 #: Relative difference of two periods of a clock with coarse ticks that counts as the same.
 _EXACT = 1e-3
-#: Stamps that show where the phases of a clock with coarse ticks begin.
+#: Stamps per piece when coarse ticks are removed.
 _LOOK = 4096
-#: Samples that may be read at once, at most; also those that may catch up after a pause.
+#: Most samples that are read together, also after a pause.
 REACH = 1 << 13
-#: Samples worked on at once: what fits the processor's cache.
+#: Samples processed at once; they fit the processor's cache.
 BLOCK = 1 << 16
 
 
 @frozen
 class Period:
-    """A first estimate of the sampling period, and what explains the stamps."""
+    """A first estimate of the sampling period, with the explanation of the stamps."""
 
-    #: Sampling period, in ns; good to about one percent.
+    #: Sampling period, in ns; the error is about 1 %.
     tau_ns: float
     #: Standard deviation of a stamp about its neighbours, in samples.
     jitter: float = 0.0
     #: Greatest common divisor of the steps, in ns.
     resolution_ns: int = 1
-    #: Samples that arrive together; 1 where they arrive one by one.
+    #: Samples per batch; 1 without batches.
     burst: int = 1
-    #: Whether a batch was read when its last stamp says, or its first; and whether its last sample was taken
-    #: then, or its first.
+    #: Whether a batch was read at its last stamp or its first, and whether its last sample was taken then or
+    #: its first.
     last_stamp: bool = True
     last_place: bool = True
-    #: The step above which a batch ends, in ns.
+    #: Longest step within a batch, in ns.
     pause_ns: float = 0.0
-    #: The usual step, in ns, and whether most steps are as long to a twentieth.
+    #: The median step, in ns, and whether most steps are within 5 % of it.
     usual_ns: float = 0.0
     regular: bool = False
-    #: Samples by which a stamp may be late without any missing: of a batch by how long its last one waited,
-    #: of a coarse clock by its tick; 0 where the stamps are fine.
+    #: Largest lateness of a stamp, in samples, if no sample is missing: the range for batches, the tick for a
+    #: coarse clock, otherwise 0.
     loose: float = 0.0
-    #: Whether batches stay near their places; where they do not, nothing explains the stamps.
+    #: Whether batches stay near their places; if not, the stamps are unexplained.
     bounded: bool = True
-    #: Whether the period is that of the stamps' phases, which needs no count of what is missing.
+    #: Whether the period is from the stamps' phases, which do not depend on missing samples.
     coherent: bool = False
-    #: Tick of a clock, in ns, that is a little shorter than the period; 0 where the clock is finer.
+    #: Tick of a clock, in ns, if it is a little shorter than the period; otherwise 0.
     tick_ns: float = 0.0
-    #: Sampling period of another reading that fits the stamps as well, in ns; 0 where there is none.
+    #: Another period that fits the stamps as well, in ns; 0 if there is none.
     other_ns: float = 0.0
-    #: Whether the log is made of trials: a pause need not be a whole number of periods.
+    #: Whether the log consists of trials with pauses of any length between them.
     trials: bool = False
 
     @property
     def free(self) -> bool:
-        """Whether a gap need not be a whole number of periods."""
+        """Whether gaps may be fractions of a period."""
         return self.trials or self.burst > 1
 
     @property
@@ -111,10 +110,10 @@ class Period:
 
 
 def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | None:
-    """Return the sampling period of stamps in ns, shape (n,); None where they don't advance.
+    """Return the sampling period of stamps in ns, shape (n,); None if they do not advance.
 
-    Raises ChoiceError if most samples are missing, or none and they came in batches, and no `rate_hz` says
-    which.
+    Raises ChoiceError if the stamps fit both a rate with most samples missing and a rate with none missing,
+    and `rate_hz` is None.
     """
     runs = every = _runs(stamps)
     steps = np.concatenate([np.diff(run) for run in runs])
@@ -152,7 +151,7 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
 def _reading(
     runs: list[IntArray], late: Period, wide: float, quantum: int, rate_hz: float | None, *, conserved: bool
 ) -> Period:
-    """Return the reading of the stamps: samples that are late, or missing, or a clock with coarse ticks."""
+    """Return the best explanation of the stamps: late samples, missing samples or coarse ticks."""
     steps = np.concatenate([np.diff(run) for run in runs])
     positive = steps[steps > 0]
     # The usual short step.
@@ -173,17 +172,17 @@ def _reading(
 
 
 def _quantum(steps: IntArray) -> int:
-    """Return the greatest common divisor of the steps in ns; whole us stay so as floats since 1970."""
+    """Return the greatest common divisor of the steps in ns, without float errors of stamps in whole us."""
     some = steps[:100_000]
     whole = 1000 * np.rint(some / 1000).astype(np.int64)
     return int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
 
 
 def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[list[IntArray], float]:
-    """Return the runs without the pauses between trials; none where there are no trials.
+    """Return the runs without the pauses between trials; empty without trials.
 
-    The second value is the period inside a batch, in ns, where the batches of a buffer may also be trials.
-    Raises ChoiceError where both readings fit and no `rate_hz` decides.
+    The second value is the period inside a batch, in ns, if the batches of a buffer may also be trials.
+    Raises ChoiceError if both explanations fit and `rate_hz` is None.
     """
     steps = np.concatenate([np.diff(run) for run in runs])
     usual = median(steps)
@@ -192,7 +191,7 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
         return [], 0.0
     inside = sum(map(len, pieces))
     own = sum(int(piece[-1] - piece[0]) for piece in pieces) / (inside - len(pieces))
-    # Where single samples are missing everywhere, pauses are longer losses. No sensor is faster than RATES.
+    # If single samples are missing everywhere, pauses are longer losses. No sensor is faster than RATES.
     if inside < 0.9 * sum(map(len, runs)) or own > 1.1 * usual or own < 1e9 / RATES[1]:
         return [], 0.0
     size = inside / len(pieces)
@@ -211,17 +210,17 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
 
 
 def _are_apart(missing: Period, batches: Period, pauses: FloatArray, uneven: float) -> bool:
-    """Say whether pauses, in periods, are between trials; batches of a buffer may fit as well or better."""
+    """Return whether pauses, in periods, separate trials rather than batches of a buffer."""
     share = 1 - missing.tau_ns / batches.tau_ns
     if share < _MOST:
-        # A driver may stamp batches with a nominal period, which leaves no whole periods between them.
+        # A driver may stamp batches with a nominal period; pauses are then not whole periods.
         return share > _NOMINAL or median(np.abs(pauses - np.rint(pauses))) < 0.12
     odd = batches.burst > _DEEPEST or batches.rate_hz < RATES[0]
     return odd or uneven > (1.0 if missing.tau_ns > _SLOWEST else 1.5)
 
 
 def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
-    """Return the trials of runs: what is between two pauses, and long enough."""
+    """Return the parts of runs between pauses that are long enough for a trial."""
     if pause <= 0:
         return []
     cut = [np.split(run, np.flatnonzero(np.abs(np.diff(run)) > pause) + 1) for run in runs]
@@ -229,10 +228,10 @@ def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
 
 
 def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float, int]:
-    """Return the period of samples whose batches of about `size` begin at an even beat, in ns.
+    """Return the sampling period in ns if batches of about `size` samples come at an even beat.
 
-    The second value is by how many batches they stray from that line, the third is the number of batches.
-    A buffer is full at an even beat: its batches stray by about one.
+    The second value is the range of the deviations from that beat, in batches: about one for a buffer. The
+    third is the number of batches.
     """
     found = []
     for last_stamp, last_place in _READ:
@@ -262,13 +261,12 @@ def _two_readings(missing: Period, late: Period) -> ChoiceError:
 def _of_ticks(
     runs: list[IntArray], steps: IntArray, unit: float, quantum: int, rate_hz: float | None
 ) -> Period | None:
-    """Return the period of samples stamped by a clock with ticks of `unit` ns; None where they are not.
+    """Return the period of samples stamped by a clock with ticks of `unit` ns; None if no such clock fits.
 
-    Stamps lie within one tick after an even grid. Their steps are one tick, and two where the grid gained a
-    whole one. The spectrum of the ticks with a sample has its highest line at the rate of these slips, and
-    no sample has a phase in the part of the period by which it is longer than the tick. Losses only thin
-    the stamps out. Where slips come at equal distances, a sensor with a period of one tick that loses one
-    sample of every few fits just as well.
+    Stamps lie within one tick of an even grid. Steps are one tick, or two if the grid has gained a tick (a
+    slip). The spectrum of the ticks with a sample has its highest line at the rate of slips. The period
+    exceeds the tick, and no sample has a phase in the excess, even if samples are missing. If slips are
+    evenly spaced, a sensor with a period of one tick and regular losses fits equally well.
     """
     whole = np.rint(steps / unit)
     longer = whole[whole > 1]
@@ -284,20 +282,20 @@ def _of_ticks(
     found = Period(tau_ns=unit / (1 - share), tick_ns=unit)
     between = np.concatenate([np.diff(np.flatnonzero(np.diff(run) > 1.5 * unit)) for run in runs])
     exact = unit * (1 + 1 / median(between))
-    # Few slips at other distances move the rate, but not the percentiles.
+    # Compare both: a few uneven slips change the rate, but not the percentiles.
     if percentile(between, 5) < percentile(between, 95) or abs(exact / found.tau_ns - 1) > _EXACT:
         return found if rate_hz is None else _nearest(found, Period(tau_ns=unit), rate_hz)
     found = replace(found, tau_ns=exact)
     if rate_hz is not None:
         return _nearest(found, Period(tau_ns=unit), rate_hz)
-    # Clocks count in powers of ten more often than sensors do.
+    # A power of ten is more often the tick of a clock than the period of a sensor.
     if np.log10(quantum) % 1 == 0:
         return replace(found, other_ns=unit)
     return Period(tau_ns=unit, other_ns=found.tau_ns)
 
 
 def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float | None) -> Period:
-    """Return a reading, or the one of a regular cycle of losses where jitter or ticks hid the cycle."""
+    """Return `found`, or a period with a regular cycle of losses if jitter or ticks hid that cycle."""
     cycles = [cycle for run in runs if (cycle := _cycle(run[: 4 * _LOOK], quantum)) is not None]
     if found.other_ns or 2 * len(cycles) <= len(runs):
         return found
@@ -308,11 +306,11 @@ def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float 
 
 
 def _cycle(stamps: IntArray, quantum: int) -> Period | None:
-    """Return the period of stamps of which the same few of every cycle are missing; None without one.
+    """Return the period of stamps if the same few samples are missing in every cycle; otherwise None.
 
-    The mean steps at each place of the cycle are one period, but for one of several. Means remove jitter
-    and ticks: an even sensor has such a cycle only on a clock with ticks of about a period, and then only
-    one sample of each cycle is missing.
+    The mean step at each place of the cycle is one period, except one of several periods. Means remove
+    jitter and ticks. Without losses such a cycle only appears if the clock's tick is about a period, and then
+    one sample per cycle seems missing.
     """
     steps = np.diff(stamps).astype(np.float64)
     for size in range(2, min(_CYCLE, steps.size // _CYCLES) + 1):
@@ -323,7 +321,7 @@ def _cycle(stamps: IntArray, quantum: int) -> Period | None:
         periods = round(means[longest] / usual) if usual > (1 - _LOOSE) * quantum else 0
         if not 2 <= periods <= 1 + size * _LOSES or abs(means[longest] / usual / periods - 1) > _WHOLE:
             continue
-        # Gaps and batches change the means as well, but not in all cycles.
+        # Gaps and batches also change the means, but not in all cycles.
         half = len(cycles) // 2
         moves = np.abs(cycles[:half].mean(axis=0) - cycles[half:].mean(axis=0)).max()
         short = np.delete(cycles, longest, axis=1) / usual
@@ -336,9 +334,9 @@ def _cycle(stamps: IntArray, quantum: int) -> Period | None:
 
 
 def _slips(ticks: IntArray) -> float:
-    """Return the share of ticks that have no sample because the period is longer; 0 where it is not longer.
+    """Return the share of ticks without a sample because the period exceeds the tick; 0 if it does not.
 
-    The steps from sample to sample, shape (n - 1,), are in ticks.
+    `ticks` are the steps between samples, shape (n - 1,), in ticks.
     """
     at = np.concatenate([[0], np.cumsum(ticks)])
     at = at[: np.searchsorted(at, _PHASES)]
@@ -354,11 +352,11 @@ def _slips(ticks: IntArray) -> float:
     if high <= low:
         return 0.0
     near = (low + int(np.argmax(lines[low:high]))) / width
-    # By chance all of so many neighbours in phase are lost at one of the rates.
+    # With fewer neighbours in phase, all of them could be lost by chance at one of the rates.
     few = np.log(1e6 * n) / np.log(1 / lost)
     # The lines at multiples of the rate are nearly as high.
     for first in (near, near / 2, near / 3):
-        # Fine enough that phases smear by a quarter of the part without samples.
+        # Phases may smear by a quarter of the part without samples.
         rates = first + np.linspace(-0.2, 0.2, int(min(max(40, 1.6 / first), 160)) + 1) / n
         each = [_least_taken(rate * np.arange(n) % 1.0, taken, 0.6 * rate, few) for rate in rates.tolist()]
         shares = np.array(each)
@@ -368,7 +366,7 @@ def _slips(ticks: IntArray) -> float:
 
 
 def _least_taken(phases: FloatArray, taken: FloatArray, width: float, few: float) -> float:
-    """Return the least share of ticks with a sample, of ticks whose phases are at most `width` apart."""
+    """Return the least share of ticks with a sample in any range of phases of length `width`."""
     order = np.argsort(phases)
     phases = phases[order]
     samples = np.concatenate([[0.0], np.cumsum(np.tile(taken[order], 2))])
@@ -382,11 +380,11 @@ def _least_taken(phases: FloatArray, taken: FloatArray, width: float, few: float
 def _of_phases(
     runs: list[IntArray], steps: IntArray, wide: float, quantum: int, *, conserved: bool
 ) -> Period | None:
-    """Return the period of single samples with white jitter by their stamps' phases; None if these show none.
+    """Return the period of samples with white jitter from their stamps' phases; None if phases show none.
 
-    It lies below the mean step, `wide`, in ns: by little where all stamps stay near even places. White
-    jitter of s periods leaves exp(-(2 pi s)²/2) of the phases' mean length, 0.45 at a fifth of a period,
-    however many samples are missing. Steps have twice the variance, and those of two periods hide among them.
+    The period is shorter than the mean step, `wide`, in ns; only a little if all stamps are near even places
+    (`conserved`). White jitter of s periods reduces the phases' mean length to exp(-(2 pi s)²/2), 0.45 at a
+    fifth of a period, however many samples are missing. Steps have twice the variance and hide the losses.
     """
     usual = median(steps)
     off = np.abs(steps - usual)
@@ -416,7 +414,7 @@ def _of_phases(
 def _chosen(
     late: Period, missing: Period, rate_hz: float | None, *, conserved: bool, paused: bool, pauses: int
 ) -> Period:
-    """Return the reading that a given rate names, or else the one that explains the stamps."""
+    """Return the explanation nearest to a given rate, or the better one without a rate."""
     share = 1 - missing.tau_ns / late.tau_ns
     if rate_hz is not None:
         return _nearest(late, missing, rate_hz)
@@ -439,7 +437,7 @@ def _runs(stamps: IntArray) -> list[IntArray]:
 
 
 def _mean_step(runs: list[IntArray]) -> float:
-    """Return the usual mean step over many samples, in ns; long gaps, if they are few, don't count."""
+    """Return the median of mean steps over many samples, in ns; it ignores a few long gaps."""
     run = max(runs, key=len)
     width = max(min(_WINDOW, run.size // 8), 16)
     spans = [each[width:] - each[:-width] for each in runs if each.size > width] if run.size > 48 else []
@@ -448,9 +446,9 @@ def _mean_step(runs: list[IntArray]) -> float:
 
 
 def _whole_unit(positive: IntArray, short: float) -> float:
-    """Return the step of which the longer ones are multiples, near the short one; 0 where there is none.
+    """Return the unit near the short step of which longer steps are multiples; 0 if there is none.
 
-    The mean cosine of the steps' phases is 1 where all are multiples, and 0 where none is.
+    The mean cosine of the steps' phases is 1 if all are multiples, and 0 if none is.
     """
     units = short * np.linspace(0.9, 1.35, 91)
     some = positive[:: max(positive.size // 4000, 1)]
@@ -467,7 +465,7 @@ def _whole_unit(positive: IntArray, short: float) -> float:
 
 
 def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
-    """Return the reading in which no sample is missing, and whether its stamps stay near their places."""
+    """Return the period if no sample is missing, and whether stamps then stay near their places."""
     if _bursty(steps, wide):
         return _batched(runs, steps, wide, quantum)
     tick = quantum / wide
@@ -479,9 +477,9 @@ def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> t
 
 
 def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
-    """Return the same of samples that come in batches: what each was read at scatters least."""
+    """Return the same as `_late` for samples in batches, with the anchor that scatters least."""
     best, least, bounded = Period(tau_ns=wide), np.inf, False
-    # A batch ends between the steps within it and the mean one; or above the tick of a coarse clock.
+    # The end of a batch is a step above those within it, or above the tick of a coarse clock.
     pauses = {(median(steps[steps < wide]) + wide) / 2, max(1.5 * quantum, wide)}
     for pause, (last_stamp, last_place) in product(sorted(pauses), _READ):
         anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
@@ -505,9 +503,9 @@ def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -
 
 
 def _bursty(steps: IntArray, wide: float) -> bool:
-    """Say whether samples come in batches: steps shorter than the mean, and pauses.
+    """Return whether samples come in batches: most steps are short, with pauses between batches.
 
-    White jitter makes as many steps long as short, and the order uncertain where it makes many long.
+    White jitter causes as many long steps as short ones, and many of them cause steps back.
     """
     pauses = np.count_nonzero(steps > 1.5 * wide)
     if pauses < max(3, steps.size / 5000) or np.mean(steps < 0) > 0.02:
@@ -517,7 +515,7 @@ def _bursty(steps: IntArray, wide: float) -> bool:
 
 
 def _edges(stamps: IntArray, pause: float) -> tuple[IntArray, IntArray]:
-    """Return the first and the last sample of each batch: a pause or the clock being set is between two."""
+    """Return the first and the last sample of each batch; pauses or clock jumps separate batches."""
     cuts = np.flatnonzero(np.abs(np.diff(stamps)) > pause) + 1
     return np.concatenate([[0], cuts]), np.concatenate([cuts, [stamps.size]]) - 1
 
@@ -527,14 +525,14 @@ def _anchors(
 ) -> tuple[FloatArray, FloatArray]:
     """Return when the batches of a run were read, in ns from the first, and the sample taken at that time."""
     first, last = _edges(run, pause)
-    # The run may have cut the first and the last.
+    # The first and the last batch may be incomplete.
     first, last = first[1:-1], last[1:-1]
     times, places = run[last if last_stamp else first], (last if last_place else first)
     return (times - times[:1]).astype(np.float64), (places - places[:1]).astype(np.float64)
 
 
 def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
-    """Return the median slope between anchors some way apart, in ns per sample; 0 where there are none."""
+    """Return the median slope between distant anchors, in ns per sample; 0 without anchors."""
     slopes = []
     for times, places in anchors:
         far = max(min(times.size // 8, _FAR), 1)
@@ -544,10 +542,10 @@ def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
 
 
 def _wander(late: list[FloatArray], tick: float) -> tuple[bool, float]:
-    """Say whether lateness, in samples, stays bounded, so that none is missing; and return its range.
+    """Return whether lateness, in samples, stays bounded (no sample is missing), and its range.
 
-    Both of the usual run. A random walk of m steps about its line has m/15 times the variance of a step, and
-    hardly ever less than m/64. A jump far beyond the usual ones is a gap, or the clock being set: left out.
+    Both are medians over runs. A random walk of m steps about its line has m/15 times the variance of a step,
+    and hardly ever less than m/64. Jumps far larger than usual are gaps or clock jumps, and are ignored.
     """
     ratios, ranges = [], []
     for run in map(_without_jumps, late, repeat(tick)):
@@ -575,9 +573,9 @@ def _about_a_line(values: FloatArray) -> FloatArray:
 
 
 def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
-    """Return stamps of samples that came in batches as if each had been stamped when it was taken.
+    """Return stamps with batches and coarse ticks replaced by the times of sampling.
 
-    The one stamp of a batch that tells when it was read gives those of its samples, a period apart.
+    In a batch, samples are placed a period apart, relative to the stamp at which it was read.
     """
     if period.burst == 1 and not period.tick_ns:
         return stamps
@@ -591,7 +589,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         sizes = last - first + 1
         times = block[last if period.last_stamp else first]
         places = last if period.last_place else first
-        # The log may have cut its first and its last batch: they follow the others, unless a gap is between.
+        # The first and last batch may be incomplete: place them relative to the next one, except after a gap.
         for end, near in ((0, 1), (-1, -2)) if times.size > 2 else ():
             follows = times[near] + round((places[end] - places[near]) * period.tau_ns)
             if abs(follows - times[end]) < 2 * period.burst * period.tau_ns:
@@ -604,7 +602,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
 
 
 def _without_ticks(stamps: IntArray, period: Period) -> IntArray:
-    """Return the even places of stamps in ns, shape (n,), that a clock with a coarse tick rounded down."""
+    """Return stamps on an even grid, in ns, shape (n,), from stamps rounded down to a coarse tick."""
     cuts = np.flatnonzero(np.abs(np.diff(stamps)) > 64 * period.tau_ns) + 1
     cuts = np.unique(np.concatenate([cuts, np.arange(_LOOK, stamps.size - _LOOK // 2, _LOOK)]))
     even = []

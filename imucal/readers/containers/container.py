@@ -1,4 +1,4 @@
-"""What every container of messages offers: channels, and tasks that load batches of their messages."""
+"""Interface of containers of messages: channels, and tasks that load batches of messages."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
@@ -15,18 +15,17 @@ from imucal.frozen import frozen, frozen_alone
 from imucal.readers.files import LogFile, Scratch, damaged_if
 from imucal.readers.read_options import Progress
 
-#: A position from the start of a record, and the bytes that every record has there.
+#: A position from the start of a record, and the required bytes at that position.
 Guard = tuple[int, bytes]
 
 
 class Alike:
     """Bytes that all records of a kind have in common.
 
-    Records are compared as words of up to eight bytes with a mask, side by side as they lie in memory: a
-    comparison of each guard on its own would pass over all records once for each, and one of raw bytes
-    (``V11``) takes a nanosecond for every byte.
+    Records are compared as adjacent words of up to eight bytes with a mask. A comparison of each guard would
+    need one pass per guard, and raw bytes (``V11``) take a nanosecond per byte.
 
-    Records are `width` bytes wide, as they were gathered; fastest where that is a multiple of eight.
+    Gathered records are `width` bytes wide; multiples of eight are fastest.
     """
 
     def __init__(self, guards: Iterable[Guard], width: int) -> None:
@@ -39,13 +38,13 @@ class Alike:
         self._many = self._one
 
     def all(self, records: NDArray[np.void]) -> bool:
-        """Say whether every one of the records, shape (n,), has these bytes; writes to the records."""
+        """Return whether all records, shape (n,), have these bytes; overwrites the records."""
         words, mask, value = self._words(records)
         np.bitwise_and(words, mask, out=words)
         return bool((words == value).all())
 
     def each(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Say which of the records, shape (n,), have these bytes."""
+        """Return which of the records, shape (n,), have these bytes."""
         words, mask, value = self._words(records)
         same: NDArray[np.bool_] = np.all(
             ((words & mask) == value).reshape(records.size, self._one[0].size), axis=1
@@ -53,11 +52,11 @@ class Alike:
         return same
 
     def _words(self, records: NDArray[np.void]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return records as words, and mask and value of as many."""
+        """Return records as words, with masks and values of the same length."""
         words = records.view(self._dtype).reshape(-1)
         mask, value = self._many
         if mask.size < words.size:
-            # Threads may do so at once: each result is right.
+            # Threads may do this at once, with the same result.
             mask, value = (np.tile(part, records.size) for part in self._one)
             self._many = mask, value
         return words, mask[: words.size], value[: words.size]
@@ -68,7 +67,7 @@ Bytes: TypeAlias = bytes | bytearray | memoryview
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A part of a log that could not be read as it should: the finding's code, why, and messages lost."""
+    """A damaged part of a log: the finding's code, the reason and the number of lost messages."""
 
     code: str
     text: str
@@ -79,30 +78,30 @@ class Loss:
 class Batch:
     """Messages of one channel."""
 
-    #: What they lie in; valid until the next chunk is loaded by the same thread.
+    #: Buffer with the messages; valid until the same thread loads the next chunk.
     buffer: Bytes
-    #: Where each record starts, shape (n,).
+    #: Start of each record, shape (n,).
     starts: IntArray
     #: Bytes of a record before its payload.
     header: int
     #: Bytes of the payload: one for all messages, or one for each, shape (n,).
     sizes: IntArray | int
-    #: When each was recorded, shape (n,), in ns; empty where `log_at` tells.
+    #: Recording times, shape (n,), in ns; empty if `log_at` is used.
     log_ns: IntArray
-    #: Where in a record that time stands as eight bytes, or None.
+    #: Position of that time in a record, as eight bytes, or None.
     log_at: int | None = None
-    #: What must be true of every record for `header` and `sizes` to hold; empty where it was checked.
+    #: Guards that each record must match for `header` and `sizes` to be valid; empty if already checked.
     guards: tuple[Guard, ...] = ()
-    #: Returns the same messages with every record checked on its own; raises DamagedError.
+    #: Returns the same messages with each record checked; raises DamagedError.
     check: Callable[[], "Batch"] | None = None
-    #: What was found wrong while checking.
+    #: Damage found by the check.
     loss: Loss | None = None
 
     @classmethod
     def of(
         cls, buffer: Bytes, starts: IntArray, sizes: IntArray, log_ns: IntArray, *, header: int = 0
     ) -> "Batch":
-        """Return a batch whose positions and sizes were checked; one size stands for all that are equal."""
+        """Return a batch of checked positions and sizes; equal sizes become one number."""
         same = bool(sizes.size) and bool((sizes == sizes[0]).all())
         size = int(sizes[0]) if same else sizes
         return cls(buffer=buffer, starts=starts, header=header, sizes=size, log_ns=log_ns)
@@ -113,7 +112,7 @@ class Batch:
         return self.starts.size
 
     def checked(self) -> "Batch":
-        """Return a batch whose positions and sizes were checked record by record."""
+        """Return the batch with positions and sizes checked for each record."""
         return self.check() if self.check is not None else self
 
     def part(self, chosen: IntArray) -> "Batch":
@@ -128,7 +127,7 @@ class Batch:
         )
 
     def payload(self) -> IntArray:
-        """Return where each payload starts, shape (n,)."""
+        """Return the start of each payload, shape (n,)."""
         return self.starts + np.int64(self.header)
 
     def messages(self) -> Iterator[memoryview]:
@@ -139,15 +138,15 @@ class Batch:
 
 
 def gather(buffer: Bytes, at: IntArray, width: int, offset: int = 0) -> NDArray[np.void]:
-    """Copy `width` bytes from `offset` behind each place in `at`, shape (n,), into one array of n items.
+    """Copy `width` bytes, `offset` bytes after each position in `at`, shape (n,), into an array of n items.
 
-    Item i of the view below starts `offset` behind byte i, so that indexing it is one copy per message, at
-    any alignment. (`take` would copy the whole view first.)
+    Item i of the view starts `offset` bytes after byte i, so indexing makes one copy per message at any
+    alignment. (`take` would copy the whole view first.)
 
-    Raises DamagedError if a place lies outside the buffer.
+    Raises DamagedError if a position is outside the buffer.
     """
     count = max(len(buffer) - offset - width + 1, 0)
-    # As unsigned numbers, negative ones lie beyond any buffer.
+    # As unsigned numbers, negative positions are beyond any buffer.
     beyond = at.size and int(at.view(np.uint64).max()) >= count
     damaged_if(beyond, "a message extends beyond its chunk")
     view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=offset, strides=(1,))
@@ -155,7 +154,7 @@ def gather(buffer: Bytes, at: IntArray, width: int, offset: int = 0) -> NDArray[
 
 
 def cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
-    """Return the number that stands `at` so many bytes in each row that was gathered; copies nothing."""
+    """Return the number at byte `at` of each gathered row, without a copy."""
     return np.ndarray(rows.shape, dtype, buffer=rows, offset=at, strides=rows.strides)
 
 
@@ -168,26 +167,26 @@ class Channel:
     #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
     topic: str
     type: str
-    #: ``cdr``, ``ros1``, ``json``, or what the log says.
+    #: ``cdr``, ``ros1``, ``json`` or another name in the log.
     encoding: str
     #: The text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
     definition: str = ""
     definition_kind: str = ""
-    #: Its bytes, where it is no text.
+    #: Bytes of the definition if it is not text.
     schema: bytes = b""
-    #: Number of messages, or None where only reading tells; for SQLite it may be an upper bound.
+    #: Number of messages, or None if unknown before reading; for SQLite it may be an upper bound.
     count: int | None = None
-    #: When the first and the last message were recorded, in ns; None where the index doesn't say.
+    #: Recording times of the first and the last message, in ns; None if not in the index.
     first_ns: int | None = None
     last_ns: int | None = None
 
 
 class Task(Protocol):
-    """A chunk that one thread loads at a time."""
+    """A chunk, loaded by one thread."""
 
     @property
     def counts(self) -> dict[int, int]:
-        """Channel -> number of messages at most."""
+        """Channel -> upper bound of the number of messages."""
 
     @property
     def size(self) -> int:
@@ -198,7 +197,7 @@ class Task(Protocol):
 
 
 class Container(ABC):
-    """A file of messages, its index read."""
+    """A file of messages whose index was read."""
 
     path: Path
     format: str
@@ -206,7 +205,7 @@ class Container(ABC):
     size: int
     channels: list[Channel]
     findings: list[Finding]
-    #: First and last time of any message, in ns; None where unknown.
+    #: First and last time of any message, in ns; None if unknown.
     start_ns: int | None = None
     end_ns: int | None = None
     #: Whether the tasks may run in several threads at once.
@@ -214,7 +213,7 @@ class Container(ABC):
 
     @abstractmethod
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        """Yield the chunks that hold messages of some channels."""
+        """Yield the chunks with messages of some channels."""
 
     @abstractmethod
     def close(self) -> None:
@@ -226,7 +225,7 @@ OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], 
 
 
 class MessageFile(Container):
-    """A container that is read by the bytes of its one file: by default that at `path`."""
+    """A container read from the bytes of one file, by default at `path`."""
 
     def __init__(self, path: Path, file: LogFile | None = None) -> None:
         self.path = path
@@ -241,13 +240,13 @@ class MessageFile(Container):
 
     @classmethod
     def open_files(cls, path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-        """Open a file, and name its format; raises ReadError if it can't be read."""
+        """Open a file and return its format; raises ReadError if it can't be read."""
         del progress
         return [cls(path)], cls.format
 
     @abstractmethod
     def _read_index(self) -> None:
-        """Read all that the file says of itself."""
+        """Read the index of the file."""
 
     def close(self) -> None:
         self._file.close()

@@ -1,9 +1,8 @@
-"""The message types that carry IMU samples: which fields hold the time, the rates and the forces.
+"""Message types with IMU samples: find the fields of time, angular rate and specific force.
 
 A type is recognised by its fields, not by its name: any message with an ``angular_velocity`` or a
-``linear_acceleration`` (or the usual other spellings), at any depth. Plain vectors of ``geometry_msgs``
-are read only where the user names the topic. The user may say which fields they are:
-``gyro=gx,gy,gz accel=ax,ay,az``.
+``linear_acceleration`` (or another usual spelling), at any depth. Plain vectors of ``geometry_msgs`` are read
+only if the user names the topic. The user may choose fields: ``gyro=gx,gy,gz accel=ax,ay,az``.
 """
 
 import re
@@ -22,12 +21,12 @@ _KEYS = {
     **dict.fromkeys(("temp", "temperature"), "temp"),
 }
 _KEYS |= {f"{name}.{axis}": f"{_KEYS[name]}.{axis}" for name in ("g", "gyro", "a", "accel") for axis in AXES}
-#: How many paths each key may have; one of an axis has one.
+#: Allowed numbers of paths for each key; a key of one axis has one.
 _COUNTS = {"gyro": (1, 3), "accel": (1, 3), "time": (1, 2)}
 
 _FORM = "gyro=PATH,PATH,PATH accel=PATH,PATH,PATH time=PATH temp=PATH, or gyro.z=PATH"
 
-#: What stands in a path for each element of a list.
+#: Suffix in a path for each element of a list.
 EACH = "[]"
 
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
@@ -39,13 +38,13 @@ _STEMS: dict[Sensor, tuple[str, ...]] = {
     _ACCEL: ("linear_acceleration", "accelerometer_m_s2", "accel", "acceleration", "accelerometer", "acc",
              "specific_force"),
 }  # fmt: skip
-#: What a message's own level is called where a field of it holds another IMU.
+#: Name of a message's top level if a field contains another IMU.
 TOP = "top"
-#: Nanoseconds -> seconds, as ROS and protobuf call them.
+#: Field of nanoseconds -> field of seconds, in ROS and protobuf.
 _PARTS = {"nanosec": "sec", "nanos": "seconds"}
 _TEMPERATURE = re.compile(r"(^|[._])(temperature|temp|imu_temperature|imu_temp)$")
 
-#: Types whose vectors may be anything: path of the vector, and its sensor (None: the topic's name says).
+#: Types of general vectors: path of the vector, and its sensor (None: from the topic's name).
 _PLAIN: dict[str, tuple[str, Sensor | None]] = {
     "geometry_msgs/Vector3Stamped": ("vector", None),
     "geometry_msgs/Vector3": ("", None),
@@ -61,7 +60,7 @@ _PLAIN: dict[str, tuple[str, Sensor | None]] = {
 
 @frozen
 class Named:
-    """The paths of a sensor: of its axes, or one of what holds them; `axes` where the text says which."""
+    """The paths of a sensor's axes, or the path of their parent; `axes` if the text names them."""
 
     paths: tuple[str, ...] = ()
     axes: tuple[Axis, ...] = ()
@@ -71,8 +70,8 @@ class Named:
 class FieldsText:
     """Paths of fields such as ``imu.gyro.x``, ``gyro[0]``, ``imus[1].gyro_x`` or ``imus[].gyro``.
 
-    A sensor has the three of its axes, or one of what holds them, or some axes by their names; the time one,
-    or seconds and nanoseconds.
+    A sensor has paths of three axes, one path of their parent, or paths of named axes. The time has one path,
+    or paths of seconds and nanoseconds.
     """
 
     gyro: Named = Named()
@@ -81,12 +80,12 @@ class FieldsText:
     temperature: str = ""
 
     def of(self, sensor: Sensor) -> Named:
-        """Return what names a sensor."""
+        """Return the paths of a sensor."""
         return self.gyro if sensor is Sensor.GYROSCOPE else self.accel
 
 
 def parse_fields_text(texts: Sequence[str]) -> FieldsText | None:
-    """Return what texts such as ``gyro=gx,gy,gz accel.z=a`` name, or None where there is none.
+    """Parse texts such as ``gyro=gx,gy,gz accel.z=a``; None if there are none.
 
     Raises ChoiceError if a text can't be read.
     """
@@ -127,51 +126,51 @@ class Stamp:
 
     sec: str
     nanosec: str = ""
-    #: ns of one count, where there is no `nanosec`.
+    #: ns per count, if there is no `nanosec`.
     scale: int = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Vector:
-    """Three numbers: the paths of x, y, z, or the one path of an array of three; or those of some axes."""
+    """A vector: the paths of x, y, z, the path of an array of three, or the paths of some axes."""
 
     sensor: Sensor
     paths: tuple[str, ...]
-    #: What the numbers are, in their order.
+    #: The axes of the numbers, in order.
     axes: tuple[Axis, ...] = AXES
-    #: Path of a duration in µs that turns an increment into a rate; empty for a plain rate.
+    #: Path of the duration in µs that converts an increment to a rate; empty for a rate.
     divisor: str = ""
-    #: Unit in the names of the fields, a key of `imucal.units.SAMPLE_UNITS`; None where they have none.
+    #: Unit in the names of the fields, a key of `imucal.units.SAMPLE_UNITS`; None if there is none.
     unit: str | None = None
 
     @property
     def field(self) -> str:
-        """The field it is: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
+        """The field of the vector: ``left.gyro`` for ``left.gyro.x``, ``gyro`` for ``gyro_x``."""
         return self.paths[0] if len(self.paths) == 1 else self.paths[0][:-2]
 
 
 @frozen
 class ImuFields:
-    """What a message type can give."""
+    """The IMU fields of a message type."""
 
-    #: None where messages carry no time of their own.
+    #: None if messages have no time stamp.
     stamp: Stamp | None
-    #: One or two, the gyroscope first.
+    #: One or two vectors, the gyroscope first.
     vectors: tuple[Vector, ...]
     #: Path of a temperature in degrees Celsius, or empty.
     temperature: str = ""
-    #: True for general-purpose vectors: read only where the user asks.
+    #: Whether the vectors are general: read only if the user names the topic.
     plain: bool = False
-    #: True where the definition fixes SI units; else SI is assumed and said.
+    #: Whether the definition fixes SI units; otherwise SI is assumed and reported.
     standard: bool = True
-    #: Fields of vectors that could be meant too, and are not read.
+    #: Other possible fields of vectors, which are not read.
     others: tuple[str, ...] = ()
-    #: Whether the user named the fields: nothing is known of their units then.
+    #: Whether the user named the fields; their units are then unknown.
     asked: bool = False
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """What it measures."""
+        """The sensors of the vectors."""
         return tuple(vector.sensor for vector in self.vectors)
 
     @property
@@ -189,10 +188,10 @@ class ImuFields:
 
 
 def find_imus(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> dict[str, ImuFields]:
-    """Return what messages of a type can give: one entry for each IMU in a message.
+    """Return the IMU fields of a message type: one entry for each IMU in a message.
 
-    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one. Where the
-    type doesn't tell gyroscope from accelerometer, the caller's `sensor` does, or the name of the topic.
+    The key is the field with the IMU, such as ``left``, or empty if there is only one IMU. If the type does
+    not determine the sensor, the caller's `sensor` or the name of the topic does.
     """
     known = _plain(plain_type(name), fields, topic, sensor) or _px4(plain_type(name), fields)
     if known is not None:
@@ -217,7 +216,7 @@ def _imu(
     *,
     others: set[str],
 ) -> ImuFields:
-    """Return one IMU of a message; its stamp and temperature are its own where it has them."""
+    """Return one IMU of a message, with its own stamp and temperature if it has them."""
     vectors = tuple(Vector(sensor, paths) for sensor, paths in imu.items())
     standard = all(path.split(".")[-2:-1] in (["angular_velocity"], ["linear_acceleration"])
                    for vector in vectors for path in vector.paths)  # fmt: skip
@@ -235,7 +234,7 @@ def _imu(
 
 
 def sensor_of_topic(topic: str) -> Sensor | None:
-    """Return what the name of a topic says it carries."""
+    """Return the sensor in the name of a topic."""
     words = topic.lower()
     gyro = re.search(r"gyr|angular|omega|(^|[/_])w($|[/_])", words)
     accel = re.search(r"acc|force", words)
@@ -245,7 +244,7 @@ def sensor_of_topic(topic: str) -> Sensor | None:
 
 
 def is_command(topic: str) -> bool:
-    """Return whether the name of a topic says that it carries commands and no measurements."""
+    """Return whether the name of a topic indicates commands instead of measurements."""
     return re.search(r"(^|[/_])(cmd|command|setpoint|desired|target)s?([/_]|$)", topic.lower()) is not None
 
 
@@ -282,10 +281,10 @@ def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
 
 
 def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, dict[Sensor, tuple[str, ...]]]:
-    """Return the vectors of each IMU by the field that holds them.
+    """Return the vectors of each IMU by the field that contains them.
 
-    Vectors that one field holds belong together. Where no field holds both sensors, each is taken from
-    where it is if it is there once, and fields are IMUs of their own if it is not.
+    Vectors in one field belong together. If no field contains both sensors, sensors that occur once are
+    combined; otherwise each field is a separate IMU.
     """
     owned: dict[str, dict[Sensor, tuple[str, ...]]] = {}
     for sensor, vectors in found.items():
@@ -300,7 +299,7 @@ def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, d
 
 
 def _called(fields: Sequence[Field], stem: str) -> list[tuple[str, tuple[str, ...]]]:
-    """Return the vectors called `stem`, at any depth, in order: what holds them, and their paths."""
+    """Return the vectors named `stem`, at any depth, in order: the parent field and the paths."""
     vectors: list[tuple[str, tuple[str, ...]]] = []
     for field in fields:
         owner, _, last = field.path.rpartition(".")
@@ -319,13 +318,13 @@ def _floats(fields: Sequence[Field]) -> list[str]:
 
 
 def _xyz(fields: Sequence[Field], prefix: str) -> tuple[str, ...]:
-    """Return the paths prefix + x, y, z, or nothing."""
+    """Return the paths prefix + x, y, z, or an empty tuple."""
     paths = tuple(prefix + axis for axis in AXES)
     return paths if set(_floats(fields)).issuperset(paths) else ()
 
 
 def _stamp(fields: Sequence[Field]) -> Stamp | None:
-    """Return the first stamp of a header, or a time of the message's own."""
+    """Return the first stamp of a header, or another time in the message."""
     for field in fields:
         owner, _, last = field.path.rpartition(".")
         if last in _PARTS and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:

@@ -1,12 +1,12 @@
-"""Messages of ROS 1 and CDR -> numbers: by a template for messages of one shape, by a walk for the others.
+"""Decode ROS 1 and CDR messages: messages of one shape by a template, other messages by a walk.
 
-The walk finds where the fields of many messages lie for all of them at once: a position is one integer while
-all strings and sequences so far have the same length in every message, and an int64 vector otherwise; there
-is no loop over messages. Layouts: ROS 1 (no alignment); CDR and XCDR2 (numbers aligned to their size, at most
+The walk finds the positions of fields in many messages at once, without a loop over messages. A position is
+one integer while all previous strings and sequences have the same length in every message, otherwise an int64
+vector. Layouts: ROS 1 (no alignment); CDR and XCDR2 (numbers aligned to their size, at most
 8 or 4 bytes, from the end of the four bytes of encapsulation). Source: OMG DDS-XTypes 1.3, 7.4.
 
-The template is the shape of a channel's first message. Every record is compared with it (its head, its
-encapsulation, the lengths of its strings), so nothing is taken on trust; what differs goes to the walk.
+The template is the shape of a channel's first message. The head, encapsulation and string lengths of every
+record are compared with it; records that differ are decoded by the walk.
 """
 
 import re
@@ -26,17 +26,17 @@ from imucal.readers.messages.definitions import Field
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
 from imucal.readers.store import Columns
 
-#: From the start of the payload: the same for all messages, or one for each.
+#: Offset from the start of the payload: one for all messages, or one for each.
 Position: TypeAlias = int | IntArray
 #: One element of an array.
 _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
-#: Longest head of a message that is gathered at once, in bytes.
+#: Longest head of a message for a template, in bytes.
 _HEAD = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where a wanted field lies, from the start of the payload, and its NumPy type with byte order."""
+    """Offset of a wanted field from the start of the payload, and its NumPy type with byte order."""
 
     at: Any
     dtype: str
@@ -44,7 +44,7 @@ class Place:
 
 @frozen
 class Layout:
-    """How numbers are laid out."""
+    """Byte order and alignment of numbers."""
 
     #: ``<`` or ``>``.
     order: str = "<"
@@ -71,7 +71,7 @@ _ENCAPSULATIONS = {
 
 @dataclass(slots=True, eq=False)
 class Found:
-    """What a walk gives: places of wanted fields, the length words passed, and where it stopped."""
+    """Result of a walk: places of wanted fields, the length words passed, and the end position."""
 
     places: dict[str, Place] = field(default_factory=dict)
     lengths: list[tuple[Any, Any]] = field(default_factory=list)
@@ -81,7 +81,7 @@ class Found:
 class Walker:
     """Walks the fields of a message type up to the last wanted one.
 
-    A wanted path is that of a field, or of one element of an array or a sequence of numbers: ``gyro[0]``.
+    A wanted path names a field, or one element of an array or a sequence of numbers: ``gyro[0]``.
     """
 
     def __init__(self, fields: Sequence[Field], wanted: Sequence[str]) -> None:
@@ -107,7 +107,7 @@ class Walker:
                 self._note(entry, at, layout, found)
                 at = at + entry.size * entry.count
                 continue
-            # A string or a sequence, behind its length.
+            # A string or a sequence, after its length.
             at = layout.aligned(at, 4)
             length = self._length(buffer, starts + at, entry, layout)
             found.lengths.append((at, length))
@@ -142,7 +142,7 @@ class Walker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Messages:
-    """Messages in a buffer: where each starts, shape (n,), and the place of each wanted field in it."""
+    """Messages in a buffer: their starts, shape (n,), and the places of wanted fields in them."""
 
     buffer: Bytes
     starts: IntArray
@@ -156,7 +156,7 @@ class Messages:
             columns.temperature[to] = self.field(imu.temperature)
 
     def _write_vector(self, vector: Vector, columns: Columns, to: slice | IntArray) -> None:
-        """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
+        """Gather x, y and z, at once if they are adjacent, and convert increments to rates."""
         rows = columns.vectors[vector.sensor]
         if adjacent(self.places, vector):
             first = self.places[vector.paths[0]]
@@ -186,13 +186,13 @@ class Messages:
 
 
 def _stamps(stamp: Stamp | None, field: Callable[[str], NDArray[Any]]) -> IntArray | int:
-    """Return stamps in ns, shape (n,), from their parts that `field` gives; 0 where there are none."""
+    """Return stamps in ns, shape (n,), from the parts returned by `field`; 0 without stamps."""
     if stamp is None:
         return 0
     counts = field(stamp.sec)
     if not stamp.nanosec:
         return _scaled(counts, stamp.scale)
-    # Casts, then sums in place: all at once goes through a buffer and takes twice as long.
+    # Cast first, then add in place: this takes half the time.
     result = counts.astype(np.int64)
     result *= 1_000_000_000
     result += field(stamp.nanosec).astype(np.int64)
@@ -200,7 +200,7 @@ def _stamps(stamp: Stamp | None, field: Callable[[str], NDArray[Any]]) -> IntArr
 
 
 def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
-    """Return counts of `scale` ns as ns; floats are split first, so that nothing is lost."""
+    """Return counts of `scale` ns as ns; floats are split first to keep their resolution."""
     if counts.dtype.kind != "f":
         return counts.astype(np.int64) * np.int64(scale)
     good = np.isfinite(counts) & (np.abs(counts) < float((1 << 62) // scale))
@@ -210,7 +210,7 @@ def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
 
 
 def adjacent(places: dict[str, Place], vector: Vector) -> bool:
-    """Say whether the numbers of a vector lie side by side in every message."""
+    """Return whether the numbers of a vector are adjacent in every message."""
     if len(vector.axes) < 3:
         return False
     if len(vector.paths) == 1:
@@ -221,7 +221,7 @@ def adjacent(places: dict[str, Place], vector: Vector) -> bool:
 
 
 def _apart(first: Position, second: Position, size: int) -> bool:
-    """Say whether `second` lies `size` bytes after `first` in every message."""
+    """Return whether `second` is `size` bytes after `first` in every message."""
     same = second - first == size
     return same if isinstance(same, bool) else bool(np.all(same))
 
@@ -230,11 +230,11 @@ def _apart(first: Position, second: Position, size: int) -> bool:
 class Template:
     """The shape of the messages of a channel; positions count from the start of a record."""
 
-    #: Those of the batch it was learnt from.
+    #: Guards of the batch from which the template was made.
     guards: tuple[Guard, ...]
-    #: The guards, the encapsulation and the lengths of strings, which every record must repeat.
+    #: Guards, encapsulation and lengths of strings, equal in every record.
     alike: Alike
-    #: Bytes at the start of a record that hold them and the stamp; whole words where there is room.
+    #: Bytes at the start of a record with these and the stamp; whole words if the record is long enough.
     head: int
     #: Bytes of a record.
     end: int
@@ -243,14 +243,14 @@ class Template:
     imu: ImuFields
 
     def fits(self, batch: Batch) -> bool:
-        """Say whether the records of a batch are those that it was learnt from, by their head and size."""
+        """Return whether the records of a batch match the template's guards and size."""
         same_size = isinstance(batch.sizes, int) and batch.header + batch.sizes == self.end
         return same_size and batch.guards == self.guards
 
     def decode(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Write the samples of a batch to the columns; False if a record has another shape."""
         starts = batch.starts
-        # As unsigned numbers, negative ones lie beyond any buffer.
+        # As unsigned numbers, negative starts are beyond any buffer.
         if int(starts.view(np.uint64).max()) + self.end > len(batch.buffer):
             return False
         head = gather(batch.buffer, starts, self.head)
@@ -261,7 +261,7 @@ class Template:
             return cells(head, self.places[path].at, self.places[path].dtype)
 
         columns.stamps[part] = _stamps(self.imu.stamp, of_head)
-        # Last, since it writes to the heads; what was written to the columns counts only if it is true.
+        # Last, because it overwrites the heads; if it fails, the columns are written again by the walk.
         if not self.alike.all(head):
             return False
         Messages(batch.buffer, starts, self.places).write(self.imu, columns, part)
@@ -269,22 +269,22 @@ class Template:
 
 
 def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuFields) -> Template | None:
-    """Return the template of a batch, from a walk of its first message; None where it can't be taken at once.
+    """Return the template of a batch from a walk of its first message; None if a template is not possible.
 
-    The walk starts at the end of the encapsulation, whose first bytes are `code` (none for ROS 1).
+    The walk starts after the encapsulation, whose first bytes are `code` (none for ROS 1).
     """
     if not isinstance(batch.sizes, int):
         return None
     skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
     places = {path: Place(skip + place.at, place.dtype) for path, place in found.places.items()}
-    # Every record must repeat its head, the encapsulation and the lengths of strings.
+    # Every record must have the same head, encapsulation and lengths of strings.
     u4 = np.dtype(layout.order + "u4")
     lengths = [(skip + at, np.array(size, u4).tobytes()) for at, size in found.lengths]
     alike = [*batch.guards, (batch.header, code), *lengths]
     times = [places[path] for path in ((imu.stamp.sec, imu.stamp.nanosec) if imu.stamp else ()) if path]
     ends = [at + len(value) for at, value in alike] + [place.at + int(place.dtype[-1]) for place in times]
     head = max(*ends, (batch.log_at or 0) + 8)
-    # Whole words, if a record has them.
+    # Whole words, if the record is long enough.
     whole = -(-head // 8) * 8
     head = whole if whole <= end else head
     if head > min(_HEAD, end) or skip + found.end > end:
@@ -294,17 +294,17 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The fields of a message type, and which of them to take."""
+    """The fields of a message type, and the selected ones."""
 
     fields: tuple[Field, ...]
     imu: ImuFields
 
 
 def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
-    """Say whether the walk can reach all fields that a user asked for.
+    """Return whether the walk can reach all fields chosen by the user.
 
-    It can reach numbers, and elements of arrays and of sequences of numbers, that stand before any list of
-    structures that hold texts. The three elements of an array of three are taken at once.
+    It can reach numbers, and elements of arrays and of sequences of numbers, before the first list of
+    structures with texts. The elements of an array of three are read at once.
     """
     known = {entry.path: entry for entry in fields}
 
@@ -325,14 +325,14 @@ def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
 class BinaryDecoder:
     """Decodes the ROS 1 or CDR messages of one channel.
 
-    The `shapes` are definitions to try on the first messages: the log's own, and the standard one of its
-    type. The first whose size fits is taken; where none fits, the first. Where messages must have `exact`-ly
-    the size of their definition, it is only assumed.
+    The `shapes` are definitions to try on the first messages: the log's own and the standard one. The first
+    with the right size is used, or the first of all if none fits. With `exact`, messages must have exactly
+    the size of their definition, because it is only assumed.
     """
 
     def __init__(self, shapes: Iterable[Shape], *, ros1: bool, exact: bool = False) -> None:
         self.ros1 = ros1
-        #: Bytes of a message before its fields.
+        #: Size of the encapsulation, in bytes.
         self._skip = 0 if ros1 else 4
         self.notes: list[Loss] = []
         self._others = iter(shapes)
@@ -348,9 +348,9 @@ class BinaryDecoder:
         self._template: Template | None = None
 
     def settle(self, batch: Batch) -> None:
-        """Choose the definition by the size of the first messages; called once, before all others.
+        """Choose the definition by the size of the first messages; call it once, before other methods.
 
-        A damaged definition shifts every field: its messages then have another size.
+        A damaged definition shifts every field, so its messages have another size.
         """
         if self._settled:
             return
@@ -365,7 +365,7 @@ class BinaryDecoder:
                     self.notes.append(Loss("definition", text))
 
     def _fits(self, shape: Shape, batch: Batch) -> bool:
-        """Say whether messages have the size of a definition; CDR may be padded to four bytes."""
+        """Return whether messages have the size of a definition; CDR may be padded to four bytes."""
         if shape.fields[-1].kind == "other":
             return True
         try:
@@ -378,7 +378,7 @@ class BinaryDecoder:
         return bool(np.all((spare >= 0) & (spare < (2 if self.ros1 else 4))))
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
-        """Decode records that all repeat the shape of the first one seen; False if they don't."""
+        """Decode records with the shape of the first one; False if a record differs."""
         template = self._template
         if template is None or not template.fits(batch):
             try:
@@ -388,9 +388,9 @@ class BinaryDecoder:
         return template is not None and template.decode(batch, columns, first)
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
-        """Decode a checked batch whose messages may all differ.
+        """Decode a checked batch of messages with different shapes.
 
-        Raises DamagedError if a message is shorter than its type, or is laid out in an unknown way.
+        Raises DamagedError if a message is shorter than its type or has an unknown layout.
         """
         if not batch.n:
             return
@@ -399,7 +399,7 @@ class BinaryDecoder:
         if (codes == codes[0]).all():
             self._walk(batch, int(codes[0]), columns, slice(first, first + batch.n))
             return
-        # The messages of each encapsulation on their own.
+        # Decode the messages of each encapsulation separately.
         for code in np.unique(codes).tolist():
             chosen = np.flatnonzero(codes == code)
             self._walk(batch.part(chosen), code, columns, chosen + first)
@@ -411,7 +411,7 @@ class BinaryDecoder:
         return gather(batch.buffer, batch.payload(), 2).view(">u2")
 
     def _learn(self, batch: Batch) -> Template | None:
-        """Learn the shape of the first record; None where its messages can't be taken at once."""
+        """Return the template of the first record; None if a template is not possible."""
         if self._whole is not None:
             return None
         body = batch.starts[:1] + batch.header
@@ -423,7 +423,7 @@ class BinaryDecoder:
         return learn(batch, found, layout, code, self.imu)
 
     def _walk(self, batch: Batch, code: int, columns: Columns, to: slice | IntArray) -> None:
-        """Walk messages of one layout; one may go on behind its last wanted field, but not end before."""
+        """Walk messages of one layout; they must not end before the last wanted field."""
         layout = _ENCAPSULATIONS.get(code)
         if layout is None:
             msg = f"encapsulation 0x{code:04x} is not supported; expected plain CDR or XCDR2"

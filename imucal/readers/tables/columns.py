@@ -1,4 +1,4 @@
-"""Columns of a table, and how a user says which are the sensors': ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
+"""Columns of a table, and the columns text with which users choose: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
@@ -11,10 +11,10 @@ from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
 from imucal.recording import AXES, Axis, Sensor
 
-#: A number of more letters is rounded in a message, which lists up to so many columns.
+#: Longest number that is not rounded in a message, and most columns listed there.
 _LONG, _LISTED = 9, 60
 
-#: Names in a columns text -> what they stand for.
+#: Names in a columns text -> their meaning.
 _KEYS = {
     **dict.fromkeys(("t", "time"), "t"),
     **dict.fromkeys(("g", "gyro"), "g"),
@@ -25,10 +25,9 @@ _KEYS = {
 
 
 class ColumnsError(ChoiceError):
-    """Which columns of a table to read is not clear; the message shows them.
+    """The choice of columns is not clear; the message lists them.
 
-    `problem` says what is not clear; `example` is a columns text that works on this very table, empty where
-    none is known.
+    `problem` explains what is not clear; `example` is a columns text that works on this table, or empty.
     """
 
     def __init__(self, message: str, *, problem: str = "", example: str = "") -> None:
@@ -38,7 +37,7 @@ class ColumnsError(ChoiceError):
 
 @frozen
 class Triad:
-    """The x, y and z columns of one sensor, or those of its axes that there are, and its rows."""
+    """The x, y and z columns of one sensor, or some of them, and its rows."""
 
     sensor: Sensor
     columns: tuple[NamedColumn, ...]
@@ -47,7 +46,7 @@ class Triad:
 
     @classmethod
     def of(cls, sensor: Sensor, columns: Mapping[int, NamedColumn]) -> Self:
-        """Return the columns of some axes, of which 0 is x, as those of a sensor."""
+        """Return a sensor with the columns of some axes; axis 0 is x."""
         places = sorted(columns)
         axes = tuple(AXES[at] for at in places)
         return cls(sensor=sensor, columns=tuple(columns[at] for at in places), axes=axes)
@@ -64,17 +63,17 @@ class Triad:
 
     @property
     def units(self) -> tuple[str | None, ...]:
-        """The unit that each name says, a key of `imucal.units.SAMPLE_UNITS`; None where it says none."""
+        """The unit in each name, a key of `imucal.units.SAMPLE_UNITS`; None if there is none."""
         return tuple(column.unit_of(self.sensor) for column in self.columns)
 
     @property
     def unit(self) -> str | None:
-        """The unit that the names say; None where they say none, or different ones."""
+        """The common unit in the names; None if there is none, or several."""
         said = {*self.units} - {None}
         return said.pop() if len(said) == 1 else None
 
     def text(self, rows: str = "") -> str:
-        """Return the columns as a user gives them: ``g=1:4``, ``g=4+3+2``, ``gz=1``; `rows` is ``@I:0``."""
+        """Return the columns text: ``g=1:4``, ``g=4+3+2``, ``gz=1``; `rows` is such as ``@I:0``."""
         letter, first = self.sensor.short[0], self.indices[0]
         if self.axes != AXES:
             named = zip(self.axes, self.indices, strict=True)
@@ -86,7 +85,7 @@ class Triad:
 
 @frozen
 class NamedTable:
-    """A table before its columns are chosen: what their names and their first cells say."""
+    """A table before the choice of columns: parsed names and first cells."""
 
     path: str
     columns: tuple[NamedColumn, ...]
@@ -103,7 +102,7 @@ class NamedTable:
         units: Sequence[str | None] = (),
         preamble: Sequence[str] = (),
     ) -> Self:
-        """Return the table of columns with these names; `units` is a row of units, `preamble` above it."""
+        """Return the table with these columns; `units` is a row of units, `preamble` the text above."""
         context = frozenset(header.strip().strip("\"'").lower() for header in headers)
         units = units or [None] * len(headers)
         columns = [
@@ -116,7 +115,7 @@ class NamedTable:
 
     @property
     def listed(self) -> str:
-        """The columns with their indices, for a message; first cells for lack of names."""
+        """The columns with their indices, for a message; first cells if there are no names."""
         named, shown = any(column.header for column in self.columns), []
         for column in self.columns[:_LISTED]:
             first = "" if named else next(iter(column.cells), "")
@@ -128,11 +127,11 @@ class NamedTable:
 
     @property
     def time(self) -> str:
-        """Index of the first column named as a time, as text; empty where there is none."""
+        """Index of the first column named as a time, as text; empty if there is none."""
         return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
 
     def index_of(self, name: str) -> int:
-        """Return the index of a column given by name or index; a ValueError if there is none, or several."""
+        """Return the index of a column given by name or index; raises ValueError if none or several match."""
         name = name.strip()
         matches = [c.index for c in self.columns if plain_name(c.header) == plain_name(name)]
         if len(matches) == 1:
@@ -143,13 +142,13 @@ class NamedTable:
         raise ValueError(problem)
 
     def columns_text(self, *triads: Triad | None, rows: str = "", time: str = "") -> str:
-        """Return the ready columns text of a choice; `rows` says which rows, such as ``@I:0``."""
+        """Return the columns text of a choice; `rows` selects rows, such as ``@I:0``."""
         time = time or self.time
         parts = [f"t={time}"] if time else []
         return ",".join([*parts, *(triad.text(rows) for triad in triads if triad)])
 
     def ask(self, problem: str, *, example: str = "") -> ColumnsError:
-        """Return the error that shows the columns and perhaps a ready text for them."""
+        """Return the error that lists the columns, with an example of a columns text if there is one."""
         how = (
             f"such as {example} (numbers from 0 without the end, or three names joined by +)"
             if example
@@ -161,17 +160,17 @@ class NamedTable:
 
 
 def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...], tuple[int, ...], int | None]:
-    """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
+    """Return the columns named by a text such as ``t=0,g=1:4,a=4:7``.
 
-    Those of the sensors come first, the gyroscope's before the accelerometer's; then the indices of the time
-    and of the temperature.
+    The sensors' columns come first, the gyroscope before the accelerometer; then the indices of the time and
+    of the temperature.
 
     ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
     gyroscope, ``a`` the accelerometer, ``temp`` the temperature. Three columns are indices from 0 with
     the end left out (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``gx``, ``gy``, ``gz``,
-    ``ax``, ``ay`` and ``az`` are single axes, of a log that holds no others. ``a=2:5@imu`` takes only
-    the rows that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I. A ChoiceError
-    if the text can't be read, or names a column that isn't there, or one column twice.
+    ``ax``, ``ay`` and ``az`` are single axes, for logs without the others. ``a=2:5@imu`` selects rows with
+    ``imu`` in a cell, ``a=2:5@I:0`` rows with 0 in column I. Raises ChoiceError if the text can't be read,
+    or names a missing column, or a column twice.
     """
     try:
         found, rows = _parts(text, table)
@@ -192,7 +191,7 @@ def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...],
 
 
 def _parts(text: str, table: NamedTable) -> tuple[dict[str, tuple[int, ...]], dict[str, Rows]]:
-    """Return the columns that each part of a columns text names, and their rows; a ValueError if it can't."""
+    """Return the columns and rows in each part of a columns text; raises ValueError if it can't be read."""
     found: dict[str, tuple[int, ...]] = {}
     rows: dict[str, Rows] = {}
     for part in filter(str.strip, text.split(",")):
@@ -223,7 +222,7 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
 
 
 def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
-    """Yield what is wrong with the columns, the worst first."""
+    """Yield the problems of the columns, the worst first."""
     if not any(key[0] in "ga" for key in found):
         yield "names neither gyroscope (g) nor accelerometer (a)"
     if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
@@ -238,7 +237,7 @@ def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) ->
 
 
 def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
-    """Yield what is wrong with the columns of one sensor."""
+    """Yield the problems of one sensor's columns."""
     single = [key + axis for axis in AXES if key + axis in found]
     if key in found and single:
         yield f"{single[0]} is one of the three columns of {key}; name one of them"

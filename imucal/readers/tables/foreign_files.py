@@ -1,12 +1,12 @@
-"""Columns of Parquet, HDF5, MATLAB, NPZ and NPY files, a few bytes of which may unpack to very many.
+"""Columns of Parquet, HDF5, MATLAB, NPZ and NPY files; small files may unpack to very large ones.
 
-Parquet, HDF5 and MATLAB files are read by the packages that know them, in a child process: every result can
-be pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything
-is unpacked: arrays that are too large together go to temporary files, and where only their first values are
-wanted nothing else is unpacked. What a MATLAB file unpacks to is counted without keeping any of it.
+Packages read Parquet, HDF5 and MATLAB files in a child process, so every result can be pickled; see
+`imucal.readers.isolation`. The sizes in the headers of an NPZ file are added before unpacking: if the total
+is too large, arrays go to temporary files. If only first values are wanted, the rest is not unpacked. The
+unpacked size of a MATLAB file is counted without storing the data.
 
-An array of three columns counts as ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; columns of others say
-nothing by their places.
+An array of three columns is ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; in other arrays the position
+of a column has no meaning.
 
 Source: MathWorks, MAT-File Format (version 5): a header of 128 bytes, then elements of a tag of 8 bytes (type
 and size) and their data; those of type 15 are zlib streams.
@@ -34,24 +34,24 @@ from imucal.readers.store import allocated
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.resources import MEMORY, column_limit, memory_limit
 
-#: Parts of a list or a matrix that are shown as columns.
+#: Most columns of a list or a matrix.
 _WIDEST = 64
 
-#: Rows that are looked at to choose columns.
+#: Rows examined to choose columns.
 _HEAD = 400
 
-#: What stands for an object of MATLAB in the package's arrays: its name, its system, its class, its numbers.
+#: Fields of a MATLAB object in the package's arrays: its name, its system, its class, its numbers.
 _OBJECT = ("s0", "s1", "s2", "arr")
 
-#: Structures within structures of a MATLAB file that are looked into.
+#: Deepest nesting of MATLAB structures that is read.
 _DEEP = 8
 
 
 @frozen
 class TypedColumn:
-    """A column under the name and unit that the rules for names take; some cells are empty if it `has_gaps`.
+    """A column with the name and unit used by the rules for names; some cells are empty if it `has_gaps`.
 
-    `values` reads all of it, shape (size,); `head` are the first ones.
+    `values` reads all values, shape (size,); `head` contains the first values.
     """
 
     name: str
@@ -63,7 +63,7 @@ class TypedColumn:
 
     @property
     def cells(self) -> list[str]:
-        """The first values as the cells of a text table; an empty one for NaN."""
+        """The first values as the cells of a text table; NaN is an empty cell."""
         values = self.head
         if values.dtype.kind == "M":
             return [str(value) for value in values.astype("datetime64[ns]").astype(np.int64).tolist()]
@@ -71,10 +71,10 @@ class TypedColumn:
 
 
 def parquet_columns(path: Path) -> list[TypedColumn]:
-    """Return the columns of a Parquet file with their first values, those of a structure or a list apart."""
+    """Return the columns of a Parquet file with their first values; structures and lists are split."""
     import polars as pl
 
-    # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
+    # Decode only the columns needed, because others may have an unknown encoding.
     scan = pl.scan_parquet(path)
     rows = int(scan.select(pl.len()).collect().item())
     columns = []
@@ -104,16 +104,16 @@ def parquet_columns(path: Path) -> list[TypedColumn]:
 
 
 def _parquet_values(path: Path, part: Any) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
-    """Return all values of a column of a Parquet file, or of a part of it, as polars' expression says it."""
+    """Return all values of a column of a Parquet file, or of a part, given by a polars expression."""
     import polars as pl
 
     return np.asarray(pl.scan_parquet(path).select(part.alias("v")).collect()["v"].to_numpy())
 
 
 class Arrays(NamedTuple):
-    """The arrays of numbers in a file, those in structures under names with points; and objects of MATLAB.
+    """The numeric arrays in a file, with dotted names in structures, and MATLAB's objects: name -> class.
 
-    Of those, such as a ``table``, a file holds numbers that only MATLAB understands: name -> class.
+    Only MATLAB can read the numbers of an object, such as a ``table``.
     """
 
     arrays: dict[str, NDArray[Any]]
@@ -133,7 +133,7 @@ def mat_arrays(path: Path) -> Arrays:
 
 
 def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
-    """Collect the arrays of MATLAB structures under names with points."""
+    """Collect the arrays of MATLAB structures under dotted names."""
     array = np.asarray(value)
     if array.dtype.names == _OBJECT and array.size == 1:
         own, _, kind, _ = array.item()
@@ -150,9 +150,9 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
 
 
 def hdf5_arrays(path: Path, limit: int) -> Arrays:
-    """Return the arrays of numbers in an HDF5 file, perhaps MATLAB's of version 7.3, and single attributes.
+    """Return the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3.
 
-    A ValueError if they take more than `limit` bytes.
+    Raises ValueError if they take more than `limit` bytes.
     """
     import h5py
 
@@ -178,18 +178,18 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
                 f"{most:.4g} MB"
             )
             raise ValueError(msg)
-        # MATLAB writes columns where others write rows.
+        # MATLAB stores matrices transposed.
         found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
 
 
 def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Return the attributes that are a number each, such as a sampling rate, by their paths."""
+    """Return the attributes with one number, such as a sampling rate, by their paths."""
     numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
     return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
-#: Pieces of memory in which the first values may lie; in more of them no samples are.
+#: Most pieces of memory for the first values; an array with more has no samples.
 _MOST_PIECES = 4096
 _SUFFIX = ".npy"
 #: Bytes unpacked at once.
@@ -197,7 +197,7 @@ _PIECE = 1 << 20
 
 
 class _Header(NamedTuple):
-    """What the header of a member states, and how many bytes it takes."""
+    """The header of a member, and the size of the header in bytes."""
 
     info: zipfile.ZipInfo
     shape: tuple[int, ...]
@@ -211,7 +211,7 @@ class _Header(NamedTuple):
 
     @property
     def head(self) -> list[slice]:
-        """Where the first values along the longest axis lie."""
+        """Slices of the first values along the longest axis."""
         lengths = self.shape[::-1] if self.fortran else self.shape
         at = int(np.argmax(lengths)) if lengths else 0
         outer, inner = math.prod(lengths[:at]), math.prod(lengths[at + 1 :])
@@ -222,11 +222,11 @@ class _Header(NamedTuple):
 
 
 def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an NPZ file by their names.
+    """Return the arrays of an NPZ file by name.
 
-    Of more than `limit` bytes together, they lie in temporary files. Of more than `heads_above` bytes only
-    their first values are read; the others are zero, and take no memory. A ValueError if a member is
-    damaged, claims more than the file holds, or is no array of plain values.
+    If they take more than `limit` bytes, they are in temporary files. If they take more than `heads_above`
+    bytes, only their first values are read; the others are zero and take no memory. Raises ValueError if a
+    member is damaged, claims more bytes than the file contains, or is not an array of plain values.
     """
     with zipfile.ZipFile(path) as archive:
         headers = [_header(archive, info) for info in archive.infolist() if info.filename.endswith(_SUFFIX)]
@@ -235,7 +235,7 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
         arrays = {}
         for header in headers:
             n, most = math.prod(header.shape), 0 if size > limit else header.size
-            # Memory that nobody touches is never taken.
+            # The system does not allocate zeros that are never written.
             flat = np.zeros(n, dtype=header.dtype) if heads else allocated(n, header.dtype, most)
             with archive.open(header.info) as member:
                 for part in header.head if heads else [slice(0, n)]:
@@ -253,7 +253,7 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
 
 
 def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
-    """Read the header of a member; a ValueError if it claims what it can't hold."""
+    """Read the header of a member; raises ValueError if it claims more than the member can contain."""
     with archive.open(info) as member:
         first = np.lib.format.read_magic(member) == (1, 0)
         read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
@@ -275,7 +275,7 @@ MOST_GROWTH = 1032
 
 
 def unpacks_to_more(path: Path, limit: int) -> bool:
-    """Return whether the elements of a file hold more than `limit` bytes; a damaged one as far as it goes."""
+    """Return whether a file unpacks to more than `limit` bytes, up to the first damage."""
     size = path.stat().st_size
     if size * MOST_GROWTH <= limit:
         return False
@@ -309,20 +309,20 @@ _FORMATS = {
     b"\x89HDF\r\n\x1a\n": "HDF5",
 }
 
-#: Arrays whose shapes are kept for a message.
+#: Most arrays listed in a message.
 _SHOWN = 12
 
-#: How often the arrays of a MAT or an HDF5 file are in memory while it is read.
+#: Copies of the arrays of a MAT or an HDF5 file in memory during reading.
 _COPIES = 4
 
-#: Class of an object of MATLAB -> what writes it as text there.
+#: Class of a MATLAB object -> MATLAB command that writes it as text.
 _IN_MATLAB = {
     "table": "writetable({0}, '{0}.csv')",
     "timetable": "writetimetable({0}, '{0}.csv')",
     "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
 }
 
-#: Names of a single number that is the sampling rate, in Hz.
+#: Names of a scalar with the sampling rate in Hz.
 _RATES = frozenset(
     {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
 )
@@ -333,10 +333,10 @@ _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 @frozen
 class TableFile:
-    """The columns of a file, its format, and the sampling rate where it states one.
+    """The columns of a file, its format, and its sampling rate if there is one.
 
-    `shapes` are its arrays as a message shows them, such as ``imu (600, 2, 3)``; those of which no columns
-    were made are among them. `way` says what to do with what can't be read.
+    `shapes` lists all arrays for messages, such as ``imu (600, 2, 3)``, also arrays without columns. `way`
+    is advice for data that can't be read.
     """
 
     format: str
@@ -347,11 +347,10 @@ class TableFile:
 
 
 def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
-    """Return the columns of a file; a ReadError if it can't be read, or is none of the formats.
+    """Return the columns of a file; raises ReadError if it can't be read or has another format.
 
-    Of more than `limit` bytes (None for `imucal.resources.column_limit`) a temporary file takes them. Where
-    a file that is unpacked as it is opened has more than `heads_above`, only the heads of its columns hold
-    values.
+    More than `limit` bytes (None: `imucal.resources.column_limit`) go to a temporary file. If a file that is
+    unpacked when opened has more than `heads_above` bytes, only the heads of its columns are valid.
     """
     head = first_bytes(path, 16)
     kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
@@ -361,7 +360,7 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         columns = isolated(path, parquet_columns, "Parquet")(path)
         each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
         return TableFile(format="parquet", columns=tuple(each))
-    # The packages read these whole; the arrays are there, on their way to this process, and here.
+    # Packages read these files completely, and the arrays are copied between processes.
     share = memory_limit() // _COPIES
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
@@ -389,7 +388,7 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
 def _of_arrays(
     form: str, arrays: Mapping[str, NDArray[Any]], objects: Mapping[str, str] | None = None
 ) -> TableFile:
-    """Return the columns of the arrays of a file; a single number may be its sampling rate."""
+    """Return the columns of a file's arrays; a scalar may be the sampling rate."""
     rate = None
     columns: list[TypedColumn] = []
     for name, array in arrays.items():
@@ -417,9 +416,9 @@ def _of_arrays(
 
 
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
-    """Return the columns of an array: of a record, of a matrix, or itself; none of what is no table.
+    """Return the columns of an array: a record, a matrix or a vector; empty if it is not a table.
 
-    Of three dimensions or more the longest holds the samples; the others are columns ``name[0,2]``.
+    With three dimensions or more the longest is the samples; the others are columns ``name[0,2]``.
     """
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
@@ -428,7 +427,7 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
     if not array.ndim:
         return []
     longest = int(np.argmax(array.shape))
-    # A matrix lies on its side where its rows are few enough to be columns.
+    # A matrix is transposed if its rows are few enough to be columns.
     samples = longest if array.ndim > 2 or array.shape[0] <= _WIDEST else 0
     array = np.moveaxis(array, samples, 0)
     width = math.prod(array.shape[1:])
@@ -438,7 +437,7 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
 
 
 def _label(name: str, at: tuple[int, ...], width: int) -> str:
-    """Return the name of a column of an array; three are x, y and z, of others no number tells an axis."""
+    """Return the name of an array's column; only in arrays of three columns the number is an axis."""
     if len(at) > 1:
         return f"{name}[{','.join(map(str, at))}]"
     if not at or not name or width == 1:

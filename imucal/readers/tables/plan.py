@@ -1,8 +1,8 @@
-"""What to read from a table: its sensors' columns, their times, the temperature, and why these.
+"""Choose the columns to read from a table: sensors, times and temperature, with the reasons.
 
-Names tell; a column of text, or the name of the file, may say whose a row is. What else speaks for a sensor
-only gives a columns text that is shown to the user, never taken. Columns that were not read are named where
-a sensor was not found.
+Columns are chosen by name. A text column or the file name may name the sensor of a row. Other evidence only
+leads to a columns text that is proposed to the user. If a sensor was not found, a finding lists the columns
+that were not read.
 """
 
 import re
@@ -26,39 +26,39 @@ from imucal.readers.tables.proposals import likely, may_be_samples, proposal
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import AXES, Sensor
 
-#: The columns of each sensor that is there, gyroscope first.
+#: The columns of each sensor found, gyroscope first.
 Found: TypeAlias = dict[Sensor, Triad]
 
-#: Names of the two clocks of a message; for a table they are not columns.
+#: Names of a message's two clocks, which are not columns of a table.
 _CLOCKS = ("header", "log")
 
-#: How columns are found that no tags, and no name of the file, had to tell.
+#: Reason for columns found without tags and without the file name.
 _BY_NAME = "by name"
 
-#: Names of columns that say which of several devices, or which of their sensors, a row is of.
+#: Names of columns with the device or the sensor of each row.
 _INSTANCE = listed(
     "i instance imu imu_id sensor sensor_id sensorid device device_id dev source src id unit_id topic frame "
     "frame_id child_frame_id name tag type stream channel"
 )
 
-#: Text of a row's tag for the gyroscope -> for the accelerometer.
+#: Tag of the gyroscope's rows -> tag of the accelerometer's rows.
 _PARTNERS = {
     case(gyro): case(accel)
     for gyro, accel in (("gyro", "accel"), ("gyroscope", "accelerometer"), ("gyr", "acc"))
     for case in (str.lower, str.capitalize, str.upper)
 }
 
-#: Columns that a message lists, and ready texts that it shows.
+#: Most columns listed in a message, and most columns texts proposed in it.
 _LISTED, _SHOWN = 12, 4
-#: Texts that are more than this many are no names of sensors.
+#: Most different texts in a column of sensor names.
 _MOST_TAGS = 8
 
 
 @frozen
 class SensorPlan:
-    """The columns of one sensor: its axes, its stamps, and beside them the time of recording.
+    """The columns of one sensor: its axes, its stamps and the time of recording.
 
-    `stated` is the unit of its samples that the header or the dialect says; None where neither does.
+    `stated` is the unit of the samples in the header or the dialect; None if there is none.
     """
 
     triad: Triad
@@ -69,9 +69,9 @@ class SensorPlan:
 
 @frozen
 class TablePlan:
-    """What to read from a table, gyroscope first, and how each choice was made.
+    """The columns to read from a table, gyroscope first, and the reason for each choice.
 
-    `temperature` is the index of its column, `findings` say what was not found.
+    `temperature` is the index of its column; `findings` report missing sensors or axes.
     """
 
     sensors: tuple[SensorPlan, ...]
@@ -87,10 +87,10 @@ class TablePlan:
 
 
 def make_plan(table: NamedTable, options: ReadOptions, *, name: str = "", shape: str = "") -> TablePlan:
-    """Choose the columns of a table, from their names and first cells.
+    """Choose the columns of a table from their names and first cells.
 
-    `name`, that of the file or the table, may name the sensor, and `shape` says what the columns are, for a
-    message. A ChoiceError if it is not clear which columns to read; the message shows them.
+    `name`, of the file or the table, may contain the sensor. `shape` describes the columns in messages.
+    Raises ChoiceError if the choice is not clear; the message lists the columns.
     """
     try:
         if options.columns is not None:
@@ -115,7 +115,7 @@ def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> 
     if not triads:
         found, reason = find_bare_triads(table, name)
     if not found:
-        # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
+        # Single axes only count without any triad: next to a complete gyroscope, az may be an azimuth.
         found, reason = _each(partial(_single_axes, table)), _BY_NAME
     if not found:
         raise _nothing_found(table, shape)
@@ -136,7 +136,7 @@ def _plan(
     *,
     time: TimeChoice | None = None,
 ) -> TablePlan:
-    """Return the plan for the columns of sensors; without a `time` of all, each has the one that fits it."""
+    """Return the plan for the columns of sensors; without a common `time`, each has its own time column."""
     decisions, sensors = [], []
     for triad in triads:
         shown = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
@@ -154,7 +154,7 @@ def _plan(
 
 
 def _each(find: Callable[[Sensor], Triad | None]) -> Found:
-    """Return what is found of each sensor, gyroscope first."""
+    """Return the columns that `find` returns for each sensor, gyroscope first."""
     return {sensor: triad for sensor in Sensor if (triad := find(sensor)) is not None}
 
 
@@ -166,7 +166,7 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
     if options.time == "log":
         return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
-        # Stamps that stand still are still the first choice: the clock says so and takes the log time.
+        # Prefer stamps even if they are constant: the clock then reports it and uses log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
@@ -194,9 +194,9 @@ def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
 
 
 def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield the columns of some roles by their axes, in sets whose names differ in nothing else.
+    """Yield sets of columns of some roles, by axis; the names in a set differ only in the axis.
 
-    Two columns of one axis are a ChoiceError.
+    Raises ChoiceError if two columns have the same axis.
     """
     families: dict[tuple[str, ...], list[NamedColumn]] = {}
     for column in table.columns:
@@ -214,19 +214,19 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
 
 
 def _whole(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield the sets of x, y and z; of more numbers, such as those of a matrix, none tells an axis."""
+    """Yield the sets of exactly x, y and z; longer sets, such as a matrix, are skipped."""
     return (axes for axes in _families(table, *roles) if axes.keys() == {0, 1, 2})
 
 
 def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
     """Return every complete x, y, z of a sensor, in the order of the table; second choices last.
 
-    A vector without a sensor (bare x, y, z) is not among them. Two columns of the same name are a
-    ChoiceError, and so are different units in one triad of which the caller gave none.
+    Vectors without a sensor (bare x, y, z) are excluded. Raises ChoiceError for two columns with the same
+    name, and for different units in a triad unless the caller gave the unit.
     """
     triads = [Triad.of(Sensor(str(axes[0].role)), axes) for axes in _whole(table, *map(Role, Sensor))]
     for triad in triads:
-        # A unit behind one name is that of the others too: wx(rad/s), wy, wz.
+        # A unit in one name holds for all axes: wx(rad/s), wy, wz.
         if triad.sensor not in units_given and len({*triad.units} - {None}) > 1:
             named = zip(triad.headers, triad.units, strict=True)
             shown = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
@@ -237,7 +237,7 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
             raise refused(table.path, text, ChoiceError)
 
     def is_linear(triad: Triad) -> bool:
-        # Linear acceleration, which phones give without gravity.
+        # Phones give linear acceleration without gravity.
         header = triad.headers[0].lower().lstrip("\"'")
         return triad.sensor is Sensor.ACCELEROMETER and header.startswith("lin")
 
@@ -247,9 +247,9 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
 
 
 def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
-    """Return the single axes of a sensor of which no triad is complete: a gyroscope about z, say.
+    """Return the single axes of a sensor without a complete triad, such as a gyroscope about z.
 
-    None where axes are numbered, carry different units, or belong to several sets.
+    None if axes are numbered, have different units or belong to several sets.
     """
     sets = list(_families(table, Role(str(sensor))))
     if len(sets) != 1 or any(column.numbered for column in sets[0].values()):
@@ -259,7 +259,7 @@ def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
 
 
 def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | None:
-    """Return the only triad of a sensor, or None; a ChoiceError where there are several."""
+    """Return the only triad of a sensor, or None; raises ChoiceError if there are several."""
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return next(iter(found), None)
@@ -269,7 +269,7 @@ def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad |
 
 
 def _pairs(triads: Sequence[Triad]) -> Sequence[tuple[Triad, ...]]:
-    """Return a gyroscope and the accelerometer that goes with it: by the words they share, then by place."""
+    """Return pairs of gyroscope and accelerometer, matched by common words, then by position."""
     gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
     accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
 
@@ -287,15 +287,15 @@ def _pairs(triads: Sequence[Triad]) -> Sequence[tuple[Triad, ...]]:
 
 
 def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()) -> int | None:
-    """Return the index of the temperature column; of several, the one nearest the sensors' columns."""
+    """Return the index of the temperature column nearest to the sensors' columns."""
     indices = [column.index for column in columns if column.role is Role.TEMPERATURE]
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
-    """Return the sensors of bare columns x, y, z, and how they were found: by tags, or the file's name.
+    """Return the sensors of bare columns x, y, z, and the reason: tags, or the file name.
 
-    Nothing where there are no such columns. A ChoiceError where nothing says which sensor they are.
+    Empty if there are no such columns. Raises ChoiceError if neither tags nor the file name give the sensor.
     """
     axes = next(_whole(table, Role.VECTOR), None)
     if axes is None:
@@ -322,7 +322,7 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
 def _several_rows(
     table: NamedTable, triads: dict[Sensor, Triad], tags: dict[Sensor, list[str]]
 ) -> ColumnsError:
-    """Return the error for rows of several sensors of a kind, with a ready text for each."""
+    """Return the error for rows of several sensors of a kind, with a columns text for each."""
     texts = []
     for k in range(max(map(len, tags.values()))):
         rows = {sensor: names[min(k, len(names) - 1)] for sensor, names in tags.items() if names}
@@ -333,7 +333,7 @@ def _several_rows(
 
 
 def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
-    """Return the tags of each sensor's rows; one of a usual pair tells both."""
+    """Return the tags of each sensor's rows; one tag of a usual pair implies the other."""
     gyros, accels = (sorted(t for t in texts if t.lower().startswith(start)) for start in ("gyr", "acc"))
     if not gyros:
         gyros = [name for name, other in _PARTNERS.items() if accels == [other]]
@@ -343,11 +343,11 @@ def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
 
 
 def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
-    """Restrict columns that were found by name to the rows of their sensor, where a column of text names it.
+    """Restrict columns found by name to the rows of their sensor, if a text column names it.
 
-    The accelerometer's rows may use the columns that the header names for the gyroscope, and the other
-    way round. Also returns how the rows were found; empty where all rows are of the sensors. A ChoiceError
-    if rows of several sensors can't be told apart; the message says how to choose.
+    The accelerometer's rows may use columns that the header names for the gyroscope, and vice versa. Also
+    returns the reason for the rows, empty if all rows are used. Raises ChoiceError if rows of several
+    sensors can't be separated; the message explains how to choose.
     """
     for column in table.columns:
         texts = [] if column.role is Role.TIME else sorted({*column.filled})
@@ -362,10 +362,10 @@ def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
 def _in_rows(
     table: NamedTable, found: Found, sensor: Sensor, *, column: NamedColumn, tags: dict[Sensor, list[str]]
 ) -> Triad | None:
-    """Return the columns of a sensor in the rows that a column names by `tags`; None where it has none."""
+    """Return the columns of a sensor in the rows with its `tags`; None if there are none."""
     names, triad = tags[sensor], found.get(sensor)
     if triad is None and names:
-        # The header names these columns for the other sensor, and not this one's unit.
+        # The header names these columns for the other sensor, so its unit does not apply.
         cells, (other,) = _names_of_rows(table, names[0]), found.values()
         triad = Triad(sensor=sensor, columns=tuple(parse_column(cells[at], at) for at in other.indices))
     if triad is None or len(names) == 1:
@@ -379,7 +379,7 @@ def _in_rows(
 
 
 def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
-    """Return the names that a comment gives the cells of tagged rows, or ``column 3`` and the like."""
+    """Return the names of a tagged row's cells from a comment, or such as ``column 3``."""
     comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
     plain = [f"column {column.index}" for column in table.columns]
     return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
@@ -388,7 +388,7 @@ def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
 def _refuse_instances(table: NamedTable, found: Found) -> None:
     """Refuse rows of several sensors in one table: the column I of ArduPilot's IMU message."""
     samples = next(iter(found.values())).columns[0].cells
-    # The last part of a name counts: frame_id of header.frame_id.
+    # Compare the last part of a name: frame_id of header.frame_id.
     columns = [c for c in table.columns if plain_name(c.header).rpartition(".")[2] in _INSTANCE]
     for column in columns:
         pairs = zip(column.cells, samples, strict=False)
@@ -407,10 +407,10 @@ def _refuse_instances(table: NamedTable, found: Found) -> None:
 
 
 def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
-    """Return a finding where a sensor, or an axis, was not found and columns of numbers were left over.
+    """Return a finding if a sensor or an axis was not found and numeric columns are unused.
 
-    Columns x, y, z, or some of them, that are left over may be the sensor: that is a warning, which says
-    what names them. Others are listed in a remark.
+    Unused columns x, y or z may belong to the sensor: they cause a warning that explains how to name them.
+    Other columns are listed in a remark.
     """
     used = {index for triad in found.values() for index in triad.indices}
     left = [column for column in table.columns if column.index not in used and may_be_samples(column)]
@@ -437,9 +437,9 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
 
 
 def propose(table: NamedTable, options: ReadOptions, *, first: Sequence[str] = (), rows: str = "") -> str:
-    """Return a columns text that works on a table: one of those `first`, or the likeliest; or none.
+    """Return a columns text that works on a table: one of `first`, or the likeliest; empty if none works.
 
-    It works where it names columns of numbers, and a time.
+    A columns text works if its columns are numeric and include a time.
     """
     for text in filter(None, (*first, proposal(table, name=PurePath(table.path).name, rows=rows))):
         try:

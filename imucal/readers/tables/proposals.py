@@ -1,7 +1,7 @@
-"""Which columns a sensor is likely in, where names don't say: one score of names, numbers and neighbours.
+"""Propose columns for a sensor if their names are ambiguous, by a score of names, numbers and neighbours.
 
-Nothing is read by it: a message shows the columns as a text, and the user types it. Below the threshold
-nothing is shown, as the x and y of a robot, or latitudes, are no gyroscope.
+A proposal only appears in a message, and the user types it. Below the threshold there is no proposal: the
+x and y of a robot, or latitudes, are no gyroscope.
 """
 
 import re
@@ -18,30 +18,30 @@ from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else,
 from imucal.readers.tables.stamps import dates_and_times
 from imucal.recording import AXES, Sensor
 
-#: Less speaks for nothing.
+#: Lowest score of a proposal.
 _THRESHOLD = 2
-#: What speaks for a sensor: a name that is its own, one that has a part of it, and a vector x, y, z of which
-#: nothing is said beside the other sensor. A name that says something unknown speaks against it.
+#: Scores: the sensor's own name, a part of that name, an unnamed vector x, y, z if the other sensor is known,
+#: and an unknown name.
 _NAMED, _HINTED, _VECTOR, _UNKNOWN = 4, 3, 2, -1
-#: The mean vector is gravity, or the columns stand beside those where it is.
+#: Scores: the mean vector is gravity, or the columns are next to the other sensor's.
 _GRAVITY = _BESIDE = 3
-#: The rows are tagged as those of an inertial sensor.
+#: Score: the rows have the tag of an inertial sensor.
 _TAGGED = 2
 #: Neighbours have at most one column, such as the time, between them.
 _APART = 2
-#: Beyond this many columns of numbers, three that have the size of gravity may be anything.
+#: Most numeric columns in which the size of gravity identifies an accelerometer.
 _NARROW = 8
 #: Parts of names: ``accl0``, ``LN_ACCELX``, ``turnRate1``.
 _HINTS = {
     Sensor.GYROSCOPE: re.compile(r"gyr|omega|ang.*(vel|rate)|turn|rot|rate"),
     Sensor.ACCELEROMETER: re.compile(r"acc|force"),
 }
-#: The number of an axis behind the name of a vector.
+#: The name of a vector, then the number of an axis.
 _NUMBERED = re.compile(r"(.*\D)(\d)(\W*)")
 
 
 def may_be_samples(column: NamedColumn) -> bool:
-    """Return whether a column holds numbers, and its name says nothing else than samples."""
+    """Return whether a column contains numbers and its name does not exclude samples."""
     counts = column.role is Role.COUNTER and column.counts
     if counts or column.role in {Role.TIME, Role.TEMPERATURE} or is_of_something_else(column):
         return False
@@ -55,12 +55,12 @@ def likely(
     taken: Sequence[int] = (),
     tagged: bool = False,
 ) -> dict[Sensor, Triad | None]:
-    """Return the columns of each sensor: those `found`, or the likeliest; None of less than the threshold.
+    """Return the columns of each sensor: `found`, or the likeliest; None if the score is too low.
 
-    Columns that are `taken` are of none; rows that are `tagged` are those of an inertial sensor.
+    Columns in `taken` are excluded. `tagged` means that the rows belong to an inertial sensor.
     """
     chosen: dict[Sensor, Triad | None] = dict.fromkeys(Sensor) | dict(found or {})
-    # The accelerometer first, as gravity tells it.
+    # The accelerometer first: gravity identifies it.
     for sensor in reversed(Sensor):
         if chosen[sensor] is None:
             others = list(filter(None, chosen.values()))
@@ -71,12 +71,12 @@ def likely(
 def _likeliest(
     table: NamedTable, sensor: Sensor, others: Sequence[Triad], taken: Sequence[int], *, tagged: bool
 ) -> Triad | None:
-    """Return the columns of a sensor that most speaks for, beside those of another that is known."""
+    """Return the free columns with the highest score for a sensor; None if it is too low."""
     used = {*taken, *(index for triad in others for index in triad.indices)}
     free = [c for c in table.columns if c.index not in used and may_be_samples(c)]
     by_others = partial(_score, sensor=sensor, others=others, tagged=tagged, several=len(free) > _NARROW)
     scored = [(_name_score(axes, sensor) or by_others(axes), axes) for axes in _sets(free)]
-    # Of equal ones the accelerometer is the last, as people write them.
+    # If scores are equal, the gyroscope comes first, as is usual.
     scored = scored if sensor is Sensor.GYROSCOPE else scored[::-1]
     score, best = max(scored, key=lambda pair: (pair[0], len(pair[1])), default=(0, {}))
     whole = len(best) == len(AXES) or score >= _NAMED
@@ -84,7 +84,7 @@ def _likeliest(
 
 
 def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
-    """Return columns whose names differ in their axis alone; then those without an axis, three by three."""
+    """Return columns whose names differ only in the axis, then the other columns in threes."""
     lettered: dict[tuple[str, ...], dict[int, NamedColumn]] = {}
     counted: dict[tuple[str, str], dict[int, NamedColumn]] = {}
     for column in free:
@@ -94,7 +94,7 @@ def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
         elif tail:
             counted.setdefault((tail[1], tail[3]), {})[int(tail[2])] = column
     sets = list(lettered.values())
-    # Numbers may count from 1, which only three of them tell.
+    # Numbers may start at 1, which only a complete set shows.
     whole = [axes for axes in counted.values() if sorted(axes) in ([0, 1, 2], [1, 2, 3])]
     sets += [{number - min(axes): column for number, column in axes.items()} for axes in whole]
     named = {column.index for axes in sets if len(axes) == len(AXES) for column in axes.values()}
@@ -102,7 +102,7 @@ def _sets(free: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
 
 
 def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
-    """Return columns three by three where they stand side by side."""
+    """Return groups of three adjacent columns."""
     found = []
     while plain:
         run = [column for at, column in enumerate(plain[:3]) if column.index == plain[0].index + at]
@@ -113,7 +113,7 @@ def _threes(plain: Sequence[NamedColumn]) -> list[dict[int, NamedColumn]]:
 
 
 def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
-    """Return what names say of a sensor in some columns; 0 where they say nothing of either."""
+    """Return the score of the columns' names for a sensor; 0 if they name neither sensor."""
     (opposite,) = set(Sensor) - {sensor}
     names = [plain_name(column.header) for column in axes.values()]
     said = {column.sensor for column in axes.values()}
@@ -121,7 +121,7 @@ def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
         return -_NAMED
     if said == {sensor}:
         return _NAMED
-    # A group's name may stand above the first of its columns alone.
+    # A group's name may be only above its first column.
     own = [name for name in names if not _HINTS[sensor].search(name)]
     return _HINTED if len(own) < len(names) and not any(own) and names[0] else 0
 
@@ -129,9 +129,10 @@ def _name_score(axes: Mapping[int, NamedColumn], sensor: Sensor) -> int:
 def _score(
     axes: Mapping[int, NamedColumn], sensor: Sensor, others: Sequence[Triad], *, tagged: bool, several: bool
 ) -> int:
-    """Return what speaks for a sensor in columns whose names don't: the columns of the other, or gravity.
+    """Return the score of columns whose names do not help, from the other sensor's columns or gravity.
 
-    Beside the other sensor stand a bare vector, or neighbours of a kind; gravity tells of no `several`.
+    With the other sensor known, an unnamed vector scores, or columns next to it with similar names. Gravity
+    does not count if the table has `several` candidates.
     """
     if len(axes) != len(AXES):
         return 0
@@ -149,12 +150,12 @@ def _score(
 
 
 def _unknown(columns: Sequence[NamedColumn]) -> int:
-    """Return what speaks against columns that are called by names of which nothing is known."""
+    """Return the penalty for columns with unknown names."""
     return _UNKNOWN if any(c.header.strip() and c.role is not Role.VECTOR for c in columns) else 0
 
 
 def _is_gravity(columns: Sequence[NamedColumn]) -> bool:
-    """Return whether the mean vector of three columns is gravity, in some unit."""
+    """Return whether the mean vector of three columns is gravity in some unit."""
     cells = [column.filled for column in columns]
     if len({len(column) for column in cells}) > 1:
         return False
@@ -163,15 +164,15 @@ def _is_gravity(columns: Sequence[NamedColumn]) -> bool:
 
 
 def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
-    """Return a columns text for a table, such as ``t=0,g=1:4,a=4:7``; empty where not enough speaks for one.
+    """Return a columns text for a table, such as ``t=0,g=1:4,a=4:7``; empty if no score is high enough.
 
-    `name` is the file's, and `rows` says which rows are meant, such as ``@imu``.
+    `name` is the file name, and `rows` selects rows, such as ``@imu``.
     """
     time = _time(table)
     taken = [int(index) for index in time.split("+") if index]
     chosen = likely(table, taken=taken, tagged=bool(rows))
     if not any(chosen.values()):
-        # The only column of a log of one axis, about z; of a name that says nothing the file's may.
+        # A log of one axis, taken as z; the file name may name the sensor if the header does not.
         free = [column for column in table.columns if column.index not in taken and column.is_numeric]
         sensor = sensor_of_name(name)
         if len(free) != 1 or (free[0].header and sensor is None):
@@ -181,7 +182,7 @@ def proposal(table: NamedTable, *, name: str = "", rows: str = "") -> str:
 
 
 def _time(table: NamedTable) -> str:
-    """Return the columns of the time: by name, as texts (a date, a time, AM or PM), or the first to go on."""
+    """Return the time columns: by name, by text (date, time, AM or PM), or the first that never decreases."""
     if table.time:
         return table.time
     dated = {columns[0].index: columns for columns in dates_and_times(table)}

@@ -1,6 +1,6 @@
-"""Time in a table: which columns are it for a sensor, what their counts are, and all of it in ns.
+"""Time in a table: choose a sensor's time columns, find their unit and convert them to ns.
 
-Joins of columns, counters that wrap, texts, and units that only the steps show.
+Includes joined columns, counters that wrap, texts, and units inferred from the steps.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +29,7 @@ from imucal.units import TIME_UNITS_NS, parse_time_unit
 _SECOND = 10**9
 WEEK = 7 * DAY
 
-#: Counts looked at for their usual step, at each of three places.
+#: Counts examined for the usual step, at each of three places.
 _LOOKED_AT = 1 << 20
 
 #: A column of counts or values.
@@ -54,9 +54,9 @@ def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
 def pair_stamps(
     coarse: Numbers, fine: Numbers, ns: int | None, room: Room, *, text: bool = False
 ) -> IntArray:
-    """Return times in ns from whole seconds, or times as `text`, and finer counts of `ns` ns beside them.
+    """Return times in ns from whole seconds, or times as `text`, and a column of finer counts of `ns` ns.
 
-    Without a unit the largest count tells it. What goes beyond a second is a time by itself.
+    Without a unit the largest count determines it. Fine counts above a second are complete times.
     """
     most = float(extremes(fine)[1]) if fine.size else 0.0
     if ns is None:
@@ -68,7 +68,7 @@ def pair_stamps(
 
 
 def step_counts(steps: Numbers, room: Room) -> Numbers:
-    """Return the times that steps lead to, each from the sample before."""
+    """Return the cumulative sum of steps, each from the previous sample."""
     done = steps.dtype.type(0)
 
     def of(part: slice) -> NDArray[Any]:
@@ -104,7 +104,7 @@ def _sum(first: IntArray, second: IntArray, room: Room) -> IntArray:
 
 
 def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
-    """Return times of day or of week in ns with a period added wherever they start again."""
+    """Return times of day or of week in ns, with a period added at each restart."""
     if not stamps_ns.size:
         return stamps_ns
     low, high = extremes(stamps_ns)
@@ -114,10 +114,10 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
 
 
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
-    """Return counts that go on where a counter of 8, 16, 24 or 32 bits starts again, and how often it did.
+    """Return counts without the wraps of a counter of 8, 16, 24 or 32 bits, and the number of wraps.
 
-    A step back is a wrap only where it leads from near the counter's end to near its start: a restart
-    of the logger is none.
+    A step back is a wrap only from near the counter's end to near its start; other steps back, such as a
+    restart of the logger, stay.
     """
     if counts.size < 2:
         return counts, 0
@@ -130,12 +130,12 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
         if highest >= period:
             continue
         if not usual:
-            # The median of the steps forward; of those at the start, in the middle and at the end of many.
+            # The median of forward steps; in long logs at the start, in the middle and at the end.
             starts = (0, counts.size // 2, counts.size - _LOOKED_AT) if counts.size > 3 * _LOOKED_AT else (0,)
             length = _LOOKED_AT if len(starts) > 1 else counts.size
             steps = np.concatenate([np.diff(counts[start : start + length]) for start in starts])
             usual = int(np.median(steps[steps > 0])) if (steps > 0).any() else 1
-        # Some samples may be missing at the very wrap.
+        # Samples may be missing at the wrap.
         most = max(100 * usual, period // 64)
         wraps = _places(counts, -period, min(most - period, -1))
         if wraps.size:
@@ -144,7 +144,7 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
 
 
 def _places(values: IntArray, above: int, most: int) -> IntArray:
-    """Return the places to which a step leads that is larger than `above` and not larger than `most`."""
+    """Return the indices after steps larger than `above` and not larger than `most`."""
     found = []
     for part in blocks(values.size - 1, values):
         steps = np.diff(values[part.start : part.stop + 1])
@@ -154,7 +154,7 @@ def _places(values: IntArray, above: int, most: int) -> IntArray:
 
 
 def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntArray:
-    """Return values with a period added from each of the places `turns` on."""
+    """Return values with a period added from each index in `turns` on."""
 
     def of(part: slice) -> IntArray:
         before, stop = np.searchsorted(turns, [part.start, part.stop])
@@ -170,7 +170,7 @@ def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntAr
 def to_ns(values: Numbers, ns: int, room: Room) -> IntArray:
     """Return times counted in units of `ns` ns as int64 ns, shape (n,).
 
-    Integers stay exact. Floats are split first, so that nothing is lost beyond their own resolution.
+    Integers stay exact. Floats are split first, so that they keep their resolution.
     """
     start = 0
     if values.dtype.kind == "i":
@@ -195,10 +195,10 @@ def _ns_of(values: Numbers, ns: int) -> IntArray:
 
 
 def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
-    """Return the unit of times that make sense for an IMU, and all units that fit.
+    """Return the most plausible unit of an IMU's times, and all units that fit.
 
-    The rate must lie between 1 Hz and 20 kHz. Where several units fit, the size of a time since 1970
-    decides; where that does not help, the unit is None.
+    A unit fits if the rate is between 1 Hz and 20 kHz. If several fit, the size of a time since 1970
+    decides; if that does not help, the unit is None.
     """
     rates = rates_by_unit(values)
     if not rates:
@@ -212,13 +212,13 @@ def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
 
 
 def rates_by_unit(values: Numbers) -> dict[str, float]:
-    """Return the rate in Hz that times have in each unit; nothing where they do not go on."""
+    """Return the rate in Hz for each unit of times; empty if times do not increase."""
     step = typical_step(values)
     return {unit: 1e9 / (step * ns) for unit, ns in TIME_UNITS_NS.items()} if step > 0 else {}
 
 
 def typical_step(values: Numbers) -> float:
-    """Return the sampling period in counts, as the first of them explain it; 0 where they do not go on."""
+    """Return the sampling period in counts, from the first values; 0 if they do not increase."""
     head = values[:20_000]
     since = head - head[:1]
     span = float(np.ptp(since)) if since.size else 0.0
@@ -236,26 +236,26 @@ def typical_step(values: Numbers) -> float:
 
 
 TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "steps", "counter"]
-#: What some of them are read as, in words.
+#: Descriptions of some kinds.
 _KINDS = {
     "week": "GPS week and time of week",
     "text": "date and time",
     "steps": "steps from sample to sample",
 }
 
-#: The time that texts give: dates with times in one column, or dates, times and perhaps AM or PM.
+#: Time as text: dates with times in one column, or dates, times and optional AM or PM in several.
 _TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
 
-#: Words that say which sensor stamped the sample.
+#: Words for the sensor that stamped the sample.
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
 _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
 #: Words of a time of the week; the first counts seconds.
 _OF_WEEK = ("sow", "tow")
-#: Whole numbers that are seconds since 1970 or 1980, and GPS weeks.
+#: Ranges of seconds since 1970 or 1980, and of GPS weeks.
 _EPOCH, _WEEKS = (5e8, 4e9), (1000, 9999)
 
-#: Words of the columns of a date, in order; nanoseconds need not be there.
+#: Words of the columns of a date, in order; nanoseconds are optional.
 _DATE_PARTS = (
     *("year yyyy", "month", "day", "hour hours", "minute minutes min", "second seconds sec"),
     "nano nanos nanosecond nanoseconds nsec ns",
@@ -269,7 +269,7 @@ def _points(text: str) -> dict[str, int]:
     return {word: int(points) for points, *words in lines for word in words}
 
 
-#: Word of a name -> how much it is to be preferred; the largest counts.
+#: Word of a name -> preference; the largest counts.
 _PREFERENCE = _points("""
 75 stamp timestamp realtime
 65 time chiptime
@@ -282,7 +282,7 @@ _PREFERENCE = _points("""
 #: Preference of a time whose name has none of these words.
 _UNKNOWN = 40
 
-#: Word of a name -> what it adds: times taken by the computer that logged are a worse choice.
+#: Word of a name -> bonus; times from the logging computer are a worse choice.
 _BONUS = _points("""
 -40 log logging host receive received recv
 -30 rosbag
@@ -297,14 +297,14 @@ _BONUS = _points("""
 
 @frozen
 class TimeChoice:
-    """The time of a sensor's samples: the columns it is in, by index, and the name that the log gives it.
+    """The time of a sensor's samples: the indices of its columns, and its name in the log.
 
     ``pair`` is seconds, or a text, and a finer column; ``week`` GPS week and time of week; ``date`` year,
     month, day, hour, minute, second and perhaps nanosecond; ``text`` dates or times of day, in one column or
-    in one of dates, one of times and perhaps one of AM and PM; ``steps`` the times since the sample before;
-    ``counter`` a count of samples. `ns` per count (of the finer column) is None where the data must tell;
-    `ns_source` says in words where it is from. Dates with the year last begin with the month, or `by_day`;
-    where the cells leave it `open_date`, the month is taken.
+    in columns of dates, times and perhaps AM and PM; ``steps`` the times since the previous sample;
+    ``counter`` a count of samples. `ns` per count (of the finer column) is None if the data determine it;
+    `ns_source` describes its source. Dates with the year last begin with the month, or with the day if
+    `by_day`. If the cells do not decide (`open_date`), the month is assumed.
     """
 
     kind: TimeKind
@@ -317,16 +317,15 @@ class TimeChoice:
 
     @property
     def words(self) -> str:
-        """What the time is read as, in words."""
+        """Description of the time's interpretation."""
         words = self.ns_source if self.kind == "pair" else _KINDS.get(self.kind, "stamps")
         return words + (", read as month, day, year" if self.open_date else "")
 
 
 def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
-    """Return the times that a table offers for a sensor's samples, best first.
+    """Return the possible times of a sensor's samples in a table, best first.
 
-    Stamps come before counters; columns that are empty, or stand still over the first rows, come
-    after those that go on.
+    Stamps come before counters. Columns that are empty or constant in the first rows come last.
     """
     found = [*_pairs(table), *_weeks(table), *_dates(table)]
     found += [(_score(columns[1], sensor), _joined(*columns, **_TEXTS)) for columns in dates_and_times(table)]
@@ -343,9 +342,9 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
-    """Return the time in one column, in two of which the second is finer, or in a date and a time of day.
+    """Return the time in one column, in a coarse and a finer column, or in a date and a time of day.
 
-    A ChoiceError if it is none.
+    Raises ChoiceError if the columns are not a time.
     """
     columns = [table.columns[index] for index in indices]
     column = columns[0]
@@ -364,7 +363,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
-    """Return the time in the column a user named; a ChoiceError if there is none, or it is no time."""
+    """Return the time in the column named by the user; raises ChoiceError if it is missing or not a time."""
     try:
         indices = [table.index_of(part) for part in name.split("+")]
     except ValueError as error:
@@ -374,7 +373,7 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
 
 
 def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source: str = "") -> TimeChoice:
-    """Return the time in some columns; where they may be texts, with the order of day and month in them."""
+    """Return the time in some columns; for texts, with the order of day and month."""
     order = day_first(columns[0].cells) if kind in {"text", "pair"} else False
     return TimeChoice(
         kind=kind,
@@ -388,7 +387,7 @@ def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source
 
 
 def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
-    """Return the time in one column, of numbers or of texts; None where most cells are neither."""
+    """Return the time in one column of numbers or texts; None if most cells are neither."""
     filled = column.filled
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
@@ -398,7 +397,7 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
 
 
 def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | None, str]:
-    """Return the ns per count that the dialect or the name of a column says, and which of them does."""
+    """Return the ns per count from the dialect or the name of a column, and which of them was used."""
     name = plain_name(column.header)
     if dialect is not None and (ns := dict(dialect.time_ns).get(name)) is not None:
         return ns, f"as in logs of {dialect.name}"
@@ -406,7 +405,7 @@ def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | No
         return 100_000, "as in logs of Xsens"
     if _OF_WEEK[0] in column.words:
         return _SECOND, "seconds of the week"
-    # A word of more than a letter may be a unit, or end like ustime.
+    # Words of several letters may be units, also with a suffix such as ustime.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
     ns = _spelled_ns(column.unit or "", *words)
     return ns, "from the column header" if ns else ""
@@ -419,7 +418,7 @@ def _spelled_ns(*words: str) -> int | None:
 
 
 def _score(column: NamedColumn, sensor: Sensor) -> float:
-    """Return how much a time is to be preferred: by its words, its owner, its unit and its filled cells."""
+    """Return the preference of a time from its words, its sensor, its unit and its filled cells."""
     words = column.words
     if words in STEPS:
         return 3.0
@@ -437,22 +436,22 @@ def _score(column: NamedColumn, sensor: Sensor) -> float:
 
 
 def _with_cells(score: float, filled: Sequence[str]) -> float:
-    """Return a score that the filled cells of a time change; those that stand still make it a last choice."""
+    """Return the score corrected for the filled cells of a time; constant cells make it the last choice."""
     if not filled:
         return score
-    # Dates are worse than numbers, ns since 1970 better.
+    # Numbers are better than dates, and ns since 1970 best.
     score -= 0 if is_number(filled[0]) else 30
     digits = [cell.lstrip("+-") for cell in filled]
-    # One that counts more coarsely than the samples come is worse than another.
+    # Times coarser than the sampling period are worse.
     score -= 20 if 2 * len(set(filled)) < len(filled) else 0
     score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
 
 def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return whole seconds with a finer column, of names that differ in nothing but the unit.
+    """Return whole seconds with a finer column whose name differs only in the unit.
 
-    A column that is called by a unit alone is part of the only seconds that there are.
+    A column named only by a unit belongs to the only column of seconds.
     """
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
@@ -466,7 +465,7 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
             seconds.setdefault(stem, column)
     if len(seconds) == 1:
         seconds[()] = next(iter(seconds.values()))
-    # A fraction that stands still is the last choice.
+    # A constant fraction is the last choice.
     return [
         (92.0 if len(set(fine.cells)) > 1 else 4.0, _pair(seconds[stem], fine))
         for stem, fine in fractions.items()
@@ -475,14 +474,14 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
 
 
 def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
-    """Return whether cells are whole seconds: counts of that unit or size, or texts, many the same."""
+    """Return whether cells are whole seconds: counts of that unit or size, or texts, with many repeats."""
     if counts:
         return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
     return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
 
 
 def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
-    """Return the time in whole seconds, or a text, and in a finer column beside it."""
+    """Return the time in whole seconds, or a text, and a finer column."""
     ns = _spelled_ns(fine.unit or "", *fine.words)
     beside = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
     text = any(map(is_text_stamp, coarse.filled))
@@ -498,7 +497,7 @@ def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
 
 
 def _is_week(first: NamedColumn, second: NamedColumn) -> bool:
-    """Return whether columns are GPS weeks and times of the week: by their names, or as their cells say."""
+    """Return whether columns are GPS weeks and times of the week, from their names or cells."""
     if "week" in first.words or not set(_OF_WEEK).isdisjoint(second.words):
         return True
     weeks, times = first.counts, [float(cell) for cell in second.filled if is_number(cell)]
@@ -512,7 +511,7 @@ def _week(week: NamedColumn, tow: NamedColumn) -> TimeChoice:
 
 
 def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return the time that columns of year, month, day, hour, minute and second give together."""
+    """Return the time in columns of year, month, day, hour, minute and second."""
     parts: list[NamedColumn] = []
     for names in _DATE_PARTS:
         column = next(
@@ -526,7 +525,7 @@ def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
 
 
 def dates_and_times(table: NamedTable) -> Iterator[list[NamedColumn]]:
-    """Yield columns of dates, of times of day beside them, and of AM and PM where they stand behind."""
+    """Yield adjacent columns of dates and times of day, with a following column of AM and PM."""
     for date, time in pairwise(table.columns):
         filled = time.filled
         if text_kind(date.cells) == "date" and filled and all(map(is_time_of_day, filled)):

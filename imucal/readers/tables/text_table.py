@@ -1,11 +1,10 @@
-"""Delimited text -> Recording: CSV, TSV, blanks; a file, standard input, or an app's set of files.
+"""Read delimited text (CSV, TSV, blanks) from a file, standard input, or an app's set of files.
 
-The head gives the layout, the names of the columns give the sensors, and blocks of rows go through polars
-into columns, or through a tolerant parser where that fails. In doubt nothing is guessed: the error shows
-the columns and a text to choose them.
+The first lines determine the layout, and names of columns the sensors. Polars parses blocks of rows; if that
+fails, a tolerant parser does. Ambiguous columns are not guessed: the error lists them with a columns text.
 
-A gyroscope and an accelerometer may have a file each, perhaps with one of their times: phones' apps write
-them as a zip or a folder (phyphox, Sensor Logger), simulators as files side by side.
+Gyroscope, accelerometer and their times may be in separate files: apps of phones write a zip or a folder
+(phyphox, Sensor Logger), simulators several files.
 """
 
 import re
@@ -70,7 +69,7 @@ _INERTIAL = re.compile(
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
     """Find the layout of a text: messages of a known dialect, or a table.
 
-    A ReadError where it holds no rows of numbers, a ChoiceError where its header doesn't fit them.
+    Raises ReadError if it has no rows of numbers, ChoiceError if its header does not fit them.
     """
     messages = find_messages(lines)
     if messages is not None:
@@ -88,7 +87,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
 
 
 def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
-    """Return the error for a table without names, with a columns text that works on it where one is known."""
+    """Return the error for a table without names, with a columns text for it if one is known."""
     problem = f"the {layout.width} columns have no header"
     if layout.mismatch is not None:
         problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
@@ -115,7 +114,7 @@ def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
     return [tag for tag, _ in Counter(filter(_INERTIAL.fullmatch, cells)).most_common()]
 
 
-#: What the cells of a column are read as: numbers, or one of the texts that tell the time.
+#: Types of cells: numbers, or one of the kinds of time as text.
 Kind: TypeAlias = Literal["integer", "float"] | TextKind
 _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
@@ -128,10 +127,10 @@ _COMMENTS = ("#", "%", "//", ";")
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
-    `kinds` says by index what the cells of each wanted column are. A row that lacks a cell of a `needed`
-    column is bad. `limit` is the bytes of a column to hold in memory, `expected` the rows to make room for.
-    Dates with the year last begin with the month, or `by_day`. `good` rows were read; of the `bad` ones,
-    which are none of the table, the first is kept.
+    `kinds` maps the index of each wanted column to the type of its cells. A row without a cell of a `needed`
+    column is bad. `limit` is the most bytes of a column in memory, `expected` the expected number of rows.
+    Dates with the year last begin with the month, or with the day if `by_day`. `good` and `bad` count rows;
+    the first bad row is kept.
     """
 
     layout: TextLayout
@@ -146,7 +145,7 @@ class BlockReader:
     first_bad: str = ""
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
-    #: What parts the cells of a block once it is plain.
+    #: Delimiter of a plain block.
     _mark: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -171,7 +170,7 @@ class BlockReader:
             return
         values = self._by_polars(plain)
         if values is None:
-            # Blank lines are looked for only now: the search costs as much as the parsing.
+            # Search for blank lines only now: it takes as long as parsing.
             plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
             values = self._by_polars(plain, last_try=True) or self._by_hand(plain)
         self.good += len(next(iter(values.values())))
@@ -179,7 +178,7 @@ class BlockReader:
             column.append(values[index])
 
     def _plain(self, block: bytes) -> bytes:
-        """Return a block that the parser takes: one delimiter, decimal points, no blank lines."""
+        """Return a block for the parser: one delimiter, decimal points, no blank lines."""
         delimiter = self.layout.delimiter
         if delimiter == BLANKS:
             block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
@@ -187,12 +186,12 @@ class BlockReader:
         elif b" " in block:
             mark = delimiter.encode()
             block = block.replace(mark + b" ", mark)
-            # A blank within a cell stays: without it two numbers would become one.
+            # Keep a blank in a cell, or two numbers would become one.
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
         if self.layout.decimal != ",":
             return block
-        # Where commas part the cells, a decimal one stands in quotes.
+        # If the delimiter is a comma, decimal commas are in quotes.
         if delimiter == ",":
             return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
         return block.replace(b",", b".")
@@ -244,7 +243,7 @@ class BlockReader:
             )
         except (pl.exceptions.PolarsError, UnicodeDecodeError):
             return None
-        # A quotation mark that stands open may swallow lines.
+        # An unclosed quotation mark may swallow lines.
         swallowed = quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n"))
         return None if swallowed else table
 
@@ -287,7 +286,7 @@ class BlockReader:
 
 
 def _number(cell: str, kind: Kind) -> int | float | str | None:
-    """Return a cell's value; an empty cell of floats is NaN; None where it has none."""
+    """Return a cell's value; an empty cell of floats is NaN; None if it is invalid."""
     if kind in _TEXTS or "_" in cell:
         return cell if kind in _TEXTS else None
     with suppress(ValueError):
@@ -301,7 +300,7 @@ def _number(cell: str, kind: Kind) -> int | float | str | None:
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
-#: The index of times that stand in a file of their own.
+#: The index of times in a separate file.
 EXTERNAL = -1
 
 
@@ -323,18 +322,18 @@ def read_table(
 ) -> Recording:
     """Read the table of an opened text; only its first lines if `head`.
 
-    `name` is the file's own, which may name the sensor; `stamps` are times of the rows that stand in a
-    file of their own. A ChoiceError where columns, units or time are not clear, a ReadError if it is no
-    table, a DataError if it holds no samples.
+    `name` is the file name, which may name the sensor; `stamps` are times of the rows from a separate file.
+    Raises ChoiceError if columns, units or time are not clear, ReadError if the text is not a table,
+    DataError if it has no samples.
     """
-    # The blocks of text are as large as its chunks: freed, they are to be used again.
+    # Reuse the memory of blocks.
     keep_freed_memory()
     try:
         layout, plan = plan_of_head(source, options, name)
     except ColumnsError as error:
         tried = partial(read_table, source, name=name, head=True)
         raise with_more(source.name, error, options, tried) from error
-    # Sensors of the same rows are read together.
+    # Read sensors of the same rows together.
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
         timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
@@ -365,7 +364,7 @@ def read_table(
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
     """Return the layout and the columns of a text from its first lines; its name may name the sensor.
 
-    A ChoiceError where columns are not clear, a ReadError where it is no table.
+    Raises ChoiceError if columns are not clear, ReadError if the text is not a table.
     """
     layout = lay_out(source.name, source.head, options)
     names = layout.headers or [""] * layout.width
@@ -382,7 +381,7 @@ def _reader(
     limit: int | None,
     expected: int,
 ) -> BlockReader:
-    """Return what reads the columns of some sensors of the same rows, of which `lines` are the first."""
+    """Return the reader of some sensors' columns in the same rows; `lines` are the first rows."""
     rows = sensors[0].triad.rows or layout.tag
     layout = _of_rows(lines, layout, rows)
     kinds: dict[int, Kind] = {}
@@ -392,7 +391,7 @@ def _reader(
     for time in times:
         text = time.kind == "text"
         kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices if index != EXTERNAL}
-    # A row that lacks its last cell was cut, perhaps within a number that stands before it.
+    # A row without its last cell was cut, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
         kinds.setdefault(temperature, "float")
@@ -401,7 +400,7 @@ def _reader(
         kinds=kinds,
         needed=needed,
         rows=rows,
-        # Half of what may be held is for what the columns become.
+        # Half of the limit is for the results made from the columns.
         limit=(limit or column_limit()) // (2 * max(1, len(kinds))),
         expected=expected,
         by_day=any(time.by_day for time in times),
@@ -429,7 +428,7 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows behind the header; returns the last line where it may be cut, else an empty text."""
+    """Read all rows after the header; return the last line if it may be cut, otherwise an empty text."""
     cut, before = "", layout.start
     for block in blocks:
         *above, whole = block.split(b"\n", before) if before else [block]
@@ -439,7 +438,7 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
         end = whole.rfind(b"\n") + 1
         last = whole[end:].decode("utf-8", "replace")
         if last.strip():
-            # It is whole where it has all its cells, the last one as long as any other.
+            # It is complete if it has all cells and its last cell is as long as usual.
             cells, others = split_line(last, layout.delimiter), layout.cells(layout.width - 1)
             _, point, digits = cells[-1].partition(layout.decimal)
             longest = max((len(other.partition(".")[2]) for other in others), default=0)
@@ -453,7 +452,7 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
 def _row_findings(
     source: TextSource, cut: str, layout: TextLayout, readers: Sequence[BlockReader], *, strict: bool
 ) -> list[Finding]:
-    """Return what was wrong with a text; refuse a table of which hardly a row can be read."""
+    """Return the problems of a text as findings; refuse a table with hardly any readable row."""
     path, findings = source.name, [*source.findings]
     if strict and findings:
         raise refused(path, f"{findings[0].text} Expected an undamaged log")
@@ -492,15 +491,15 @@ def _columns(
 _ZIP = b"PK\x03\x04"
 _SUFFIXES = (".csv", ".tsv", ".txt")
 
-#: Names of files that are no raw sensor: an app's own estimates, other sensors, notes.
+#: Names of files without raw samples: estimates by the app, other sensors, notes.
 _LEFT_OUT = re.compile(
     r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
 )
 
-#: Names of files in the order in which they are taken.
+#: Names of files, best first.
 _PREFERRED = {
     Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
-    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is what the sensor measured.
+    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is with gravity.
     Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
 }
 
@@ -519,7 +518,7 @@ def is_set(path: Path) -> bool:
 
 @contextmanager
 def _members(path: Path) -> Iterator[_Members]:
-    """Give the text tables of a zip or a folder; whatever is wrong with a zip becomes a ReadError."""
+    """Yield the text tables of a zip or a folder; raises ReadError for a damaged zip."""
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
         yield {entry.name: (entry.stat().st_size, partial(open_text, entry)) for entry in entries}
@@ -572,9 +571,9 @@ def _choose(path: Path, names: Sequence[str], sensor: Sensor) -> str | None:
 
 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
-    """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
+    """Read files with one sensor each, perhaps with a file of times; None for other files.
 
-    A ReadError if one of them can't be read.
+    Raises ReadError if a file can't be read.
     """
     found = {path: times_of(path) for path in paths}
     tables = [path for path in paths if found[path] is None]
@@ -597,9 +596,9 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
-    """Return the sensors of the recordings of some files as one; each keeps its own clock.
+    """Merge the sensors of several recordings into one; each keeps its own clock.
 
-    A ChoiceError where their stamps share no time: a gyroscope and an accelerometer of different days.
+    Raises ChoiceError if their times do not overlap, such as on different days.
     """
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
@@ -629,7 +628,7 @@ def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recordi
 
 
 def times_of(path: Path) -> ExternalTime | None:
-    """Return the times that a file of one column with a header holds; None of any other file."""
+    """Return the times in a file of one column with a header; None for other files."""
     try:
         source = open_text(path)
     except ImucalError:
@@ -651,15 +650,15 @@ def times_of(path: Path) -> ExternalTime | None:
     return ExternalTime(str(path), choice, np.array([float(cell) for cell in cells if is_number(cell)]))
 
 
-#: Texts up to this size, unpacked, are read to be described: they take less than half a second.
+#: Largest unpacked text that `describe` reads completely, in less than half a second.
 _SMALL = 64 << 20
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read a text table, or the zip or folder of tables that a phone's app writes.
 
-    A ChoiceError if files, columns, units or time are not clear, a ReadError if it can't be opened or is no
-    table, a DataError if it holds no samples.
+    Raises ChoiceError if files, columns, units or time are not clear, ReadError if it can't be opened or is
+    not a table, DataError if it has no samples.
     """
     refuse_topics(path, options, "a table of text")
     if is_set(path):
@@ -670,10 +669,10 @@ def read(path: Path, options: ReadOptions) -> Recording:
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the table a text holds: its columns, units, rate and what it gives.
+    """Return the contents of a text table: its columns, units, rate and sensors.
 
-    A table whose columns are not clear is described too; why it can't be read is its note. A ReadError if
-    it can't be opened, or is no table.
+    If the columns are not clear, the note explains why the table can't be read. Raises ReadError if it can't
+    be opened or is not a table.
     """
     if is_set(path):
         with _members(path) as members:
