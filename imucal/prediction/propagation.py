@@ -30,7 +30,7 @@ Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 _BLOCKS, _MOST_BLOCKS = 120, 1 << 18
 #: Largest number of block sizes to try: one of them leaves a remainder below 1e-3.
 _TRIED = 50
-#: Limits of a correlation time are clipped to this share of it, and to the inverse.
+#: Limits of a correlation time are clipped to this share and its inverse; below, the term is white noise.
 _SHORTEST_TIME = 1 / 30
 #: How often the sensor's output is integrated to give each error.
 ANGLE, POSITION, TILT = 1, 2, 3
