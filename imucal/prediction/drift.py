@@ -3,9 +3,8 @@
 The bias is the mean of the samples at rest; afterwards nothing aids dead reckoning. The error of an angle is
 the integrated noise of the gyroscope. The errors of velocity and position are the accelerometer's noise,
 integrated once and twice. A tilt adds gravity: g times the gyroscope's noise, integrated twice and three
-times. Only the sensors' noise counts, over a flat Earth without rotation; errors of scale, misalignment and
-temperature are left out. The Schuler oscillation, with a period of 84 minutes, would reduce the error through
-tilt by 0.7 % at 300 s and by 8 % at 1000 s.
+times. The Earth is flat without rotation; errors of scale, misalignment and temperature are left out. The
+Schuler period of 84 minutes would reduce the error through tilt by 0.7 % at 300 s and by 8 % at 1000 s.
 """
 
 import math
