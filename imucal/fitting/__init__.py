@@ -1,4 +1,4 @@
-"""AllanCurve (+ samples) -> NoiseFit: what explains it."""
+"""AllanCurve (+ samples) -> NoiseFit."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def fit(
     Parameters
     ----------
     series
-        The samples; or a curve alone, which `gmwm` and `slope` can do with.
+        The samples, or a curve alone for `gmwm` and `slope`.
     model
         ``auto`` chooses among all sums of the terms; or the terms, such as ``N + B + K`` or
         ``N + 2*GM + K``.
@@ -47,23 +47,23 @@ def fit(
     level
         Confidence level of every interval.
     criterion
-        What chooses between models: ``chance``, the same at any rate, ``bic``, ``hq`` (Hannan-Quinn) or
-        ``aic``.
+        Criterion of the choice between models: ``chance``, the same at any rate, ``bic``, ``hq``
+        (Hannan-Quinn) or ``aic``.
     weights
-        Of gmwm: ``full`` covariance of the curve, or ``eta3``, the published diagonal.
+        For gmwm: ``full`` covariance of the curve, or ``eta3``, the published diagonal.
     clean
         Replace spikes before fitting; they are counted in a finding.
     verify
-        Compare the maximum with the exact state-space likelihood, and say how far apart they are.
+        Report the distance to the maximum of the exact state-space likelihood.
     temperature
-        In degrees Celsius, shape (n,), at the samples: its linear effect is taken out with the fit.
+        In degrees Celsius, shape (n,), at the samples: the fit takes out its linear effect.
     curve
-        The samples' Allan curve, where it has been computed already.
+        The samples' Allan curve, if already computed.
     max_gm
-        Most Gauss-Markov terms that ``auto`` tries.
+        Largest number of Gauss-Markov terms that ``auto`` tries.
     segments
-        Of mle: into how many parts of equal time the record is cut to see whether its noise stays the
-        same, fewer where it is short; 1 does not look. Where it does not stay, intervals are wider.
+        For mle: largest number of parts of equal time in which changes of the noise are tested; 1 skips
+        the test. If the noise changes, intervals are wider.
 
     Returns
     -------
@@ -102,9 +102,9 @@ def fit_axis(
     temperature: FloatArray | None = None,
     curve: AllanCurve | None = None,
 ) -> NoiseFit:
-    """Fit a noise model to one axis; as `fit`, with the settings in one piece.
+    """Fit a noise model to one axis, like `fit`, with a `FitSettings`.
 
-    It is the caller who holds a fit of the curve against the spectrum (`ambiguity_findings`).
+    The caller compares a fit of the curve with the spectrum (`ambiguity_findings`).
     """
     method = load_method(settings.method)
     if isinstance(series, AllanCurve):

@@ -1,11 +1,11 @@
-"""Bins: what the likelihood of one axis needs, so that it can be evaluated again without the samples.
+"""Bins: the data from which the likelihood of one axis can be evaluated again without the samples.
 
-For a store of thousands of logs they are packed into a few kilobytes: what rounding takes is far below
-chance. A bin's power is a chi-squared variable, so that its logarithm need be known to a small share of
-its own deviation only, and a product with a regressor to a small share of the square root of both squares.
-Rounded so, all of it is integers, of which many high bytes are alike: they compress. Regressors are taken
-out first, by a reference that is kept exactly: else the rounding of a strong trend would be larger than
-the noise.
+`pack` stores them in a few kilobytes, for archives of thousands of logs. Its rounding errors are far below
+the statistical errors. A bin's power is a chi-squared variable, so its logarithm is rounded to a small
+share of its standard deviation. A product with a regressor is rounded to a small share of the square root
+of both squares. The rounded integers share many high bytes, so they compress well. The regressors are
+subtracted first, with coefficients that are stored exactly: otherwise the rounding of a strong trend would
+exceed the noise.
 """
 
 import struct
@@ -18,7 +18,7 @@ from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 
-#: Number of the layout of `Bins`; one that an old reader would misunderstand raises it.
+#: Version of the layout of `Bins`; increase it if an old reader would misread the new layout.
 BINS_VERSION = 1
 
 
@@ -26,17 +26,18 @@ BINS_VERSION = 1
 class Bins(ReadOnlyArrays):
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 
-    The samples stand in k unbroken blocks, whose lengths are `n`, shape (k,). Their b bins follow each other:
-    those of a block begin at its place in `start`, shape (k,). A bin begins with the ordinate `first`, shape
-    (b,), and ends where the next of its block begins, the last one at the ordinate n - 1. It has `size`
-    degrees of freedom and a `power`, the sum of its squared ordinates in units of `scale`², shape (b,) each.
+    The samples form k unbroken blocks of lengths `n`, shape (k,). The b bins of all blocks follow each other;
+    `start`, shape (k,), is the index of each block's first bin. A bin begins with the ordinate `first`, shape
+    (b,), and ends where the next bin of its block begins; the last one ends at the ordinate n - 1. It has
+    `size` degrees of freedom and a `power`, the sum of its squared ordinates in units of `scale`², shape (b,)
+    each.
 
-    The regressors are `names`, ``R`` first, then what the fit of this axis took out; `cross`, shape (r, b),
-    are sums of ordinate times regressor's ordinate, in units of `scale`, and `gram`, shape (r, r, b), of
-    products of regressors' ordinates. `scale` is U per scaled unit, a power of two: exact. `tau0` is the
-    sampling period in s, `widening` by what factor heavy tails make the interval of N wider, at least 1, and
-    `version` that of this layout. All of it takes some 8 (3 + r + r²) b bytes: 24 kB for 10⁵ samples, whose b
-    is 590, and one ramp.
+    `names` are the regressors: ``R`` first, then the shapes that the fit of this axis took out. `cross`,
+    shape (r, b), are sums of ordinate times regressor's ordinate, in units of `scale`. `gram`, shape
+    (r, r, b), are sums of products of regressors' ordinates. `scale` is U per scaled unit, a power of two and
+    so exact. `tau0` is the sampling period in s. `widening`, at least 1, is the factor by which heavy tails
+    widen the interval of N. `version` is the layout's version. The arrays take about 8 (3 + r + r²) b bytes:
+    24 kB for 10⁵ samples (b = 590) and one ramp.
     """
 
     n: IntArray
@@ -67,22 +68,22 @@ class Bins(ReadOnlyArrays):
         ReadOnlyArrays.__post_init__(self)
 
 
-#: Number of this form, its first byte.
+#: Version of the packed format, its first byte.
 PACKED_VERSION = 1
-#: Steps in one deviation of a bin's logarithm; in a correlation of the data with the ramp; in one with or of
-#: several regressors, which may be nearly alike, and in the logarithm of a regressor's square.
+#: Rounding steps per standard deviation of a bin's logarithm; per unit of correlation with a lone ramp; per
+#: unit of correlation if there are more regressors (maybe collinear), and of a regressor's log square.
 _DEVIATION, _CORRELATION, _EXACT = 2.0**21, 2.0**15, 2.0**26
-#: Rounds of weighted least squares for the reference, and the bins that a weight is the mean of.
+#: Rounds of weighted least squares for the reference; number of bins averaged for a weight.
 _ROUNDS, _SMOOTH = 4, 9
-#: Versions of this form and of `Bins`; blocks, regressors, bins, bytes of names; scale, tau0, widening.
+#: Versions of both formats; numbers of blocks, regressors, bins, bytes of names; scale, tau0, widening.
 _HEAD = struct.Struct("<BBHHIIddd")
 
 
 def pack(bins: Bins) -> bytes:
     """Return bins as bytes: 3.3 kB for 10⁵ samples.
 
-    Each product with or of other regressors than the ramp adds as much. What `imucal.pool` makes of them
-    differs by less than 1e-6 of a value.
+    Each product that involves a regressor other than the ramp adds as much. Results of `imucal.pool` change
+    by less than 1e-6 of their value.
     """
     reference = _reference(bins)
     rest, left = _less(bins.power, bins.cross, bins.gram, reference)
@@ -98,7 +99,7 @@ def pack(bins: Bins) -> bytes:
 
 
 def unpack(data: bytes) -> Bins:
-    """Return the bins of `pack`; a DataError says that bytes are of another version, or damaged."""
+    """Return the bins that `pack` stored; raise a DataError for another version or damaged bytes."""
     if data[:2] != bytes([PACKED_VERSION, BINS_VERSION]):
         found = ".".join(map(str, data[:2])) or "no bytes"
         msg = (
@@ -134,7 +135,7 @@ def unpack(data: bytes) -> Bins:
 
 
 def _through(stream: "_Stream", bins: Bins) -> Bins:
-    """Write the columns of bins without their reference, or read those of as many; return what it holds."""
+    """Write the columns of bins, or read columns of the same shape; return the bins of the stream."""
     first = np.cumsum(np.cumsum(stream.integers(np.diff(bins.first, n=2, prepend=(0, 0)))))
     count = _counts(bins.n, bins.start, first)
     fine = _DEVIATION * np.sqrt(count / 2)
@@ -153,7 +154,7 @@ def _through(stream: "_Stream", bins: Bins) -> Bins:
 def _less(
     power: FloatArray, cross: FloatArray, gram: FloatArray, beta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return power and products without so much of each regressor, shape (r,)."""
+    """Return power and products after subtracting `beta`, shape (r,), times the regressors."""
     rest: FloatArray = power - 2 * beta @ cross + np.einsum("i,ijb,j->b", beta, gram, beta)
     return rest, cross - np.einsum("ijb,j->ib", gram, beta)
 
@@ -166,7 +167,7 @@ def _counts(n: IntArray, start: IntArray, first: IntArray) -> FloatArray:
 
 
 def _reference(bins: Bins) -> FloatArray:
-    """Return coefficients of the regressors that take most of them out, shape (r,)."""
+    """Return coefficients, shape (r,), that remove most of the regressors from the data."""
     beta = np.zeros(len(bins.names))
     used, smooth = bins.size > 0, np.ones(_SMOOTH)
     for _ in range(_ROUNDS):
@@ -182,7 +183,7 @@ def _reference(bins: Bins) -> FloatArray:
 def _laws(
     names: tuple[str, ...], n: IntArray, start: IntArray, first: IntArray, count: FloatArray
 ) -> FloatArray:
-    """Return what the regressors' squares are nearly a multiple of, shape (r, b): known for the ramp."""
+    """Return the expected shape of the regressors' squares, shape (r, b): 1 except for the ramp."""
     laws = np.ones((len(names), first.size))
     if names[0] == "R":
         length = np.repeat(n, np.diff(start, append=first.size)).astype(np.float64)
@@ -194,7 +195,7 @@ def _laws(
 def _ramp(n: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
     """Return the sums of the squared ordinates cos²/sin⁴ (πk/2n), of odd k, of a ramp in n samples.
 
-    Of many ordinates the integral with the first correction of the midpoint rule.
+    A bin of several ordinates uses the integral with the first correction of the midpoint rule.
     """
     last = first + count - 1
     low, high = (np.pi * edge / (2 * n) for edge in (first - first % 2, last + last % 2))
@@ -210,9 +211,9 @@ def _ramp(n: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
 
 @dataclass(slots=True)
 class _Stream:
-    """Columns of numbers one after the other: written to `data`, or read from it where a `place` is given.
+    """Columns of numbers in sequence: written to `data`, or read from it if `place` is given.
 
-    Each method is given the numbers to write, or as many to be read, and returns those that are there.
+    Each method takes the numbers to write, or an array of the size to read, and returns the column's numbers.
     """
 
     data: bytearray
@@ -227,7 +228,7 @@ class _Stream:
         return self.data[start : self.place]
 
     def integers(self, codes: IntArray) -> IntArray:
-        """Pass integers as planes of bytes, the low ones first, behind the number of planes."""
+        """Pass integers as the number of byte planes, then the planes, low bytes first."""
         if self.place is None:
             folded = (codes << 1) ^ (codes >> 63)
             planes = (int(folded.max(initial=0)).bit_length() + 7) // 8
@@ -241,7 +242,7 @@ class _Stream:
         return np.asarray((folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64))
 
     def logarithms(self, values: FloatArray, steps: FloatArray | float, *, rise: bool = False) -> FloatArray:
-        """Pass logarithms in `steps`, or how they rise; and which values are above zero at all."""
+        """Pass logarithms in `steps`, or their differences if `rise`, and a mask of the positive values."""
         size = values.size
         if self.place is None:
             told = values > 0
@@ -256,7 +257,7 @@ class _Stream:
         return result
 
     def correlations(self, products: FloatArray, squares: FloatArray, steps: float) -> FloatArray:
-        """Pass products over the roots of both squares, in `steps`."""
+        """Pass products divided by the root of `squares`, in `steps`."""
         root = np.sqrt(squares)
         part = np.divide(products, root, out=np.zeros_like(root), where=root > 0)
         codes = self.integers(np.rint(np.clip(part, -1, 1) * steps).astype(np.int64))

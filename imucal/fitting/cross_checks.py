@@ -1,20 +1,19 @@
-"""A fit held against other views of the same samples: another fit, the exact likelihood, the spectrum.
+"""Checks of a fit by other views of the same samples: another fit, the exact likelihood, the spectrum.
 
-`second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve:
-where the model is right both estimate the same numbers, and the variance of their difference is
-the difference of their variances, because the first has the least there can be. Where it is not,
-they weigh frequencies differently and part. A second opinion is about the same noise: `fit_of_curve` takes
-the shapes that the first fit took out, such as cycles, steps and the temperature, out of the samples; and at
-averaging times where its output filter or lines shape the curve, that is brought to the noise's own, or left
-out if there is more of them than of it. `verify_findings` compares the maximum with that of the exact
-state-space likelihood.
+`second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve. If the
+model is right, both estimate the same numbers, and the variance of their difference is the difference of
+their variances, because the maximum-likelihood fit is efficient. If the model is wrong, they weigh
+frequencies differently and disagree. Both must describe the same noise: `fit_of_curve` subtracts the shapes
+that the first fit took out, such as cycles, steps and the temperature. It also corrects the curve for the
+output filter and lines, and leaves out averaging times that these dominate. `verify_findings` compares
+the fit with the maximum of the exact state-space likelihood.
 
-`ambiguity_findings` says what an Allan curve can't tell: spectra that differ, with one and the same curve.
-With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to
-(D(tau) - D(2 tau)/4)/tau^2, and the second part is the first of S(f/2)/2. So S enters by
-S(f) - S(f/2)/2 alone, and what obeys Phi(f) = 2 Phi(2f), with nothing over an octave, adds nothing to
-the curve at any tau: 1/f times any ripple of one period an octave. Such a pair is told apart by the
-spectrum only: a fit of a curve alone says that nothing has looked at one.
+`ambiguity_findings` reports a wrong spectrum that the Allan curve hides: different spectra can have the same
+curve. With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to
+(D(tau) - D(2 tau)/4)/tau^2, and the second part equals the first with S(f/2)/2 in place of S(f). So the
+curve depends only on S(f) - S(f/2)/2. A function Phi(f) = 2 Phi(2f) whose integral over an octave is zero
+does not change the curve at any tau: 1/f times a ripple with a period of one octave. Only the spectrum can
+reveal it; a fit of a curve alone reports that no spectrum was checked.
 
 Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7); Greenhall
 (1998), "Spectral ambiguity of Allan variance", IEEE Trans. Instrum. Meas. 47, 623.
@@ -36,27 +35,26 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
 from imucal.recording import AxisSeries
 
-#: Estimates further apart than so many standard deviations are reported.
+#: Standard deviations beyond which a disagreement of two estimates is reported.
 _DISAGREEMENT = 3.0
-#: Standard deviation, relative, below which a difference is of no use to anybody.
+#: Lower limit of a difference's relative standard deviation: smaller differences do not matter.
 _LEAST = 1 / 300
-#: Terms that an output filter hides from the curve.
+#: Terms of short averaging times, where an output filter changes the curve.
 _OF_SHORT_TIMES = {"Q", "N"}
-#: Least share of the second variance in that of the difference: both are estimates themselves.
+#: Lower limit of the difference's variance, relative to the second fit's: both variances are estimates.
 _LEAST_SHARE = 0.25
-#: Distance of the two maxima, in standard errors, that is reported as a warning.
+#: Distance of the two maxima, in standard errors, above which the finding is a warning.
 _FAR = 0.5
 
 
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     """Return a finding for each term on which two fits of one axis disagree.
 
-    Coefficients that both estimated are compared on a logarithmic scale; a term that one of them bounds
-    disagrees where the other's interval lies above the bound. Behind an output filter the terms of short
-    times, Q and N, are not compared: the likelihood has taken the filter out, the curve still holds it. The
-    variance of a difference is taken as at least a quarter of the second fit's, and as (1/300)²: differences
-    below 1 % are never reported. Where segments of the record differ, both fits are as much less sure as the
-    first one's interval is wider.
+    Coefficients that both fits estimate are compared on a logarithmic scale. If one fit only bounds a term,
+    the two disagree if the other's interval is above the bound. If there is an output filter, Q and N are not
+    compared: the likelihood models the filter, the curve still contains it. The variance of a difference is
+    at least a quarter of the second fit's, and at least (1/300)²: differences below 1 % are never reported.
+    If segments of the record differ, both variances grow by the first fit's widening.
     """
     findings = []
     filtered = any(finding.code == "output-filter" for finding in mle.findings)
@@ -76,11 +74,11 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
 
 
 def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -> float:
-    """Return how far apart two estimates are, in standard deviations; 0 where they can't be compared."""
+    """Return how far apart two estimates are, in standard deviations; 0 if they can't be compared."""
     if first.value is None or second.value is None:
         apart = first.low > second.high or second.low > first.high
         return math.inf if apart else 0.0
-    # Squared relative standard errors; that of a coefficient may not be known.
+    # Squared relative standard errors.
     variances = []
     for fit, e, value in ((mle, first, first.value), (gmwm, second, second.value)):
         name = TERMS[e.symbol].parameter_names(e.key)[0]
@@ -106,7 +104,7 @@ def verify_findings(
 ) -> tuple[Finding, ...]:
     """Return how far the exact likelihood's maximum is from `model`, in standard errors.
 
-    Slow: some seconds for 1e5 samples. `names` and `covariance`, shape (p, p), are the fit's own.
+    Takes some seconds for 1e5 samples. `names` and `covariance`, shape (p, p), are the fit's own.
     """
     distance = distances(series, model, names, covariance)
     worst = max(distance, key=lambda name: distance[name], default="")
@@ -145,17 +143,17 @@ def _values(model: NoiseModel) -> dict[str, float]:
     }
 
 
-#: A point is left out of which less than this share is noise, or which has less than this share of the noise.
+#: Points are used if the ratio of the noise's to the curve's variance is between this and its inverse.
 _LEAST_NOISE = 2 / 3
-#: Fewest points of a curve that can contradict anything.
+#: Fewest points of a curve to fit.
 _FEWEST_POINTS = 4
 
 
 def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
-    """Return the GMWM fit of `first`'s model to the curve of the samples it had, as it saw them.
+    """Return the GMWM fit of `first`'s model to the curve of the noise that `first` described.
 
-    That is the curve of the noise alone, at the averaging times that show it; a DataError says that these are
-    too few, or that the curve can't be fitted.
+    The curve is corrected for shapes, lines and output filter that `first` took out. A DataError is raised if
+    too few averaging times show the noise, or if the curve can't be fitted.
     """
     from imucal.fitting.moments import fit_gmwm
 
@@ -181,7 +179,7 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
 def without_disturbances(
     series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None
 ) -> AxisSeries:
-    """Return finite samples less what a fit took out of them."""
+    """Return finite samples minus the shapes that a fit took out."""
     from imucal.fitting.spectral.ordinates import regressor_samples
 
     places = series.clock.grid().astype(np.float64)
@@ -191,19 +189,19 @@ def without_disturbances(
     return replace(series, samples=samples)
 
 
-#: Ordinates that drift and the ends of the record bend, each a bin of its own.
+#: Lowest ordinates, one per bin, which drift and the ends of the record distort.
 _LOWEST = 8
 #: Score of all bins together, standard normal, from which the spectrum contradicts the model.
 _CONTRADICTED = 5.0
-#: Bins this many standard deviations, and this factor, from the model are what the curve hid; fewer than
-#: so many are a line, which the screening names.
+#: A bin is far from the model by this many standard deviations and this factor; fewer far bins than the last
+#: number are a line, which the screening reports.
 _HIDDEN, _NOTABLE, _LEAST_BINS = 3.0, 1.3, 3
-#: Of the logarithm of the density: what the estimates' own errors may make.
+#: Difference of log densities that the estimates' own errors can explain.
 _TOLERANCE = 0.05
 
 
 def unseen_spectrum() -> Finding:
-    """Return what is to say where there is a curve and no spectrum."""
+    """Return the finding for a fit of a curve without a spectrum."""
     return Finding(
         "info",
         "spectral-ambiguity",
@@ -214,12 +212,11 @@ def unseen_spectrum() -> Finding:
 
 
 def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple[Finding, ...]:
-    """Return a finding where a fit of the curve describes it, but not the spectrum of the samples.
+    """Return a finding if a fit describes the Allan curve but not the spectrum of the samples.
 
-    Looked at are the frequencies that the used averaging times see, without the lowest 8. All together
-    must be beyond chance (5 standard deviations), and 3 bins differ by 3 of their own and by 30 %.
-    Nothing is said of a fit of the spectrum, nor where the curve is not described either: the fit
-    itself says that.
+    The check uses the frequencies of the averaging times in the fit, without the lowest 8 bins. All bins
+    together must differ by 5 standard deviations, and 3 bins by 3 standard deviations and 30 % each. Fits of
+    the spectrum, and fits that do not describe the curve either, have their own findings.
 
     Source: Wilson & Hilferty (1931), PNAS 17, 684 (standard-normal scores).
     """
@@ -230,14 +227,14 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     used = np.arange(spectrum.frequency.size) >= _LOWEST
     used &= spectrum.frequency <= 0.5 / tau[0]
     density = result.model.psd(spectrum.frequency, rate_hz=result.rate_hz)
-    # A ramp in the model, which has no density, leaves so much at each frequency at most.
+    # A ramp has no density; leave out frequencies where its upper bound matters.
     tau0 = 1 / result.rate_hz
     slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
     sine = np.sin(np.pi * spectrum.frequency * tau0)
     used &= tau0 * slope**2 / (2 * result.curve.n * sine**4) < _TOLERANCE * density
     frequency, count = spectrum.frequency[used], spectrum.count[used]
     ratio = spectrum.psd[used] / density[used]
-    # Of chi-squared means over their expectation, less a tolerance.
+    # Scores of chi-squared means over their expectation, after a tolerance.
     variance = 2 / (9 * count)
     within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
     score = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)

@@ -1,15 +1,13 @@
-"""Whether a record is one stationary noise: what its segments say, and how much wider intervals become.
+"""Tests of stationarity, and wider intervals for records that are not stationary.
 
-The likelihood's interval says how well one stationary process describes this record; a user reads it
-as what the next record will give. Where the segments of a record differ by more than chance, the
-interval is widened by the Birge ratio sqrt(Q/dof), as if each segment's error were so many times what
-it is. Where the model does not describe the spectrum, the misfit asks for wider intervals as well;
-the larger of both counts, since what changes over time is also one reason why a model does not fit.
+The likelihood's interval assumes one stationary process, but users read it as a prediction of the next
+record. If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
+sqrt(Q/dof), as if each segment's error were larger by this factor. A misfit of the spectrum also widens
+intervals. The larger factor counts, because changing noise is one cause of a misfit.
 
-Noise may change faster than the segments of a record show. The mean squares of the samples' steps in
-short windows are known to within chance alone where the noise is stationary, whatever its tails and its
-filter are; then neighbouring windows differ as much as distant ones. Where they differ less, the variance
-follows something.
+Noise may change faster than the segments show. For stationary noise of any tails and filter, the mean squares
+of the samples' steps in neighbouring short windows differ as much as in distant ones. If they differ less,
+the variance changes with time.
 
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett
@@ -30,28 +28,28 @@ from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermH
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
-#: Most windows, fewest, and fewest samples of a window.
+#: Largest and least number of windows, least number of samples of a window.
 _MOST, _FEWEST, _SAMPLES = 1024, 24, 128
-#: Steps that are squared at a time.
+#: Steps squared at a time, to stay in the cache.
 _PART = 1 << 16
-#: Score of von Neumann's ratio from which chance does not explain it.
+#: Score of von Neumann's ratio from which the variance changes.
 _SCORE = 5.0
-#: Least relative standard deviation of the noise that is worth a word.
+#: Least relative standard deviation of the noise that is reported.
 _NOTABLE_CHANGE = 0.1
-#: Share of the variance in one period from which the change is called a swing of that period.
+#: Share of the variance in one period from which the change is reported as periodic.
 _PERIODIC = 0.5
-#: The interval of a slow term that reaches down to less than this part of its value is widened about the
-#: deviation, in which a weak term's is symmetric; others about the deviation's logarithm.
+#: Lower limit, as a share of the value, below which the interval of a slow term is widened linearly: a weak
+#: term's interval is symmetric. Others are widened in logarithms.
 _NARROW = 0.8
-#: A lower limit of less than this part of the upper one is none.
+#: Lower limits below this share of the upper limit count as zero.
 NOUGHT = 0.02
-#: Units of time: up to how many seconds each is used, its size in s, and its name; hours beyond.
+#: Units of time: largest time in s, size in s, and name; hours beyond.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
-#: Standard error of a log below which a segment tells a term by itself.
+#: Standard error of a log below which a single segment determines a term.
 SURE = 0.1
 #: Share of Q that one shift must explain: a steady trend over eight segments leaves 17 % of it.
 _ONE_SHIFT = 0.85
-#: Relative spread between segments from which a user should look before using the numbers.
+#: Relative spread between segments from which the finding is a warning.
 _NOTABLE_SPREAD = 0.05
 
 
@@ -59,9 +57,9 @@ _NOTABLE_SPREAD = 0.05
 class VarianceChange:
     """A change of the noise's variance over time.
 
-    `score` is that of von Neumann's ratio, standard normal where the variance is constant; `low` and `high`
-    are the 10 % and 90 % quantiles of the noise of a window, relative to their median; `period_s` is the
-    period of its swing, in s, None where it has none.
+    `score` is the score of von Neumann's ratio, standard normal if the variance is constant. `low` and `high`
+    are the 10 % and 90 % quantiles of the windows' noise, relative to their median. `period_s` is the period
+    of the change, in s, or None.
     """
 
     score: float
@@ -71,16 +69,15 @@ class VarianceChange:
 
 
 def find_variance_change(series: AxisSeries) -> VarianceChange | None:
-    """Return how the variance of an axis's steps changes; None where chance explains it or it is small.
+    """Return the change of the variance of an axis's steps, or None if it is small or due to chance.
 
-    Steps across gaps are steps as well. O(n).
+    Steps across gaps count too. O(n).
     """
     count = min(_MOST, (series.n - 1) // _SAMPLES)
     if count < _FEWEST:
         return None
     edges = np.linspace(0, series.n - 1, count + 1).round().astype(np.int64)
     squares = np.empty(count)
-    # In parts that stay in the cache.
     first = 0
     while first < count:
         last = max(int(np.searchsorted(edges, edges[first] + _PART, side="right")) - 1, first + 1)
@@ -111,7 +108,7 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
 
 
 def _period(logs: FloatArray, duration_s: float) -> float | None:
-    """Return the period that makes most of the logs' variance, where there are some periods of it."""
+    """Return the period that explains most of the logs' variance, if the record contains several."""
     power = np.square(np.abs(np.fft.rfft(logs)))[1:]
     near = np.convolve(power, np.ones(3), "same")
     top = int(np.argmax(near))
@@ -125,9 +122,10 @@ def _period(logs: FloatArray, duration_s: float) -> float | None:
 def homogeneity(
     key: str, statistic: float, logs: FloatArray, weight: FloatArray, spans: FloatArray
 ) -> TermHomogeneity:
-    """Return what Q, the logs of a coefficient in s segments and their weights say, shape (s,) each.
+    """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments.
 
-    `weight` is the inverse variance of each log, `spans`, shape (s, 2), when each segment begins and ends.
+    `logs` and `weight`, their inverse variances, have shape (s,); `spans`, shape (s, 2), are the segments'
+    start and end.
     """
     dof = logs.size - 1
     p_value = float(scipy.special.chdtrc(dof, max(statistic, 0.0)))
@@ -149,10 +147,10 @@ def homogeneity(
 
 
 def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[float, float] | None:
-    """Return when a coefficient changes once, in s, and by what factor; None where that is not all.
+    """Return time, in s, and factor of a coefficient's single change; None if it changes otherwise.
 
-    The segment in which it changes has some of both levels, which tells the time inside it; all before
-    and all after it must be alike but for chance.
+    The segment of the change contains both levels, which determines the time inside it. All segments before
+    it, and all after it, must agree within chance.
     """
     whole, best = cochran_q(logs, weight), (math.inf, 0)
     for at in range(1, logs.size - 1):
@@ -164,7 +162,7 @@ def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[flo
         return None
     first = float(np.average(logs[:at], weights=weight[:at]))
     last = float(np.average(logs[at + 1 :], weights=weight[at + 1 :]))
-    # What comes and goes within one segment stands out of both levels.
+    # A passing change within one segment is outside the range of both levels.
     chance = 3 / math.sqrt(weight[at])
     if not min(first, last) - chance < logs[at] < max(first, last) + chance:
         return None
@@ -184,10 +182,10 @@ def cochran_q(logs: FloatArray, weight: FloatArray) -> float:
 
 
 def bartlett_correction(information: FloatArray) -> float:
-    """Return the mean of the likelihood ratio's test of equal variances, over its degrees of freedom.
+    """Return the mean of the likelihood ratio's test of equal variances, divided by its degrees of freedom.
 
-    `information`, shape (s,), of the log of each variance, is half its degrees of freedom; less than
-    one of these counts as one, because the correction is that of an expansion.
+    `information`, shape (s,), on the log of each variance is half its degrees of freedom. At least one degree
+    of freedom is assumed, because the correction is an expansion.
     """
     freedom = np.maximum(2 * information, 1.0)
     part = float(np.sum(1 / freedom)) - 1 / float(freedom.sum())
@@ -197,10 +195,10 @@ def bartlett_correction(information: FloatArray) -> float:
 def widened(
     estimates: Iterable[Estimate], segments: Segments | None, misfits: Mapping[str, float] | None = None
 ) -> tuple[Estimate, ...]:
-    """Return the estimates with intervals as wide as the segments and the misfit ask for.
+    """Return the estimates with intervals widened for differing segments and a misfit.
 
-    A slow term that then reaches down to zero is bounded. `misfits`, a symbol -> its factor, are those of a
-    model that does not describe the record.
+    A slow term whose interval then reaches down to zero is bounded. `misfits` maps symbols to factors if the
+    model does not describe the record.
     """
     return tuple(_wider(estimate, _factor(estimate.symbol, segments, misfits)) for estimate in estimates)
 
@@ -211,7 +209,7 @@ def widened_covariance(
     segments: Segments | None,
     misfits: Mapping[str, float] | None = None,
 ) -> FloatArray:
-    """Return the covariance of parameters, shape (p, p), that belongs to the wider intervals."""
+    """Return the covariance of parameters, shape (p, p), for the widened intervals."""
     factor = np.array([_factor(symbol_of(name), segments, misfits) for name in names])
     return np.asarray(covariance * np.outer(factor, factor))
 
@@ -223,7 +221,7 @@ def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float]
 def nonstationary_finding(
     segments: Segments | None, change: VarianceChange | None, axis: str
 ) -> tuple[Finding, ...]:
-    """Say which terms change over the record, by how much, and when they are large and small."""
+    """Return a finding on the terms that change: by how much, and when they are large and small."""
     changing = segments.changing if segments else ()
     said = []
     if segments and changing:
@@ -271,7 +269,7 @@ def _unit(time_s: float) -> tuple[float, str]:
 
 
 def _wider(estimate: Estimate, factor: float) -> Estimate:
-    """Return an estimate with limits so many times as far from its value."""
+    """Return an estimate with limits `factor` times as far from its value."""
     if factor <= 1:
         return estimate
     if estimate.value is None:
@@ -292,7 +290,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
 
 
 def _stretched(value: float, end: float, factor: float) -> float:
-    """Return a limit so many times as far from its value in logarithms; infinite beyond the largest float."""
+    """Return a limit `factor` times as far from its value in logarithms; infinite on overflow."""
     with np.errstate(over="ignore"):
         return float(value * np.power(np.float64(end / value), factor))
 

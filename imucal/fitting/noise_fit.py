@@ -1,4 +1,4 @@
-"""NoiseFit: what explains an axis, with an interval on each number; Segments: what its parts say of it."""
+"""NoiseFit: the noise model of an axis with intervals; Segments: changes of the noise within a record."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,14 +19,14 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.units import find_unit
 
-#: Chance that a term of a stationary record is found to change.
+#: False alarm rate of a changing term in a stationary record.
 CHANCE = 0.01
 #: Score of a misfit from which the model does not describe the axis.
 MISFIT = 3.0
 
 
 def is_slow(symbol: str) -> bool:
-    """Whether a term is slower than white noise: what of that changed in a segment is not told."""
+    """Whether a term is slower than white noise: segments can't distinguish changes of such terms."""
     slope = TERMS[symbol].slope
     return slope is None or slope >= 0
 
@@ -40,7 +40,7 @@ _K = TypeVar("_K", bound=_Keyed)
 
 
 def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
-    """Return the one of that key; a KeyError says, after `whole`, which there are."""
+    """Return the part with a key; otherwise raise a KeyError that lists the keys of `whole`."""
     found = {part.key: part for part in parts}
     if key not in found:
         raise MissingError(f"no term {key!r}; {whole} {', '.join(found)}")
@@ -49,14 +49,14 @@ def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
 
 @frozen
 class TermHomogeneity:
-    """How much a term, by `key` and `symbol` that of an estimate, changes from segment to segment.
+    """How much a term changes between segments; `key` and `symbol` are those of its estimate.
 
-    Q, its `statistic`, is chi-squared with `dof` degrees of freedom where the term is the same in all
-    segments, and so large by chance with a probability of `p_value`. `spread` is the relative standard
-    deviation of the coefficient between segments beyond what chance gives, `factor` the Birge ratio
-    sqrt(Q/dof), 1 where chance explains Q. The segments where it is largest and smallest begin and end at
-    `highest_s` and `lowest_s`, in s from the first sample. `shift` says when, in s, and by what factor it
-    changes once and stays; else it is None. The report's JSON has it in the words of the finding alone.
+    The `statistic` Q is chi-squared with `dof` degrees of freedom if the term is the same in all segments;
+    `p_value` is the probability of a Q at least as large. `spread` is the relative standard deviation of the
+    coefficient between segments in excess of chance. `factor` is the Birge ratio sqrt(Q/dof), 1 if chance
+    explains Q. `highest_s` and `lowest_s` are start and end, in s from the first sample, of the segments with
+    the largest and the smallest coefficient. `shift` is the time, in s, and the factor of a single lasting
+    change, or None. The report's JSON contains it only in the text of the finding.
     """
 
     key: str
@@ -82,12 +82,12 @@ class Trace(ReadOnlyArrays):
 
 @frozen_alone
 class Segments(ReadOnlyArrays):
-    """What the segments of a record say of its noise.
+    """The noise of a record in segments.
 
-    Each begins and ends at `start_s` and `end_s`, shape (s,), in s from the first sample. `white` is N in
-    each, None where the fit has no N. `floor` is the Allan deviation of the model in each at `floor_tau_s`,
-    in s, where it is lowest, or a quarter of a segment; None, and NaN, where the fit has no slow noise.
-    `terms` has one for each term that was tested.
+    `start_s` and `end_s`, shape (s,), are their times in s from the first sample. `white` is N in each, None
+    if the fit has no N. `floor` is the model's Allan deviation in each at `floor_tau_s`, in s: the time of
+    the lowest deviation, or a quarter of a segment. They are None and NaN if the fit has no slow noise.
+    `terms` has one entry per tested term.
     """
 
     start_s: FloatArray
@@ -102,11 +102,11 @@ class Segments(ReadOnlyArrays):
 
     @property
     def changing(self) -> tuple[TermHomogeneity, ...]:
-        """The terms that change by more than chance, the one that changes most surely first."""
+        """The terms that change by more than chance, the most significant first."""
         return tuple(sorted((t for t in self.terms if t.factor > 1), key=lambda t: -t.factor))
 
     def widening(self, symbol: str) -> float:
-        """Return by what factor the intervals of a term are wider: its own, of slow terms the largest."""
+        """Return the factor that widens the intervals of a term; slow terms share the largest of theirs."""
         slow = is_slow(symbol)
         alike = (t for t in self.terms if t.symbol == symbol or (slow and is_slow(t.symbol)))
         return max((term.factor for term in alike), default=1.0)
@@ -138,23 +138,22 @@ class InUnits:
 class Estimate:
     """One term's coefficient.
 
-    By its `key` it is ``N`` … ``R``, ``GM``, or ``GM1``, ``GM2`` where there are several, by rising T; by its
-    `symbol` ``N`` … ``R`` or ``GM``. Its `status` is ``estimated``, or ``bounded`` where the data do not show
-    the term. `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits; of a bounded
-    one None, 0 and the upper bound at the level. `correlation_time` is T of a Gauss-Markov term, in s, None
-    for others; `alternatives` are symbols of terms that may stand in this one's place: to this record they
-    are one thing.
+    Its `key` is ``N`` … ``R`` or ``GM``; several Gauss-Markov terms are ``GM1``, ``GM2``, by rising T. Its
+    `symbol` is ``N`` … ``R`` or ``GM``. Its `status` is ``estimated``, or ``bounded`` if the data do not show
+    the term. `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits; for a bounded
+    term None, 0 and the upper bound at the level. `correlation_time` is T of a Gauss-Markov term, in s, None
+    for others. `alternatives` are symbols of terms that may replace this one: the record can't distinguish
+    them.
 
-    `drawn` is the coefficient that the fit's model has, in SI: also of a bounded term, whose interval holds
-    zero, where the model without it would be less likely. None where the model has no such term: an estimate
-    with a value is then another name of what other terms are, as the walk that a slow Gauss-Markov term
-    begins with is, and adds nothing to them. The `NoiseFit` that it belongs to sets it.
+    `drawn` is the coefficient in the fit's model, in SI, or None if the model has no such term. A bounded
+    term is in the model if the model without it would be less likely. An estimate with a value but without
+    `drawn` describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times,
+    and adds nothing to them. The `NoiseFit` sets `drawn` and `sensor`.
 
-    `horizon_s` is the longest time for which the coefficient holds, in s: a walk that may be the beginning of
-    a Gauss-Markov term holds up to the least T that such a term may have; infinite where nothing limits it.
-    `widening` is by what factor the interval is wider than the likelihood says, because the record's segments
-    differ or the model does not describe it. `origin` says what the number is, where it is no estimate of one
-    record: a bound over many units. `sensor` is that of the `NoiseFit`, which sets it.
+    `horizon_s` is the longest time for which the coefficient is valid, in s, or infinite: a walk that may be
+    a Gauss-Markov term is valid up to the lower limit of that term's T. `widening` is the factor by which the
+    interval is wider than the likelihood's, because segments differ or the model does not fit. `origin`
+    describes a number that is not an estimate of one record, such as a bound over many units.
     """
 
     key: str
@@ -173,11 +172,11 @@ class Estimate:
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
-        """Return the estimate of a term that the data do not show: below `high`."""
+        """Return the estimate of a term that the data do not show, with the upper bound `high`."""
         return cls(key=key, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
 
     def in_units(self, unit: str | None = None) -> "InUnits":
-        """Return the coefficient and its limits in another unit, by default in that of data sheets.
+        """Return the coefficient and its limits in another unit, by default the data sheets' unit.
 
         Parameters
         ----------
@@ -234,12 +233,12 @@ class Response:
 
 @frozen
 class Goodness:
-    """How well the model describes what it was fitted to.
+    """How well the model describes the fitted data.
 
-    `statistic` is a standard-normal score of the misfit: above 3 the model does not describe the axis. So
-    large a misfit has the probability `p_value` when the model is right; `chi2_per_bin`, the mean squared
-    standardised residual, is 1 then. `band_hz` are the lowest and highest frequency that was used, in Hz,
-    None for a fit of the curve; `tau_s` the shortest and longest averaging time, in s, None for a fit of the
+    `statistic` is a standard-normal score of the misfit: above 3 the model does not describe the axis.
+    `p_value` is the probability of such a misfit if the model is right; `chi2_per_bin`, the mean squared
+    standardised residual, is 1 then. `band_hz` are the lowest and highest frequency used, in Hz, None
+    for a fit of the curve; `tau_s` the shortest and longest averaging time, in s, None for a fit of the
     spectrum. `lines` are the spectral lines left out.
     """
 
@@ -253,7 +252,7 @@ class Goodness:
 
 @frozen
 class Candidate:
-    """Another model that was tried: its structure text and how much worse its criterion is."""
+    """A candidate model: its structure text and how much worse its criterion is."""
 
     structure: str
     delta: float
@@ -268,7 +267,7 @@ class NoiseFit(Displayed):
     method
         ``mle``, ``gmwm`` or ``slope``.
     sensor
-        What was measured; None where unknown (a curve made by another tool).
+        The measured quantity; None if unknown (a curve made by another tool).
     rate_hz
         Sampling rate: the model is exact for the process sampled at it.
     level
@@ -281,30 +280,30 @@ class NoiseFit(Displayed):
         Names, shape (p,), such as ``N``, ``GM1.sigma``, ``GM1.T``; covariance, shape (p, p), of the
         coefficients in SI (of the estimated ones only).
     goodness
-        How well it describes the data.
+        How well the model describes the data.
     curve
         The Allan curve of the samples.
     used
         Indices of the points of `curve` within the part of the data that the fit used, shape (j,).
     response
-        The sensor's output filter, where one was found.
+        The sensor's output filter, if one was found.
     candidates
         Models within reach of the best, the chosen one (delta 0) first.
     criterion
         ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
     findings
-        What the fit showed.
+        Findings of the fit.
     noise_share
-        Share of each of the curve's Allan variances that is the model's noise, and not an output filter's
-        or a line's doing, shape (k,); None where neither was found.
+        The model's noise as a share of each of the curve's Allan variances, which an output filter or lines
+        also shape, shape (k,); None if neither was found.
     taken_out
         Regressors that were taken out of the samples with the fit -> their coefficients in U; the names
         are those of `imucal.fitting.spectral.ordinates`.
     segments
-        Which terms are the same in all parts of the record; None where that was not looked at.
+        Changes of the terms within the record; None if not tested.
     bins
-        The binned spectrum that was fitted, from which `imucal.pool` fits records together; of ``mle``
-        only, None where the fit was read back without it.
+        The fitted binned spectrum, from which `imucal.pool` fits records together; for ``mle`` only, None
+        if the fit was read back without it.
     """
 
     method: str

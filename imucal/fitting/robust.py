@@ -1,8 +1,8 @@
-"""Spikes and rounding: what makes the noise of a log look larger than the sensor's.
+"""Spikes and rounding, which make the noise of a log look larger than the sensor's.
 
-A spike of any size spoils an Allan variance at every averaging time whose windows hold it, so
-robust averages per averaging time break down; cleaning the samples does not. Spikes are found
-against a baseline that follows the slow parts, and replaced by baseline plus noise.
+A spike distorts an Allan variance at every averaging time, so robust averages per averaging time do not
+help; cleaning the samples does. Spikes are found by their distance from a baseline, which follows the slow
+parts, and are replaced by baseline plus noise.
 """
 
 from collections.abc import Iterator
@@ -20,31 +20,31 @@ from imucal.units import pretty
 
 #: Samples in a block, whose median is a point of the baseline.
 _BLOCK = 100
-#: Blocks looked at at a time: their samples stay in the cache.
+#: Blocks processed at a time, to stay in the cache.
 _BLOCKS = 512
 #: A sample this many standard deviations from the baseline may be a spike.
 _LEAST_DISTANCE = 5.0
-#: Expected number of samples of Gaussian noise that are taken for spikes, in a whole series.
+#: Expected number of false spikes in a whole series of Gaussian noise.
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
 _DEVIATION = 1.4826
-#: Where the body of the noise shows how heavy its tails are, in standard deviations.
+#: Distance, in standard deviations, at which the heaviness of the tails is measured.
 _BODY = 3.0
-#: Degrees of freedom of a Student's t that nobody tells from a Gaussian.
+#: Degrees of freedom of a Student's t that is practically Gaussian.
 _GAUSSIAN = 1e4
-#: Above this share of spikes the noise itself is in doubt.
+#: Share of spikes above which the noise itself is in doubt.
 _MANY = 0.01
 #: Above this factor on N's interval, an excess kurtosis of 6, the kurtosis may not be finite.
 _UNCERTAIN = 2.0
-#: Rounding is reported where it adds more than this share to N².
+#: Share of N² above which rounding is reported.
 _NOTABLE = 0.02
 
 
 def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     """Return the series with its spikes replaced, and findings about them and about heavy tails.
 
-    The very same series is returned where there are none. Noise that replaces spikes is drawn from
-    a fixed seed, so that the same log gives the same result.
+    Without spikes the same object is returned. Noise that replaces spikes has a fixed seed, so that the same
+    log gives the same result.
     """
     spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
@@ -54,7 +54,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     noise = np.random.default_rng(952).standard_normal(count)
     share, largest = count / series.n, float(np.abs(samples[spike] - baseline[spike]).max())
     samples[spike] = baseline[spike] + deviation * noise
-    # Of a sensor that stands still on one value the deviation is next to nothing.
+    # If a sensor repeats one value, the deviation is almost zero.
     times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
     name = "spike was" if count == 1 else "spikes were"
     rest = heavy_tails(samples, ~(spike[1:] | spike[:-1]))
@@ -80,11 +80,11 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
-    Where it is plain that there is none, these are `samples` themselves and 0. The baseline runs straight
-    between the medians of blocks of 100 samples. A spike lies further from it than 5 standard deviations
-    (1.4826 median absolute deviations), or as far as a hundred records of Gaussian noise of this length hold
-    once; and where there are more samples so far out than the noise's own tail explains: that of Student's t
-    which has as many beyond 3 deviations. O(n).
+    If there are clearly no spikes, baseline and deviation are `samples` and 0. The baseline joins the medians
+    of blocks of 100 samples by straight lines. A spike is more than 5 standard deviations (1.4826 median
+    absolute deviations) from it, and beyond the distance that a hundred Gaussian records of this length reach
+    once. There must also be more samples at this distance than in the tail of the Student's t with the same
+    number beyond 3 deviations. O(n).
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -114,10 +114,10 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
 
 
 def _end_of_tail(distance: FloatArray, reach: float) -> float:
-    """Return how far out the noise's own tail reaches, at least `reach`; shape (n,), in deviations.
+    """Return the end of the noise's own tail, at least `reach`; `distance`, shape (n,), in deviations.
 
-    Beyond, there are more samples than half as many again as a Student's t would have there, by more
-    than chance. Noise whose tails are heavier than t's with 3 degrees of freedom is not believed.
+    Beyond it there are more samples than 1.5 times a Student's t has, by more than chance. The t has at least
+    3 degrees of freedom.
     """
     n, count = distance.size, int(np.count_nonzero(distance > _BODY))
     normal = 2 * n * float(scipy.special.ndtr(-_BODY))
@@ -127,7 +127,7 @@ def _end_of_tail(distance: FloatArray, reach: float) -> float:
         grid = np.geomspace(3.0, _GAUSSIAN, 64)
         of_body = 2 * n * scipy.special.stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
         freedom = float(np.interp(-count, -of_body, grid))
-    # Only the body is sure to be noise: the median sets the scale.
+    # The median sets the scale, because only the body is certainly noise.
     far = np.sort(distance[distance > reach])[::-1]
     expected = 2 * n * scipy.special.stdtr(freedom, -far * _median_of_t(freedom) * _DEVIATION)
     number = np.arange(1, far.size + 1)
@@ -141,9 +141,9 @@ def _median_of_t(freedom: FloatArray | float) -> FloatArray:
 
 
 def step_size(samples: FloatArray) -> float | None:
-    """Return the step between the values that samples take; None where they aren't on a grid.
+    """Return the step between the values of the samples, or None if they aren't on a grid.
 
-    Raises nothing: constant or empty samples have no step.
+    Constant or empty samples have no step.
     """
     values = np.unique(samples[:200_000])
     if not 2 < values.size <= samples[:200_000].size / 4:
@@ -157,7 +157,7 @@ def step_size(samples: FloatArray) -> float | None:
 
 
 def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
-    """Say how much of `N` is the rounding of the samples, where it matters.
+    """Return a finding on the share of rounding in `N`, if it is large.
 
     Rounding to steps of LSB adds white noise of variance LSB²/12, so
     N_sensor² = N² - LSB² tau0 / 12, as long as the noise before rounding spans half a step.
@@ -203,7 +203,7 @@ def _distance(samples: FloatArray) -> FloatArray:
 
 
 def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield the baseline bit by bit, so that what is made of it stays in the cache."""
+    """Yield the baseline in parts that fit in the cache."""
     n = samples.size
     block = min(_BLOCK, n)
     medians = _medians(samples, block)
@@ -221,9 +221,9 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
 
 
 def _medians(samples: FloatArray, block: int) -> FloatArray:
-    """Return the median of each block of so many samples; those left over at the end are in none.
+    """Return the medians of blocks of `block` samples, without the remainder at the end.
 
-    Four times as quick as NumPy's, which looks for NaN and for two places.
+    Four times as fast as NumPy's median, which checks for NaN.
     """
     count, half = samples.size // block, block // 2
     medians = np.empty(count)

@@ -1,4 +1,4 @@
-"""FitSettings: what decides a fit, checked once; and the table of methods."""
+"""FitSettings: the checked settings of a fit; and the table of methods."""
 
 import importlib
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from imucal.noise.model import parse_structure
 from imucal.noise.terms import require_fittable
 from imucal.recording import AxisSeries
 
-#: Method -> the module and the function that fit by it; the module is imported when it is used.
+#: Method -> module and function of the fit; the module is imported when it is used.
 METHODS: dict[str, tuple[str, str]] = {
     "mle": ("imucal.fitting.spectral", "fit_mle"),
     "gmwm": ("imucal.fitting.moments", "fit_gmwm"),
     "slope": ("imucal.fitting.moments", "fit_slope"),
 }
 
-#: Criterion that chooses between models -> price of one parameter for a sample of so many, in units of
-#: twice the log-likelihood, or of the weighted sum of squares. That of chance is the same at any rate: a
-#: parameter that is not there gains 12 in one of two thousand records. Source: Wilks (1938), Annals of
+#: Criterion of the choice between models -> price of one parameter for a number of samples, in units of
+#: twice the log-likelihood, or of the weighted sum of squares. The price of chance is the same at any rate: a
+#: spurious parameter gains 12 in one of two thousand records. Source: Wilks (1938), Annals of
 #: Mathematical Statistics 9 (chance); Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979),
 #: JRSS B 41 (hq); Akaike (1974), IEEE TAC 19 (aic).
 CRITERIA: dict[str, Callable[[float], float]] = {
@@ -34,7 +34,7 @@ CRITERIA: dict[str, Callable[[float], float]] = {
     "aic": lambda _: 2.0,
 }
 
-#: Most segments of a record that are held against each other.
+#: Largest number of segments of a record.
 MOST_SEGMENTS = 64
 
 #: Weights of gmwm: full covariance of the curve, or the published diagonal.
@@ -43,10 +43,10 @@ WEIGHTS = ("full", "eta3")
 
 @frozen
 class FitSettings:
-    """What decides a fit; `imucal.fit` says what each setting means.
+    """The settings of a fit, explained at `imucal.fit`.
 
-    A setting that is not known, a `model` that is no sum of terms, or a `method` that can not fit one of them
-    is a ValueError.
+    An unknown setting, a `model` that is not a sum of terms, or a `method` that can't fit one of the terms
+    raises a ValueError.
     """
 
     model: str = "auto"
@@ -79,16 +79,16 @@ class FitSettings:
 
     @property
     def structure(self) -> tuple[str, ...] | None:
-        """Symbols of the terms of the model; None where they are to be chosen."""
+        """Symbols of the terms of the model, or None if the fit chooses them."""
         return None if self.model == "auto" else parse_structure(self.model)
 
     @property
     def chosen_by(self) -> str:
-        """What decides the terms of the model: the criterion, or ``given``."""
+        """How the model's terms are chosen: the criterion, or ``given``."""
         return self.criterion if self.structure is None else "given"
 
 
-#: Fits finite samples (None where only the curve is left), their curve, and the temperature in
+#: Fits finite samples (None if there is only a curve), their curve, and the temperature in
 #: degrees Celsius at the samples, shape (n,), or None.
 Method: TypeAlias = Callable[[AxisSeries | None, AllanCurve, FitSettings, FloatArray | None], NoiseFit]
 

@@ -1,15 +1,14 @@
-"""A noise model's samples as a sum of states: their filter, and with it the exact likelihood, in O(n).
+"""State space of a noise model, its Kalman filter and the exact likelihood, in O(n).
 
-Every term is a state that moves from sample to sample: Gauss-Markov and random walk are scalars,
-quantization is the difference of neighbouring errors, flicker a bank of Gauss-Markov terms. A level
-and a slope without noise stand beside them, with a flat prior. All is Gaussian, so a Kalman filter
-is one way to the likelihood. Here it goes from block to block: given the states at its start, every
-covariance in a block of samples is known in closed form, and depends on which samples are missing
-only. One set of small matrices serves all whole blocks, and nothing is approximated.
+Gauss-Markov and random walk are scalar states, quantization is the difference of neighbouring errors, and
+flicker is a bank of Gauss-Markov terms. The level and the slope are constants with a flat prior. The filter
+advances by blocks of samples: given the states at a block's start, all covariances in the block have a
+closed form that depends only on which samples are missing. One set of small matrices serves all whole
+blocks, without approximation.
 
-The likelihood is that of all contrasts between samples, since the level is unknown, whether a walk
-starts there or not: as in `imucal.fitting.spectral.likelihood`. `fit_exact` is what ``verify``
-compares a fit with; the tests hold the faster likelihood against it.
+The likelihood is that of all contrasts between samples, since the level is unknown, as in
+`imucal.fitting.spectral.likelihood`. ``verify`` compares a fit with `fit_exact`; the tests compare the
+faster likelihood with this one.
 
 Source: Anderson & Moore (1979), "Optimal filtering", sec. 6.3 and 7.3; the likelihood equals the
 diffuse Kalman filter's, de Jong (1991), Ann. Statist. 19, 1073.
@@ -30,27 +29,27 @@ from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import BiasInstability, GaussMarkov, RateRamp, RateRandomWalk, term_keys
 from imucal.recording import AxisSeries
 
-#: Correlation times a decade in a bank for flicker: its density ripples by 0.65 %.
+#: Correlation times per decade in the bank for flicker: its density ripples by 0.65 %.
 _BANK_PER_DECADE = 1.5
-#: Samples in a block; in one of a record of which many blocks have holes of their own.
+#: Samples in a block; samples in a block if the gaps of many blocks differ.
 _WHOLE, _HOLED = 256, 64
-#: Share of blocks with holes of their own above which blocks are short.
+#: Share of blocks with different gaps above which the short length is used.
 _MANY = 0.1
-#: Standard deviation of a flat prior, beside the largest sample.
+#: Standard deviation of a flat prior, relative to the largest sample.
 _FLAT = 1e5
-#: The component that is the sum of all.
+#: Name of the sum of all components.
 BIAS = "bias"
 
 
 @frozen_alone
 class StateSpace:
-    """The independent scalar states of a model, which samples are the sum of, with white noise beside them.
+    """The independent scalar states of a model; samples are their sum plus white noise.
 
-    Each of d states has a `decay` phi, the variance of the noise that drives it per sample, and its variance
-    at the first sample, infinite for a walk; shape (d,) each. `groups` says which states a component sums,
-    shape (d,), by its key. A `quantized` model's first state u, with decay 0 and in no group, is a
-    quantization error: samples hold u[t+1] - u[t]. What has no noise and a `flat` prior is ``level`` and
-    ``R``, the slope; `white` is the variance of the white noise.
+    Each of d states has a `decay` phi, a `drive` (variance of its driving noise per sample), and a `start`
+    (variance at the first sample, infinite for a walk); shape (d,) each. `groups` maps a component's key to a
+    mask of its states, shape (d,). The first state u of a `quantized` model, with decay 0 and in no group, is
+    a quantization error: samples contain u[t+1] - u[t]. `flat` names the constants with a flat prior,
+    ``level`` and ``R``, the slope. `white` is the variance of the white noise.
     """
 
     decay: FloatArray
@@ -63,9 +62,9 @@ class StateSpace:
 
     @classmethod
     def of(cls, model: NoiseModel, *, rate_hz: float, n: int) -> "StateSpace":
-        """Return the states of a model's terms for `n` samples; a term that has none is a ValueError.
+        """Return the states of a model's terms for `n` samples; a term without states raises a ValueError.
 
-        A walk holds the level; without one the level stands for itself.
+        The level is part of a walk; without a walk it is a constant of its own.
         """
         tau0 = 1 / rate_hz
         variances = {t.symbol: t.variance(tau0) for t in model.terms if isinstance(t, PowerLawTerm)}
@@ -77,8 +76,8 @@ class StateSpace:
             states += own
             owners += [key] * len(own)
         decay, drive, start = np.array(states).reshape(-1, 3).T.copy()
-        # The covariance of a block needs some white noise: a 1e-7 of the least density changes the likelihood
-        # of a sample by as little, and 1e-10 of the largest variance is what double precision can carry.
+        # A block's covariance needs some white noise: 1e-7 of the least density hardly changes the
+        # likelihood, and 1e-10 of the largest variance is the limit of double precision.
         frequencies = np.geomspace(rate_hz / (2 * n), rate_hz / 2, 256)
         least = float(model.psd(frequencies, rate_hz=rate_hz).min()) * rate_hz
         shown = {"level": not np.isinf(start).any(), "R": any(term.symbol == "R" for term in model.terms)}
@@ -96,12 +95,12 @@ class StateSpace:
 
     @property
     def size(self) -> int:
-        """Number of states that move."""
+        """Number of states, without level and slope."""
         return self.decay.size
 
     @property
     def everything(self) -> BoolArray:
-        """Which states are of a component, shape (d,)."""
+        """Mask of the states that belong to any component, shape (d,)."""
         return np.asarray(np.any([np.zeros(self.size, dtype=bool), *self.groups.values()], axis=0))
 
     def in_unit_of_white(self) -> "StateSpace":
@@ -111,7 +110,7 @@ class StateSpace:
     def extension(self, time: float) -> FloatArray:
         """Return the map from states, level and slope to a block's extended start, shape (d + 2, d + p).
 
-        The extended start holds the states, the level in the block, and the slope.
+        The extended start contains the states, the level in the block, and the slope.
         """
         d = self.size
         extension = np.zeros((d + 2, d + len(self.flat)))
@@ -124,7 +123,7 @@ class StateSpace:
 def _term_states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, float, float]]:
     """Return decay, drive and start of each state of a walk, flicker or a Gauss-Markov term.
 
-    None of white noise, quantization and a ramp; flicker is a bank for `n` samples.
+    White noise, quantization and a ramp have none; flicker is a bank for `n` samples.
     """
     if not isinstance(term, PowerLawTerm | GaussMarkov | RateRamp):
         msg = f"the state space has no state for {term.symbol} ({term.names[0]}); leave it out"
@@ -143,11 +142,11 @@ def _term_states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, floa
 class BlockLaw:
     """The covariances of a block of B samples, given the states at its start, in closed form.
 
-    The states at the start, and level and slope in the block, are the extended start, shape (d + 2,). It adds
-    `trace`, shape (B, d + 2), to the `samples`, whose covariance is of shape (B, B), and `passed`, shape
-    (d, d + 2), to the states at the end, of variance `end`, shape (d,), and covariance `with_end` with the
-    samples, shape (B, d). `own` is the covariance of each state at a place with itself at another, shape
-    (d, B + 1, B + 1), and `sampled` of what it adds to each sample with it, shape (d, B, B + 1).
+    The extended start, shape (d + 2,), contains the states at the start, and level and slope in the block.
+    The samples are `trace`, shape (B, d + 2), times it plus noise of covariance `samples`, shape (B, B). The
+    states at the end are `passed`, shape (d, d + 2), times it plus noise of variance `end`, shape (d,), whose
+    covariance with the samples is `with_end`, shape (B, d). `own` is the autocovariance of each state, shape
+    (d, B + 1, B + 1); `sampled` its covariance with its part of each sample, shape (d, B, B + 1).
     """
 
     samples: FloatArray
@@ -160,7 +159,7 @@ class BlockLaw:
 
     @classmethod
     def of(cls, states: StateSpace, length: int, share: float) -> "BlockLaw":
-        """Return the law of a block of so many samples, `share` of the record, the slope's unit of time."""
+        """Return the law of a block of `length` samples; `share` is its part of the record."""
         d, B = states.size, length
         t = np.arange(B + 1.0)
         rate = -np.log(np.maximum(states.decay, 1e-300))[:, np.newaxis]
@@ -192,12 +191,11 @@ class BlockLaw:
 
 @frozen_alone
 class Told:
-    """What blocks that miss the same samples tell: of their start, and of their end given the start.
+    """Matrices of blocks with the same missing samples: information on the start, prediction of the end.
 
-    The covariance of the samples seen given the start has an `inverse`, shape (seen, seen), and the logarithm
-    of a determinant. It makes `weights` of the samples for the extended start, shape (d + 2, seen), on which
-    they have `information`, shape (d + 2, d + 2). The end is passed @ extended start + gain @ samples + noise
-    of covariance rest.
+    `inverse`, shape (seen, seen), and `log_det` belong to the covariance of the seen samples given the start.
+    `weights`, shape (d + 2, seen), and `information`, shape (d + 2, d + 2), estimate the extended start. The
+    end is passed @ extended start + gain @ samples + noise of covariance rest.
     """
 
     inverse: FloatArray
@@ -210,7 +208,7 @@ class Told:
 
     @classmethod
     def of(cls, block: BlockLaw, seen: BoolArray) -> "Told":
-        """Return it for blocks of which the samples `seen`, shape (B,), are there."""
+        """Return the matrices of blocks with the samples `seen`, shape (B,)."""
         covariance = block.samples[np.ix_(seen, seen)]
         inverse = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         trace, with_end = block.trace[seen], block.with_end[seen]
@@ -229,14 +227,14 @@ class Told:
 
 @frozen_alone
 class Blocks:
-    """A record cut into blocks, shape (b, length), the last filled up with missing samples."""
+    """A record cut into blocks, shape (b, length), the last padded with missing samples."""
 
     samples: FloatArray
     seen: BoolArray
 
     @classmethod
     def of(cls, samples: FloatArray, seen: BoolArray) -> "Blocks":
-        """Cut a record of shape (n,) into blocks; short ones where many have holes of their own."""
+        """Cut a record of shape (n,) into blocks, short ones if the gaps of many differ."""
         whole = cls._cut(samples, seen, _WHOLE)
         kinds = len({packed.tobytes() for packed in np.packbits(whole.seen, axis=1)})
         return cls._cut(samples, seen, _HOLED) if kinds > max(_MANY * whole.count, 3) else whole
@@ -256,11 +254,11 @@ class Blocks:
 
     @property
     def length(self) -> int:
-        """Number of samples of each."""
+        """Number of samples of a block."""
         return int(self.samples.shape[1])
 
     def alike(self) -> Iterator[tuple[IntArray, BoolArray]]:
-        """Yield the blocks that miss the same samples: their places, and which are seen, shape (length,)."""
+        """Yield groups of blocks with the same gaps: their indices and seen samples, shape (length,)."""
         places: dict[bytes, list[int]] = {}
         for place, packed in enumerate(np.packbits(self.seen, axis=1)):
             places.setdefault(packed.tobytes(), []).append(place)
@@ -270,11 +268,11 @@ class Blocks:
 
 @frozen_alone
 class Step:
-    """What the samples up to a block's end tell of states, level and slope.
+    """The estimate of states, level and slope from the samples up to a block's end.
 
-    Mean and covariance at its start, shapes (d + p,) and (d + p, d + p), `cross`, that of those at its end
-    with them, and at its end the mean `predicted`, the covariance `ahead` and its inverse. `log_density` is
-    that of the block's samples given those before; of the first, but for its part in what is flat.
+    `mean` and `covariance`, shapes (d + p,) and (d + p, d + p), are at the block's start; `cross` is the
+    covariance of end and start; `predicted`, `ahead` and `inverse` are mean, covariance and its inverse at
+    the end. `log_density` is the block's log density given earlier samples, without the flat priors' part.
     """
 
     mean: FloatArray
@@ -287,9 +285,9 @@ class Step:
 
 
 def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[Step]:
-    """Yield what is known after each block, the first sample of which is seen; white noise has variance 1."""
+    """Yield the step of each block; the first sample must be seen and white noise have variance 1."""
     d, p = states.size, len(states.flat)
-    # Of each block: what its kind tells, and its samples weighed for its start and for its end.
+    # Matrices of each block, and its samples weighed for its start and for its end.
     told: dict[int, Told] = {}
     weighed, gained = np.empty((blocks.count, d + 2)), np.empty((blocks.count, d))
     for members, seen in blocks.alike():
@@ -301,13 +299,13 @@ def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[St
     proper = np.isfinite(states.start)
     inverse[:d, :d] = np.diag(np.where(proper, 1 / states.start, 0.0))
     log_prior = -float(np.log(states.start[proper]).sum())
-    # A first block of one sample says nothing of a slope, and what has no bound has no inverse.
+    # Keep the information invertible: a first block of one sample does not determine a slope.
     inverse[d:, d:] = np.eye(p) / (_FLAT * max(1.0, float(np.abs(blocks.samples).max()))) ** 2
     for place in range(blocks.count):
         one, step = told[place], states.extension(place / blocks.count)
         covariance = inverse_of(inverse + step.T @ one.information @ step)
         before, mean = mean, covariance @ (inverse @ mean + step.T @ weighed[place])
-        # Of the squares the least at the mean, so that its rounding does not matter.
+        # The squares are minimal at the mean, so its rounding does not matter.
         rest = (blocks.samples[place] - block.trace @ (step @ mean))[blocks.seen[place]]
         misfit = rest @ one.inverse @ rest + (mean - before) @ inverse @ (mean - before)
         log_det = one.log_det - log_prior - float(np.linalg.slogdet(covariance)[1])
@@ -332,7 +330,7 @@ def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[St
 
 
 def inverse_of(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a covariance, its rows scaled first."""
+    """Return the inverse of a covariance, scaled to unit variances first."""
     scale = 1 / np.sqrt(np.diagonal(matrix))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
     return np.asarray((inverse + inverse.T) / 2)
@@ -341,9 +339,9 @@ def inverse_of(matrix: FloatArray) -> FloatArray:
 def log_likelihood(
     model: NoiseModel, samples: FloatArray, seen: BoolArray, rate_hz: float
 ) -> tuple[float, float]:
-    """Return the exact log-likelihood at the best slope of a ramp, where the model has one, and that slope.
+    """Return the exact log-likelihood at the best slope of the model's ramp, and the slope (0 without ramp).
 
-    Of samples without their mean, shape (n,), those that were `seen` count. Flicker is a bank of
+    `samples`, shape (n,), have their mean subtracted; only `seen` ones count. Flicker is a bank of
     Gauss-Markov terms (its density within 3 %).
     """
     states = StateSpace.of(model, rate_hz=rate_hz, n=samples.size)
@@ -354,7 +352,7 @@ def log_likelihood(
     value = sum(step.log_density for step in steps) - contrasts / 2 * math.log(2 * math.pi * states.white)
     if "R" not in states.flat:
         return value, 0.0
-    # With the slope at its best, not integrated out.
+    # The slope is maximised, not integrated out.
     value -= 0.5 * math.log(last.ahead[-1, -1])
     length_s = blocks.samples.size / rate_hz
     return value, float(last.predicted[-1]) * math.sqrt(states.white) / length_s
@@ -363,8 +361,8 @@ def log_likelihood(
 def fit_exact(series: AxisSeries, start: NoiseModel) -> tuple[NoiseModel, float]:
     """Return the model of greatest exact likelihood near `start`, and that log-likelihood.
 
-    A witness for faster fits: each step costs one likelihood a parameter. A rate ramp is estimated with the
-    rest; a term whose variance goes to zero stops at 1e-6 of its start.
+    It checks faster fits: each step costs one likelihood per parameter. A rate ramp is estimated too; a
+    parameter stops at 1e-6 of its start.
     """
     samples, seen = on_grid(series.finite(), "a likelihood")
     samples = np.where(seen, samples - samples[seen].mean(), 0.0)
@@ -390,9 +388,9 @@ def fit_exact(series: AxisSeries, start: NoiseModel) -> tuple[NoiseModel, float]
 
 
 def on_grid(series: AxisSeries, purpose: str) -> tuple[FloatArray, BoolArray]:
-    """Return finite samples on the clock's even grid, 0 where there are none, and where there are any.
+    """Return finite samples on the clock's even grid, 0 in gaps, and a mask of the places with samples.
 
-    Fewer than 2 are too few for the `purpose`, which is a DataError.
+    Fewer than 2 samples raise a DataError that names the `purpose`.
     """
     if series.n < 2:
         raise DataError(f"{series.name}: {purpose} needs at least 2 samples, got {series.n}")

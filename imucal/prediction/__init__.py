@@ -1,7 +1,7 @@
-"""What a fitted model says of the errors that grow when its sensor is integrated.
+"""Predictions from fitted models.
 
-Fits come in; variances of angle, velocity and position with their limits come out, and the two numbers
-that a filter can be held to; and whether one half of a record predicts the other.
+From fits this package computes the variances of angle, velocity and position with limits, and the two numbers
+for a filter. It also checks whether one half of a record predicts the other.
 """
 
 from imucal.prediction.drift import Drift, DriftOf, DriftPoint, drift

@@ -1,10 +1,10 @@
 """How far dead reckoning drifts after a rest: angles, velocities and positions, with limits.
 
-At rest the mean of the samples is taken for the bias; then nothing aids it. The error of an angle is the
-gyroscope's noise summed up, that of a velocity and a position the accelerometer's, once and twice. And a
-tilt lets gravity in: g times the gyroscope's noise, summed up twice and three times. It is the sensors'
-noise alone, over a flat Earth that stands still, without scale, misalignment or temperature. What comes
-through tilt swings with a period of 84 minutes: it is less by 0.7 % at 300 s, by 8 % at 1000 s.
+The bias is the mean of the samples at rest; afterwards nothing aids dead reckoning. The error of an angle is
+the integrated noise of the gyroscope. The errors of velocity and position are the accelerometer's noise,
+integrated once and twice. A tilt adds gravity: g times the gyroscope's noise, integrated twice and three
+times. The Earth is flat without rotation; errors of scale, misalignment and temperature are left out. The
+Schuler period of 84 minutes would reduce the error through tilt by 0.7 % at 300 s and by 8 % at 1000 s.
 """
 
 import math
@@ -34,27 +34,27 @@ from imucal.prediction.propagation import (
 from imucal.recording import Sensor
 from imucal.units import G0
 
-#: How long dead reckoning goes on, and the rest before it, where nobody says, in s.
+#: Default durations of dead reckoning and of the rest before it, in s.
 TIMES_S, REST_S = (1.0, 10.0, 60.0, 300.0), 60.0
-#: A record has seen a drift if it is so many times as long as rest and coast together: the deviation of as
-#: many coasts is known to a third. The curve calls fewer degrees of freedom few.
+#: Least length of a record that shows a drift, in lengths of rest plus coast: the deviation of this many
+#: coasts is known to a third.
 STRETCHES = 5
-#: Rest and coast are summed up in blocks, of which the shorter one has a dozen at this ratio.
+#: Largest ratio of rest and coast: the shorter one then has a dozen blocks.
 _MOST_UNLIKE = 2e4
-#: An accelerometer at rest reads g to this share; its axis within acos 0.94 = 20 degrees of it is vertical.
+#: Relative tolerance of g at rest; cosine of the largest tilt, 20 degrees, of a vertical axis.
 _NEAR_G, _UPRIGHT = 0.1, 0.94
 
 
 @frozen
 class DriftPoint:
-    """One standard deviation of an error after a time `time_s`, in s, in which nothing has aided.
+    """Standard deviation of an error after `time_s`, in s, without aiding.
 
-    `axis` is such as ``gyro_z``, the one with the largest value of several; ``accel_x gyro_y`` where two
-    parts make it. `value` is that of the fitted model, None where the record shows no term; `low` and `high`
-    are limits at the fit's level, bounded terms included, 0 and infinity where a term's are not known.
-    `term`, such as ``B``, makes most of the value's square, by a share of `share`; empty without a value.
-    `seen` says whether the record holds `STRETCHES` such rests and coasts: if not, the model is taken to go
-    on as it does; None without a record.
+    `axis` is a name such as ``gyro_z``, the axis with the largest value of several, or ``accel_x gyro_y`` for
+    the sum of two parts. `value` is from the fitted model, None if the record shows no term. `low` and `high`
+    are limits at the fit's level, including bounded terms, 0 and infinity if a term's are not known. `term`,
+    such as ``B``, contributes most to the value's square, a share of `share`; empty without a value. `seen`
+    is true if the record is as long as `STRETCHES` such rests and coasts; if false, the model is
+    extrapolated; None without a record.
     """
 
     time_s: float
@@ -80,8 +80,8 @@ class DriftOf:
 class Drift:
     """How far dead reckoning drifts after a rest of `rest_s`, with limits of the fits' level.
 
-    `vertical` is the axis that gravity lies along, by the accelerometer's means; empty where those don't
-    tell. Angles come first, then velocities and positions: each part, and both together.
+    `vertical` is the axis parallel to gravity, by the accelerometer's means, or empty if unknown. Angles come
+    first, then velocities and positions: each part, and both together.
     """
 
     rest_s: float
@@ -91,7 +91,7 @@ class Drift:
 
 
 class Characterised(Protocol):
-    """What is asked of a report, which stands above this room: axes that have `axis`, `mean` and `fit`."""
+    """Protocol of a report: axes with `axis`, `mean` and `fit`."""
 
     @property
     def axes(self) -> Sequence[Any]: ...
@@ -118,16 +118,16 @@ def drift(
     source
         A report, or the fit of one axis.
     times_s
-        How long it goes on, in s, in whole samples.
+        Duration of dead reckoning in s, rounded to whole samples.
     rest_s
-        How long the bias is averaged before.
+        Duration of the rest before it, in s.
     each_axis
-        Of each axis by itself; else of each sensor's worst, and of both sensors together.
+        Return each axis by itself instead of each sensor's worst axis and both sensors together.
 
     Raises
     ------
     ValueError
-        If a time or the rest is shorter than a sample, or one of them 20 000 times the other.
+        If a time or the rest is shorter than a sample, or their ratio is above 20 000.
     DataError
         If there is no axis whose sensor is known.
     """
@@ -151,7 +151,7 @@ def drift(
 
 
 def _vertical(axes: Sequence[_Axis]) -> str:
-    """Return the letter of the axis that gravity lies along; empty where the means don't tell."""
+    """Return the letter of the axis parallel to gravity, or empty if the means do not show it."""
     means = {axis.axis: abs(axis.mean) for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER}
     total = math.hypot(*means.values())
     if len(means) < 3 or not abs(total / G0 - 1) < _NEAR_G:
@@ -161,7 +161,7 @@ def _vertical(axes: Sequence[_Axis]) -> str:
 
 
 def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iterator[DriftOf]:
-    """Yield what the worst of the axes make, and what both sensors make together."""
+    """Yield the drift of the worst axes, and of both sensors together."""
     accels = [axis for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER]
     upright = [axis for axis in axes if axis not in accels and axis.axis == (vertical or None)]
     tilting = [axis for axis in axes if axis not in accels + upright]
@@ -185,7 +185,7 @@ def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iter
 
 @frozen
 class _Coasts:
-    """Rest and coasts; and the variances of terms whose coefficient is 1, which all axes share."""
+    """Rest and coasts, with cached variances of terms of coefficient 1, which all axes share."""
 
     times_s: tuple[float, ...]
     rest_s: float
@@ -203,7 +203,7 @@ class _Coasts:
         return (scale * term.coefficient) ** 2 * self.units[key]
 
     def worst(self, axes: Sequence[_Axis], integrals: int) -> tuple[DriftPoint, ...]:
-        """Return at each time the drift that has the largest value, or, without one, the largest bound."""
+        """Return at each time the drift with the largest value, or without values the largest bound."""
         at_times = zip(*(self.points(axis, integrals) for axis in axes), strict=True)
         return tuple(max(points, key=lambda point: (point.value or 0.0, point.high)) for points in at_times)
 
@@ -216,7 +216,7 @@ class _Coasts:
         low, high = 0 * value, value + math.inf
         if np.isfinite([*times, *(e.high for e in fit.estimates)]).all():
             low, high = lower_limit(fit, variance), upper_limit(fit, variance)
-        # A curve without degrees of freedom is a model's, and no record's.
+        # A curve without degrees of freedom comes from a model, not a record.
         record_s = fit.curve.n / fit.rate_hz if np.isfinite(fit.curve.edf).any() else 0.0
         name = "_".join(filter(None, (fit.sensor.short if fit.sensor else "", axis.axis)))
         points = []
@@ -238,7 +238,7 @@ class _Coasts:
 
 
 def _both(one: DriftPoint, other: DriftPoint) -> DriftPoint:
-    """Return the drift of parts that know nothing of each other: squares add up, and limits as of any sum."""
+    """Return the drift of two independent parts: squares add up, limits combine as for any sum."""
     ends = [[getattr(part, end) or 0.0 for part in (one, other)] for end in ("value", "low", "high")]
     value, low, high = np.square(ends)
     total = float(value.sum())

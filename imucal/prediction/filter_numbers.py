@@ -1,11 +1,11 @@
-"""Two numbers that a filter can be held to: white noise and a walk that cover the fitted spectrum.
+"""Two numbers for a filter: white noise and a random walk that cover the fitted spectrum.
 
-Most filters take a density of white noise N and one of the bias's random walk K. For any linear
+Most filters have two parameters: white noise N and the bias's random walk K. For any linear
 weights H, fixed or varying in time, the variance of a filter's error is the integral of |H|² S over
-frequency. So where N_f² + K_f² / omega² is at least the true spectrum S wherever H is not zero, the variance
-that the filter predicts is at least the true one. N and K of a fit leave out its flicker and its
-Gauss-Markov terms; the least pair that covers all of its spectrum does not. It holds for noise of
-stationary increments, a filter that does not know the bias at its start, and axes without correlation.
+frequency. If N_f² + K_f² / omega² is at least the true spectrum S wherever H is not zero, the variance that
+the filter predicts is at least the true one. N and K of a fit omit its flicker and Gauss-Markov terms; the
+least pair that covers the whole spectrum includes them. The rule is valid for noise with stationary
+increments, a filter that starts without knowledge of the bias, and uncorrelated axes.
 
 Source: Langel, Garcia Crespillo & Joerger (2021), "Overbounding the effect of uncertain Gauss-Markov noise in
 Kalman filtering", NAVIGATION 68, 259 (the idea; abstract); the rule is measured in
@@ -27,33 +27,33 @@ from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov, RateRamp
 from imucal.prediction.propagation import MEAN, Caution, Quantity, modelled, upper_limit
 
-#: Of several axes: the largest at each frequency, or the mean of their psds.
+#: How to join several axes: the largest at each frequency, or the mean of their psds.
 Joined: TypeAlias = Literal["worst", "rms"]
 Join: TypeAlias = Callable[..., FloatArray]
 
-#: One-sided level at which one axis's spectrum is covered. Of several axes the largest of their means is.
+#: One-sided level at which the spectrum of a single axis is covered; for several axes their means are used.
 LEVEL = 0.8
-#: Horizon and step where nobody says: how long a filter may coast, and how often it is aided, in s.
+#: Default horizon and step, in s: how long a filter may coast, and how often it is aided.
 HORIZON_S, STEP_S = 300.0, 1.0
-#: Cameras and lidars are seldom blind for longer than this, in s; satellites may be gone for minutes.
+#: Horizon for cameras and lidars, in s: they rarely fail longer; satellites may be lost for minutes.
 CAMERA_HORIZON_S = 60.0
-#: A time of coasting at which the price of a pair is said, in s.
+#: Times at which the ratios of a pair are reported, in s.
 PRICED_S = (1.0, 10.0, 60.0, 300.0, 1000.0)
-#: Lowest frequency that is covered, over the horizon: a filter remembers its bias for longer than it
-#: coasts. A Gauss-Markov bias forgets.
+#: Lowest covered frequency times the horizon, for a walk and for a Gauss-Markov bias: a filter remembers a
+#: walk for longer than it coasts.
 _LOWEST, _LOWEST_BOUND_BIAS = 0.01, 0.5
 _FREQUENCIES, _TIMES, _PAIRS = 90, 25, 600
-#: How far down the search for a walk goes, in power from the walk that covers everything alone.
+#: Smallest walk of the search, in power relative to the walk that covers everything alone.
 _SMALLEST = 1e-12
-#: A ramp has no spectrum: this times horizon R² is the K² whose Allan variance is the ramp's at the horizon.
+#: This times horizon R² is the K² with the ramp's Allan variance at the horizon: a ramp has no spectrum.
 _RAMP = 1.5
-#: Programs refuse a walk or white noise of zero: a share of the other's deviation that no filter sees.
+#: Negligible share of the other's deviation, in place of zero, which programs refuse.
 _NOTHING = 1e-3
-#: A bias's process is drawn so many times a step.
+#: Samples per step of the bias's process.
 _FINE = 64
-#: Averaging times are whole samples: so far beside step and horizon they count.
+#: Relative tolerance at step and horizon, because averaging times are whole samples.
 _ROUNDING = 0.01
-#: A bias without a measured correlation time gets one so many horizons long, so that it stays a walk.
+#: Correlation time, in horizons, of a bias without a measured one: it is then nearly a walk.
 _LONG = 10.0
 
 
@@ -64,17 +64,17 @@ class FilterNumbers:
     Attributes
     ----------
     white, walk
-        N_f in U/sqrt(Hz) and K_f in U/s/sqrt(Hz); of a Gauss-Markov bias the density that drives it.
+        N_f in U/sqrt(Hz) and K_f in U/s/sqrt(Hz), or the density that drives a Gauss-Markov bias.
     correlation_time_s
         T of a first-order Gauss-Markov bias, in s; None for a walk.
     horizon_s, step_s
         How long the filter may coast, and how often it is aided at most.
     level
-        One-sided level at which the spectrum is covered; None for the mean over what the records leave open.
+        One-sided level at which the spectrum is covered; None for the mean over the fits' uncertainty.
     ratios
         (t, ratio): predicted over modelled Allan deviation at t, in s.
     price
-        The mean of such ratios from the step to the horizon, against the upper limit of what was covered.
+        Mean ratio of predicted Allan deviation to the upper limit to cover, from the step to the horizon.
     basis
         ``spectrum`` of the model, or ``curve``: the upper limits of the Allan curve, without a model.
     """
@@ -107,20 +107,20 @@ def filter_numbers(
 ) -> FilterNumbers:
     """Return the least white noise and walk that cover the spectra of some axes.
 
-    Least means: of all pairs that cover, the one whose Allan variance is nearest to that of the fits, in
-    the mean logarithm from the step to the horizon. A fit without a likelihood (``slope``, or of a table
-    of deviations) is covered by the upper limits of its Allan curve.
+    The least pair is the covering pair whose Allan variance is nearest to the fits', in the mean logarithm
+    from the step to the horizon. For a fit without a likelihood (``slope``, or of a table of deviations) the
+    upper limits of its Allan curve are covered.
 
     Parameters
     ----------
     fits
-        Of the axes that the pair is for, at least one.
+        Fits of the axes, at least one.
     horizon_s
         How long the filter may coast.
     step_s
-        How often it is aided: noise faster than that is not covered.
+        How often it is aided: faster noise is not covered.
     joined
-        Of several axes: the largest at each frequency, or the root of their mean psd.
+        How to join several axes: the largest at each frequency, or the root of their mean psd.
     time_s
         Correlation time of a Gauss-Markov bias in place of the walk.
 
@@ -129,7 +129,7 @@ def filter_numbers(
     ValueError
         If there is no fit, or a time is not positive, or the horizon is not longer than the step.
     DataError
-        If the fits know nothing of the noise.
+        If the fits contain no information on the noise.
     """
     if not fits or not 0 < step_s < horizon_s < math.inf or not (time_s is None or time_s > 0):
         msg = (
@@ -153,7 +153,7 @@ def filter_numbers(
     if not np.all(np.isfinite(goal.wanted)):
         msg = "found a term without an upper limit; expected limits for all terms; record for longer"
         raise DataError(msg)
-    # A walk that covers everything alone, and every smaller one with the white noise that it lacks.
+    # The walk that covers everything alone, and smaller ones with the white noise that each needs.
     walks = float(np.max(goal.wanted / goal.slow)) * np.concatenate(
         [[0.0], np.geomspace(_SMALLEST, 1.0, _PAIRS)]
     )
@@ -178,13 +178,13 @@ def filter_numbers(
 
 
 def _has_no_likelihood(fit: NoiseFit) -> bool:
-    """Return whether a fit is of lines read off, or of a curve without samples, whose limits are known."""
+    """Return whether a fit is by slopes, or of a curve without samples but with known limits."""
     given = fit.curve.computed == "given" and bool(np.isfinite(fit.curve.edf).all())
     return fit.method == "slope" or given
 
 
 def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:
-    """Return the pairs for filters with cameras or lidars, and for others; none where nothing is known."""
+    """Return the pairs for filters with cameras or lidars, and for others; () if nothing is known."""
     try:
         return tuple(filter_numbers(fits, horizon_s=horizon) for horizon in (CAMERA_HORIZON_S, HORIZON_S))
     except DataError:
@@ -192,9 +192,9 @@ def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:
 
 
 def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S) -> tuple[float, ...]:
-    """Return the times that a Gauss-Markov bias may have, in s: those of the fits' terms, the longest first.
+    """Return possible correlation times of a Gauss-Markov bias, in s, from the fits' terms, longest first.
 
-    The first is long against horizon and record, so that the bias is a walk to the filter.
+    The first is at least 10 horizons and the record, so that the bias is a walk for the filter.
     """
     record = max(fit.curve.n / fit.rate_hz for fit in fits)
     times = (
@@ -204,9 +204,9 @@ def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S)
 
 
 class _Goal(NamedTuple):
-    """What is to be covered by white noise and a slow bias of unit power, and what is to be met.
+    """The target to cover with white noise and a slow bias of unit power, and the Allan variance to approach.
 
-    `wanted`, `white` and `slow` stand at the same frequencies or times; `avar` at the times `t`.
+    `wanted`, `white` and `slow` have the same frequencies or times; `avar` has the times `t`.
     """
 
     wanted: FloatArray
@@ -220,7 +220,7 @@ class _Goal(NamedTuple):
 def _of_spectra(
     fits: Sequence[NoiseFit], bias: NoiseTerm, within: tuple[float, float], join: Join, caution: Caution
 ) -> _Goal:
-    """Return the fits' psds, as of samples a step apart, up to half its rate; `within` is step, horizon."""
+    """Return the fits' psds for samples a step apart, up to half its rate; `within` is step, horizon."""
     step_s, horizon_s = within
     t = np.geomspace(step_s, horizon_s, _TIMES)
     lowest = _LOWEST_BOUND_BIAS if isinstance(bias, GaussMarkov) else _LOWEST
@@ -231,16 +231,16 @@ def _of_spectra(
 
 
 def covered_frequencies(horizon_s: float, step_s: float, *, lowest: float = _LOWEST) -> FloatArray:
-    """Return the frequencies at which a spectrum is covered, shape (f,), in Hz; `lowest` over the horizon."""
+    """Return the frequencies to cover, shape (f,), in Hz; the lowest is `lowest` / `horizon_s`."""
     return np.geomspace(lowest / horizon_s, 0.5 / step_s, _FREQUENCIES)
 
 
 def _of_curves(
     fits: Sequence[NoiseFit], drift: Callable[[FloatArray], FloatArray], step_s: float, horizon_s: float
 ) -> _Goal:
-    """Return the upper limits of all curves within the horizon, or their values where those are unknown.
+    """Return the upper limits of all curves within the horizon, or their values if limits are unknown.
 
-    Times beyond a curve's end are not in it: a short record says nothing of them.
+    Times beyond a curve's end are left out, because the record is too short for them.
     """
     times, upper = [], []
     for fit in fits:
@@ -255,13 +255,13 @@ def _of_curves(
 
 
 def _avar(t: FloatArray, rate_hz: float) -> Quantity:
-    """Return what asks a term for its Allan variance at the averaging times nearest to t."""
+    """Return the function of a term's Allan variance at the averaging times nearest to t."""
     m = np.maximum(np.round(t * rate_hz), 1.0)
     return lambda term: term.avar(m, 1 / rate_hz)
 
 
 def _ramp(fit: NoiseFit, caution: Caution) -> float:
-    """Return the ramp to cover, in U/s: its upper limit of one axis, its value of several."""
+    """Return the ramp to cover, in U/s: the upper limit for one axis, the value for several."""
     ramps = (e for e in fit.estimates if e.symbol == RateRamp.symbol)
     return max((e.high if caution.shown else e.value or 0.0 for e in ramps), default=0.0)
 
@@ -269,7 +269,7 @@ def _ramp(fit: NoiseFit, caution: Caution) -> float:
 def _ratios(
     fits: Sequence[NoiseFit], predicted: Callable[[FloatArray], FloatArray], step_s: float, join: Join
 ) -> tuple[tuple[float, float], ...]:
-    """Return predicted over modelled deviation at the times that are priced."""
+    """Return predicted over modelled deviation at the times `PRICED_S`."""
     t = np.array([time for time in PRICED_S if time >= step_s])
     model = join([modelled(fit, _avar(t, fit.rate_hz)) for fit in fits], axis=0)
     known = model > 0

@@ -1,9 +1,9 @@
-"""The variance of anything summed up of a sensor's noise, by a fit: its value and its limits.
+"""Values and limits of quantities that are linear in the squared coefficients of a fit.
 
-A psd, an Allan variance, the variance of an angle after a minute of coasting: each is linear in the
-squares of the terms' coefficients, so each is a sum over the terms. Its limits follow from the limits of
-the coefficients by the method of variance estimates recovery: the distances of each term's share to
-its own limits, added as a quadratic form with the fit's correlations.
+Examples are a psd, an Allan variance and the variance of an angle after a minute of coasting. Each is a sum
+over the terms. Its limits follow from the limits of the coefficients by the method of variance estimates
+recovery (MOVER): the distances of each term's share to its own limits are added as a quadratic form with
+the fit's correlations.
 
 Source: Zou & Donner (2008), "Construction of confidence limits about effect measures: a general
 approach", Statistics in Medicine 27, 1693.
@@ -23,23 +23,23 @@ from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov
 
-#: What is asked of a term: a value, or one for each time or frequency, linear in its coefficient's square.
+#: Function of a term: a value, or one per time or frequency, linear in the squared coefficient.
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 
-#: A coast, and the rest before it, are made of so many blocks at least; both together of at most so many.
+#: Least number of blocks of the coast and of the rest before it; largest number of both together.
 _BLOCKS, _MOST_BLOCKS = 120, 1 << 18
-#: Most sizes of a block that are tried: among so many, one leaves less than 1e-3 over.
+#: Largest number of block sizes to try: one of them leaves a remainder below 1e-3.
 _TRIED = 50
-#: A correlation time's lower limit counts down to this share of it: below, the term is white noise.
+#: Limits of a correlation time are clipped to this share and its inverse; below, the term is white noise.
 _SHORTEST_TIME = 1 / 30
-#: Integrals of a rate that an error is: the sensor once, twice, three times.
+#: How often the sensor's output is integrated to give each error.
 ANGLE, POSITION, TILT = 1, 2, 3
 
 
 class Caution(NamedTuple):
-    """How far towards its limit a term counts, as a share of the way in power.
+    """How far a term is moved from its value to its limit, as a share of the distance in power.
 
-    `bounded` is that of a term that the data do not show, whose value is 0, `shown` of one that they show.
+    `bounded` applies to terms with an upper bound only, whose value is 0; `shown` to terms with a value.
     """
 
     bounded: float
@@ -47,46 +47,46 @@ class Caution(NamedTuple):
 
     @classmethod
     def at(cls, level: float, limits: float) -> "Caution":
-        """Return the shares of a one-sided level, where the fit's limits are those of the level `limits`.
+        """Return the shares for a one-sided `level`, if the fit's limits have the level `limits`.
 
-        A shown term errs like a normal deviate, one at its bound like half of one.
+        The error of a shown term is taken as normal, that of a bounded term as half-normal.
         """
         normal = NormalDist()
         whole = normal.inv_cdf((1 + limits) / 2)
         return cls(normal.inv_cdf((1 + level) / 2) / whole, normal.inv_cdf(level) / whole)
 
 
-#: Up to the limits themselves.
+#: The limits themselves.
 LIMITS = Caution(1.0, 1.0)
-#: The mean over what the record leaves open: of half a normal deviate, over its 95 % quantile.
+#: The mean over the uncertainty: mean of a half-normal deviate divided by its 95 % quantile.
 MEAN = Caution(math.sqrt(2 / math.pi) / NormalDist().inv_cdf(0.975), 0.0)
 
 
-#: A parameter's name in the fit, empty of none; how far a quantity moves when that goes to its limit.
+#: Name of a parameter of the fit, or empty; change of the quantity if the parameter goes to its limit.
 _Excursion: TypeAlias = tuple[str, FloatArray]
 
 
 def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
-    """Return a quantity of the fitted model, shape as `of` gives it; a term that is not in it counts as 0."""
+    """Return a quantity of the fitted model, shape as `of` returns it; terms not in the model count as 0."""
     parts = list(shares(fit, of).values())
     return np.sum(parts, axis=0) if parts else 0.0 * of(TERMS["N"].of(0.0))
 
 
 def shares(fit: NoiseFit, of: Quantity) -> dict[str, FloatArray]:
-    """Return the part of a quantity that each term of the fitted model has, by their estimates' keys."""
+    """Return each term's part of a quantity of the fitted model, by the estimates' keys."""
     return {e.key: of(_term(e, e.value)) for e, held in _held(fit) if held and e.value is not None}
 
 
 def upper_limit(fit: NoiseFit, of: Quantity, caution: Caution = LIMITS) -> FloatArray:
-    """Return the upper limit of a quantity by a fit and its limits, shape as `of` gives it for one term.
+    """Return the upper limit of a quantity, shape as `of` returns it for one term.
 
-    `caution` says how far towards the limits each term counts: by default wholly, which is the fit's level.
+    `caution` sets how far each term is moved to its limit; the default gives the fit's level.
     """
     return modelled(fit, of) + _joint(fit, _excursions(fit, of, caution, up=True))
 
 
 def lower_limit(fit: NoiseFit, of: Quantity) -> FloatArray:
-    """Return the lower limit of a quantity at the fit's level, at least 0, shape as `of` gives it."""
+    """Return the lower limit of a quantity at the fit's level, at least 0, shape as `of` returns it."""
     return np.maximum(modelled(fit, of) - _joint(fit, _excursions(fit, of, LIMITS, up=False)), 0.0)
 
 
@@ -95,14 +95,14 @@ def coasting_variance(
 ) -> FloatArray:
     """Return the variance of the error after coasting, shape (t,), in (U s^integrals)².
 
-    The bias is the mean of a rest of `rest_s`; then the samples of a term, at `rate_hz`, less the bias are
-    integrated so many times, for `times_s`, shape (t,): once for the angle of a gyroscope or the velocity of
-    an accelerometer, twice for a position, three times for the position that a tilt makes, per unit of
-    gravity. Times that are not positive are a ValueError.
+    The bias is the mean of a rest of `rest_s`. The samples of a term, at `rate_hz`, minus the bias are then
+    integrated `integrals` times over `times_s`, shape (t,): once for the angle of a gyroscope or the velocity
+    of an accelerometer, twice for a position, three times for the position error from a tilt, per unit of
+    gravity. Times that are not positive raise a ValueError.
 
-    The error is a sum of samples with weights that add up to zero, -w/2' D w with the mean square differences
-    D, whose second sums V(n) each term knows; blocks of samples make the sum short. Right to 1e-3 where a
-    block is a hundredth of the rest and of the coast.
+    The error is a sum of samples with weights w of sum zero. Its variance is -w/2' D w with the mean square
+    differences D, whose second sums V(n) are `sum_variance` of the term; blocks of samples shorten the sum.
+    Accurate to 1e-3 if a block is a hundredth of the rest and of the coast.
     """
     times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
     if not (np.all(times > 0) and rest_s > 0):
@@ -113,12 +113,12 @@ def coasting_variance(
 def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, integrals: int) -> float:
     coast, rest = (max(1, round(t * rate_hz)) for t in (coast_s, rest_s))
     largest = max(1, round(min(coast, rest) / _BLOCKS), math.ceil((coast + rest) / _MOST_BLOCKS))
-    # Of the sizes down to half of it, the one of which both are whole blocks most nearly.
+    # The block size, down to half the largest, that divides rest and coast with the least remainder.
     sizes = range(largest, largest // 2, -1)[:_TRIED]
     size = min(sizes, key=lambda size: sum(abs(round(n / size) * size - n) / n for n in (coast, rest)))
     resting, coasting = (max(1, round(n / size)) for n in (rest, coast))
     blocks = resting + coasting
-    # The sums of blocks have these covariances, up to a constant that weights of sum zero do not see.
+    # Covariances of the sums of blocks, up to a constant that cancels for weights of sum zero.
     V = term.sum_variance(np.arange(blocks + 1.0) * size, 1 / rate_hz) / rate_hz**2
     covariance = np.concatenate([V[1:2], (V[2:] - 2 * V[1:-1] + V[:-2]) / 2])
     left = (coasting - 0.5 - np.arange(coasting)) * size / rate_hz
@@ -132,9 +132,9 @@ def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, in
 
 
 def _held(fit: NoiseFit) -> Iterator[tuple[Estimate, bool]]:
-    """Yield the estimates and whether the model holds them, a bounded one that it holds with its value there.
+    """Yield the estimates and whether the model contains them, bounded ones with the model's value.
 
-    One with a value that the model does not hold is another name of what its terms are: it counts with them.
+    An estimate with a value that is not in the model describes the same noise as terms of the model.
     """
     drawn = fit.drawn
     for estimate in fit.estimates:
@@ -150,8 +150,8 @@ def _held(fit: NoiseFit) -> Iterator[tuple[Estimate, bool]]:
 def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> NoiseTerm:
     """Return the term of an estimate with another coefficient or time.
 
-    A Gauss-Markov term that is only bounded has no T: whatever T is, flicker of the same number covers
-    it, since the greatest of 2 sigma² T / (1 + omega² T²) over all T is sigma² / omega.
+    A bounded Gauss-Markov term has no T. Flicker of the same coefficient covers it for every T, since the
+    maximum of 2 sigma² T / (1 + omega² T²) over all T is sigma² / omega.
     """
     if estimate.correlation_time is not None:
         return TERMS[estimate.symbol].of(coefficient, time or estimate.correlation_time.value)
@@ -160,7 +160,7 @@ def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> 
 
 
 def _excursions(fit: NoiseFit, of: Quantity, caution: Caution, *, up: bool) -> Iterator[_Excursion]:
-    """Yield how far each term moves a quantity up, or down; a time signed by the limit that does."""
+    """Yield how far each term moves a quantity up or down; for a time, negative if its lower limit does."""
     for estimate, held in _held(fit):
         value, time, sign = estimate.value, estimate.correlation_time, 1.0 if up else -1.0
         if value is None:
@@ -174,7 +174,7 @@ def _excursions(fit: NoiseFit, of: Quantity, caution: Caution, *, up: bool) -> I
             yield "", caution.shown * np.maximum(beyond, 0.0)
             continue
         own, end = of(_term(estimate, value)), estimate.high if up else estimate.low
-        # Nobody knows how large a term without an upper limit may be, nor what it does.
+        # Without an upper limit of the term the quantity has none either.
         beyond = sign * (of(_term(estimate, end)) - own) if end < math.inf else np.full_like(own, math.inf)
         names = TERMS[estimate.symbol].parameter_names(estimate.key)
         yield names[0], caution.shown * beyond

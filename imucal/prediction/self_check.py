@@ -1,18 +1,17 @@
-"""Does one half of a record predict the other: the fitted model held against what it was not fitted to.
+"""Check whether one half of a record predicts the other.
 
-A fit that describes all of a record may still say little of what comes next: noise that changes within
-hours, a bias that wanders as no term does. So the coefficients of the fitted terms are estimated from one
-half of the record, and the Allan variance that they predict is held against that of the other half, at the
-times for which filters coast.
+A fit that describes a whole record may still predict badly, because the noise changes within hours or the
+bias follows no term. So the coefficients of the fitted terms are estimated from one half of the record. The
+Allan variance that they predict is compared with the other half's, at times for which filters coast.
 
-Both are sums over a spectrum. Of a half, averaged to blocks, the binned psd P_b of c_b ordinates is
+Both are sums over a spectrum. The binned psd P_b of c_b ordinates of a half, averaged to blocks, is
 S_b chi²(c_b) / c_b, where S_b is linear in the squared coefficients: weighted least squares with the fit's
-own spectrum give them without bias, and their covariance. The Allan variance at t is the sum of w_b P_b, with
+spectrum estimate them without bias, and their covariance. The Allan variance at t is the sum of w_b P_b with
 
     w_b = 4/(pi t) (I(pi t f_high) - I(pi t f_low)),   I(x) = Si(2x) - Si(4x)/2 - sin⁴x / x,
 
-I being the integral of sin⁴x / x². Observed over predicted has Fisher's F law, with the degrees of freedom
-that follow from the variances of both.
+where I is the integral of sin⁴x / x². Observed over predicted has Fisher's F distribution, with degrees of
+freedom from the variances of both.
 
 Source: Rutman & Walls (1991), Proc. IEEE 79, 952 (the Allan variance as an integral of the psd).
 """
@@ -34,30 +33,31 @@ from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-#: Times at which the halves are compared, in s: where a half lasts 12 times as long.
+#: Averaging times at which the halves are compared, in s.
 TIMES_S = (10.0, 30.0, 100.0, 300.0)
+#: Least length of a half, in averaging times.
 _LONGER = 12.0
-#: Frequencies that count, in Hz: from there on an Allan variance at 10 s holds half a percent.
+#: Highest frequency in use, in Hz: higher ones add half a percent to an Allan variance at 10 s.
 _HIGHEST = 3.0
-#: Blocks are so many a period of that; and the corner of an output filter is so far above what counts.
+#: Blocks per period of the highest frequency; least ratio of an output filter's corner to that frequency.
 _FINE, _BELOW = 4.0, 4.0
-#: Where samples are missing a block has so many places or more, of which one in so many is filled.
+#: If samples are missing: least number of places of a block, and inverse of its least filled share.
 _SPARSE = 4
-#: Share of records of the fitted kind in which chance may make any of the scores one that is reported.
+#: False alarm rate of the check per record.
 _CHANCE = 0.01
-#: A prediction is at least this share of the fitted model's: least squares may make it negative.
+#: Lower limit of a prediction, as a share of the fitted model's: least squares may give negative values.
 _LEAST = 0.05
-#: So many bins about a line, which the fit leaves out, are left out.
+#: Number of bins to leave out around each line.
 _OF_LINE = 3
 
 
 @frozen
 class Prediction:
-    """What one half of a record says of the other, at one averaging time `time_s`.
+    """The prediction of one half of a record from the other, at one averaging time `time_s`.
 
-    `half`, 1 or 2, is the one that was looked at; the other predicts. `predicted` and `observed` are Allan
-    deviations in U, `score` is the standard-normal score of observed over predicted variance: above 0 where
-    more is observed.
+    `half`, 1 or 2, is the observed half; the other predicts. `predicted` and `observed` are Allan deviations
+    in U. `score` is the standard-normal score of observed over predicted variance, above 0 if the observed
+    one is larger.
     """
 
     half: int
@@ -68,11 +68,11 @@ class Prediction:
 
 
 def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...]:
-    """Return how well each half of a record predicts the other; nothing of a record too short.
+    """Return how well each half of a record predicts the other; () if the record is too short.
 
-    Samples are finite, gaps allowed, less what their `fit` by maximum likelihood took out of them. Terms,
-    correlation times and lines are those of the fit; the squared coefficients of its terms and of N, B and K
-    are each half's own. Some 4 ms for 1e6 samples.
+    Samples are finite, with gaps allowed, after subtracting the shapes that their `fit` by maximum likelihood
+    took out. Terms, correlation times and lines come from the fit; the squared coefficients of its terms and
+    of N, B and K are estimated from each half. Takes about 4 ms for 1e6 samples.
     """
     highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
     if fit.response is not None:
@@ -101,7 +101,7 @@ def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...
 def self_check(
     series: AxisSeries, fit: NoiseFit, temperature: FloatArray | None = None
 ) -> tuple[Finding, ...]:
-    """Return a warning where one half of a record predicts the other badly.
+    """Return a warning if one half of a record predicts the other badly.
 
     Samples are finite, spikes replaced, gaps allowed; their `fit` is by maximum likelihood. `temperature`,
     shape (n,), is in degrees Celsius at the samples, or None.
@@ -110,7 +110,7 @@ def self_check(
         series = without_disturbances(series, fit, temperature)
     found = half_predictions(series, fit)
     worst = max(found, key=lambda one: abs(one.score), default=None)
-    # Bonferroni's bound: the scores of neighbouring times are alike.
+    # Bonferroni's bound, because the scores of neighbouring times are correlated.
     if worst is None or abs(worst.score) <= -NormalDist().inv_cdf(_CHANCE / 2 / len(found)):
         return ()
     names = ("first", "second")
@@ -132,7 +132,7 @@ def _reach(series: AxisSeries) -> float:
 
 
 def _blocks(series: AxisSeries, size: int) -> AxisSeries:
-    """Return the means of blocks of so many places, those nearly empty left out."""
+    """Return the means of blocks of `size` places, without nearly empty blocks."""
     clock = series.clock
     if size == 1:
         return series

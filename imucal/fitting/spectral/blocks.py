@@ -1,13 +1,13 @@
 """AxisSeries -> blocks of ordinates -> binned ordinates, and the bins that a result keeps.
 
-Long gaps part the blocks. Short ones are completed, by expectation-maximisation without a model: given a
-smooth spectrum S, the missing samples given the observed ones are normal, with precision the missing block
-of C' diag(1/S) C (C the DCT). Their mean is found by conjugate gradients, their covariance by a draw, and
+Long gaps separate the blocks. Short gaps are completed by expectation-maximisation without a model: for a
+smooth spectrum S, the missing samples given the observed ones are normal, and their precision is the missing
+block of C' diag(1/S) C (C the DCT). Conjugate gradients give their mean, a random draw their covariance, and
 
     E[X_k² | observed] = (mean X_k)² + var X_k
 
-replaces X_k². The share of the variance in it is information that the gaps took. The variance is averaged
-over neighbouring frequencies, because the scatter of one draw looks like a misfit.
+replaces X_k². The variance's share of it is information lost to the gaps. The variance is averaged over
+neighbouring frequencies, because the scatter of one draw resembles a misfit.
 
 Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23;
 lost information: Louis (1982), JRSS B 44.
@@ -32,27 +32,27 @@ from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_o
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
-#: Rounds at most; none follows one that moved no part of the spectrum by more than this over the share of the
-#: information there that the gaps took: by that share each round moves less than the one before.
+#: Largest number of rounds; largest expected change of the spectrum in a next round. Each change is the
+#: previous one times the share of information lost to the gaps.
 _ROUNDS, _MOVED = 8, 3e-4
-#: The variance that missing samples add is averaged over frequencies up to this factor apart.
+#: Ratio of the frequencies over which the variance of missing samples is averaged.
 _NEAR = 1.5
 _STEPS = 40
 _CLOSE = 1e-3
-#: More missing samples, or so many more sines than samples, take longer than transforms do.
+#: Largest number of missing samples, and of sines per sample, for direct sums: above, transforms are faster.
 _FEW, _DIRECT = 1000, 30
-#: The random draws are the same for the same length, so that a fit can be repeated.
+#: Seed of the random draws, fixed so that fits are reproducible.
 _SEED = 20_24
 
 
 def complete(
     samples: FloatArray, seen: BoolArray, bins: DctBins
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return expected ordinates, the variance of each, what the gaps took, and a draw of what they miss.
+    """Return expected ordinates, their variances, the lost information, and a draw of the missing samples.
 
-    Of samples of shape (n,), which are overwritten, those that were `seen`, shape (n,), count. Returned are
-    ordinates and variances, shapes (n-1,); the share of each bin's information that the gaps took, shape
-    (b,); and the missing samples in order, their expectation and an error drawn with it, shape (g,).
+    `samples`, shape (n,), are overwritten; only `seen` ones, shape (n,), count. The results are ordinates and
+    variances, shapes (n-1,); the share of each bin's information lost to the gaps, shape (b,); and the
+    missing samples in order, their expectation and an error drawn with it, shape (g,).
     """
     n = samples.size
     gaps = np.flatnonzero(~seen)
@@ -61,14 +61,14 @@ def complete(
     samples -= mean
     groups = _groups(bins)
     pairs = _Pairs.of(gaps, n, groups)
-    # Ordinates 0 … n-1; long arrays are written over, or let go as soon as they are not needed.
+    # Ordinates 0 … n-1; long arrays are overwritten or deleted early to save memory.
     mean_of, count = dct2(samples), np.diff(groups, append=n - 1)
     variance, spectrum = np.zeros(groups.size), np.zeros(groups.size)
     for number in range(_ROUNDS):
         previous, spectrum = spectrum, _means(mean_of[1:], groups) + variance
         if number and np.all(np.abs(spectrum - previous) * variance < _MOVED * previous * spectrum):
             break
-        # The transform of the samples is there already, and that of the draw is the draw.
+        # Reuse the transform of the samples; the draw is made in the transform's domain.
         right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
         del mean_of
         draw = np.empty(n)
@@ -91,7 +91,7 @@ def complete(
 def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
     """Return the means of a variance over neighbouring groups, shape of `groups`.
 
-    It is that of one random draw, whose scatter would add to that of the ordinates.
+    The scatter of a single random draw would add to the scatter of the ordinates.
     """
     middle = groups + 0.5 * count
     first, stop = (
@@ -104,10 +104,10 @@ def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArr
 
 
 def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
-    """Return what straight lines over each gap give at its places, shape (g,); at an end the neighbours.
+    """Return straight lines over each gap, shape (g,); constants at the ends of the record.
 
-    They join the means of as many samples on either side as are missing, where so many follow each other: one
-    neighbour's noise at all places of a gap is far more power at low frequencies than the sensor has.
+    A line joins the means of up to as many samples on either side as are missing: a single neighbour's noise
+    over a whole gap would add far too much power at low frequencies.
     """
     begins = np.diff(gaps, prepend=-2) > 1
     gap = np.cumsum(begins) - 1
@@ -138,7 +138,7 @@ class _Pairs:
 
     @classmethod
     def of(cls, gaps: IntArray, n: int, groups: IntArray) -> "_Pairs | None":
-        """Return the distances; None where they are so many that transforms are quicker."""
+        """Return the distances, or None if there are so many that transforms are faster."""
         if gaps.size > _FEW:
             return None
         apart, beyond = np.abs(gaps[:, np.newaxis] - gaps), gaps[:, np.newaxis] + gaps + 1
@@ -152,7 +152,7 @@ class _Pairs:
 def _precision(
     gaps: IntArray, pairs: _Pairs | None, weight: FloatArray, groups: IntArray, n: int
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return what multiplies by the missing block of C' diag(w) C, w the weight of each group.
+    """Return the product with the missing block of C' diag(w) C, w the weight of each group, as a function.
 
     Its element i, j is r(i-j) + r(i+j+1) with r(l) = sum over k of w_k cos(pi k l / n) / n.
     """
@@ -170,12 +170,12 @@ def _precision(
 def _cosine_sums(lag: IntArray, weight: FloatArray, groups: IntArray, n: int) -> FloatArray:
     """Return the sum over k = 1 … n-1 of w_k cos(pi k l / n) / n at each lag, shape (l,).
 
-    Of equal weights from a to before b it is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
+    For equal weights from a to b - 1 it is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
     """
     edge = np.append(groups, n - 1) + 0.5
     fall = -np.diff(weight, prepend=0.0, append=0.0)
     sums = np.full(lag.size, float(weight @ np.diff(edge)))
-    # Lags 0 and 2n are the same, and have no sine.
+    # Lags 0 and 2n are equivalent, and their sine is zero.
     for at in np.flatnonzero(lag % (2 * n)).tolist():
         angle = np.pi * int(lag[at]) / n
         sums[at] = float(fall @ np.sin(edge * angle)) / (2 * np.sin(angle / 2))
@@ -190,7 +190,7 @@ def _padded(values: FloatArray, gaps: IntArray, n: int) -> FloatArray:
 
 
 def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> FloatArray:
-    """Multiply ordinates 0 … n-1 in place by the weight of their group, that of 0 being 0; return them."""
+    """Multiply ordinates 0 … n-1 in place by their group's weight, ordinate 0 by 0; return them."""
     ordinates[0] = 0.0
     for (start, stop), factor in zip(_spans(ordinates.size - 1, groups), weight.tolist(), strict=True):
         ordinates[start + 1 : stop + 1] *= factor
@@ -198,7 +198,7 @@ def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> Flo
 
 
 def _means(ordinates: FloatArray, groups: IntArray) -> FloatArray:
-    """Return the mean square in each group, more than 0, shape of `groups`."""
+    """Return the mean square in each group, positive, shape of `groups`."""
     means = [
         float(np.mean(np.square(ordinates[start:stop]))) for start, stop in _spans(ordinates.size, groups)
     ]
@@ -206,7 +206,7 @@ def _means(ordinates: FloatArray, groups: IntArray) -> FloatArray:
 
 
 def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
-    """Return the first and the last index of each group, the last beyond it."""
+    """Return the half-open index range of each group."""
     return list(pairwise([*groups.tolist(), n]))
 
 
@@ -221,7 +221,7 @@ def _groups(bins: DctBins) -> IntArray:
 
 
 def _conjugate(apply: Callable[[FloatArray], FloatArray], right: FloatArray, unit: float) -> FloatArray:
-    """Solve ``apply(x) = right`` by conjugate gradients, to a small part of the samples' noise."""
+    """Solve ``apply(x) = right`` by conjugate gradients, to a small fraction of the samples' noise."""
     x = np.zeros(right.size)
     rest = right.copy()
     direction = rest.copy()
@@ -239,17 +239,17 @@ def _conjugate(apply: Callable[[FloatArray], FloatArray], right: FloatArray, uni
     return x
 
 
-#: Bends of a straight line, as a part of its steps: rounding, not noise.
+#: Second differences, relative to first differences, below which there is only rounding, no noise.
 _STRAIGHT = 1e-9
 #: Fewest samples of a record and of a block.
 _FEWEST = 64
-#: A gap of more samples than this parts two blocks; a shorter one is completed.
+#: Gaps of more samples than this separate blocks; shorter ones are completed.
 _LONG = 64
-#: Most blocks; the shorter ones of more long gaps are completed too.
+#: Largest number of blocks; if there are more long gaps, the shorter ones are completed too.
 _MOST = 48
-#: Samples looked at at a time, so that they stay in the cache.
+#: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
-#: Up to so many blocks have bins as fine as a record without gaps.
+#: Largest number of blocks with bins as fine as without gaps.
 _FINE = 4
 
 
@@ -257,12 +257,12 @@ _FINE = 4
 class Block:
     """The ordinates of one run of samples, in scaled units.
 
-    Its first sample has the place `offset` on the clock's grid, from the first sample of the record. The
-    `ordinates` X_k, shape (k,), from k = 1 on, are as many as their `bins` hold. `variance`, shape (k,), is
-    what missing samples add to the expected X_k², `kept`, shape (k,), says which of them are used, `loss`,
-    shape (b,), which share of each bin's information missing samples took, and `drawn`, shape (g,), are the
-    missing samples in order, drawn given the others; None stands for none missing, and for all kept.
-    `temperature` is that at each place of the block, shape (bins.n,), or None.
+    `offset` is the place of its first sample on the clock's grid, from the first sample of the record. The
+    `ordinates` X_k, shape (k,), start at k = 1 and fill the `bins`. `variance`, shape (k,), is the part of
+    the expected X_k² from missing samples, `loss`, shape (b,), the share of each bin's information lost to
+    them, and `drawn`, shape (g,), the missing samples in order, drawn given the others; None if none is
+    missing. `kept`, shape (k,), is a mask of the ordinates in use, None for all. `temperature`, shape
+    (bins.n,), has a value at each place of the block, or is None.
     """
 
     offset: int
@@ -275,7 +275,7 @@ class Block:
     drawn: FloatArray | None = None
 
     def regressor_parts(self, name: str) -> Callable[[slice], FloatArray]:
-        """Return what gives parts of a regressor's ordinates; a ramp is never there as a whole."""
+        """Return a function for parts of a regressor's ordinates; a ramp is never stored as a whole."""
         if name == "R":
             return lambda part: ramp_ordinates(self.bins.n, part.stop - part.start, first=part.start + 1)
         return self.regressor(name).__getitem__
@@ -301,8 +301,7 @@ class Block:
 class SeriesBlocks:
     """All blocks of a record, in order of time; `scale` is U per scaled unit, a power of two.
 
-    `lines` are the spectral lines that are left out, of the longest block; `findings` what making them
-    showed.
+    `lines` are the spectral lines left out of the longest block; `findings` are about gaps and lines.
     """
 
     blocks: tuple[Block, ...]
@@ -314,7 +313,7 @@ class SeriesBlocks:
 def scale_of(series: AxisSeries) -> float:
     """Return a power of two near the size of the samples' steps, in U.
 
-    A DataError refuses too few samples, equal ones, and those that hold no noise beside a ramp.
+    Too few samples, equal samples, and a ramp without noise raise a DataError.
     """
     samples = series.samples
     if samples.size < _FEWEST:
@@ -346,11 +345,11 @@ def no_noise(series: AxisSeries) -> DataError:
 
 
 def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]:
-    """Return the mean square of the steps and the largest bend, of the samples over `largest`."""
+    """Return mean square first and largest second difference of the samples divided by `largest`."""
     total = bends = 0.0
     for start in range(0, samples.size - 1, _PART):
         steps = np.diff(samples[start : start + _PART + 2] / largest)
-        # The last step belongs to the next part, but where there is none.
+        # The last step belongs to the next part, if there is one.
         own = steps[:_PART]
         total += float(own @ own)
         bends = max(bends, float(np.max(np.abs(np.diff(steps)), initial=0.0)))
@@ -358,9 +357,9 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
 
 
 def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:
-    """Return the ordinates of finite samples, gaps and lines taken care of.
+    """Return the ordinates of finite samples, with gaps completed and lines left out.
 
-    A DataError refuses too few samples, equal ones, and those without a run that is long enough.
+    Too few samples, equal samples, and no run that is long enough raise a DataError.
     """
     scale = scale_of(series)
     runs, lost = _runs(series)
@@ -390,7 +389,7 @@ def _runs(series: AxisSeries) -> tuple[list[Run], int]:
     """Return the runs between long gaps, and the number of samples in runs too short."""
     every = runs_of(series.clock, bridging=_LONG)
     gaps = [after.first - run.end for run, after in pairwise(every)]
-    # The longest part the record; of gaps as long as each other, the first ones.
+    # Cut at the longest gaps; among equal ones, at the first.
     cuts = sorted(np.argsort(np.negative(gaps), kind="stable")[: _MOST - 1].tolist())
     ends = zip([0, *(cut + 1 for cut in cuts)], [*cuts, len(every) - 1], strict=True)
     joined = [every[a]._replace(stop=every[b].stop, end=every[b].end) for a, b in ends]
@@ -405,7 +404,7 @@ def _quick(series: AxisSeries, run: Run) -> Run:
 
 
 def _bins(size: int, blocks: int) -> DctBins:
-    """Return the bins of a block: fewer where there are many blocks, so that the whole stays small."""
+    """Return the bins of a block, fewer if there are many blocks, to limit their total."""
     if blocks <= _FINE:
         return dct_bins(size)
     return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
@@ -419,7 +418,7 @@ def _transform(
         temperature = temperature[run.start : run.stop]
     variance = loss = drawn = None
     if samples.size == bins.n:
-        # A power of two scales the ordinates without a digit lost.
+        # Exact, because `scale` is a power of two.
         ordinates = own_ordinates(samples)
         ordinates /= scale
     else:
@@ -461,7 +460,7 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     return (Finding("info", "gaps-in-fit", text, axis=series.name),)
 
 
-#: What a result keeps of its ordinates.
+#: Fields of the ordinates that a result keeps.
 _KEPT = ("size", "power", "names", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
@@ -495,7 +494,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
             cross[i, here] = total(own * v)
             for j, w in enumerate(columns[: i + 1]):
                 gram[i, j, here] = gram[j, i, here] = total(v * w)
-    # The transform's own rounding: no bin of exactly no power, not even of a straight line.
+    # Add the transform's rounding error, so that no power is exactly zero.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
         keep = 1 - block.loss
@@ -506,7 +505,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
 
 
 def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: float) -> Bins:
-    """Return what is kept of the ordinates of a whole spectrum, which are those of `blocks`."""
+    """Return the bins to keep from the ordinates of `blocks`' whole spectrum."""
     every = [block.bins for block in blocks.blocks]
     return Bins(
         n=np.array([bins.n for bins in every], dtype=np.int64),
@@ -533,8 +532,8 @@ def ordinates_of(bins: Bins) -> Ordinates:
 def joined(records: Sequence[Ordinates]) -> Ordinates:
     """Return the ordinates of several records as those of one: their likelihoods multiply.
 
-    The ramp is common to them, and in the scale of the first; what else was taken out of a record is a
-    regressor of its own, ``2:step@1000`` for the third record's, because a step is one record's alone.
+    They share the ramp, in the first record's scale. Other regressors belong to one record only, such as
+    ``2:step@1000`` of the third record.
     """
     names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
     parts, first = [], 1

@@ -1,13 +1,13 @@
-"""From the chosen candidate to estimates whose intervals hold though the model was chosen.
+"""Estimates whose intervals allow for the choice of the model.
 
-A term that may be zero has a bound instead of a value. An interval that takes the chosen structure for
-granted does not cover: a weak term is dropped by the choice, and its neighbour takes its power with a
-narrow interval. So each model whose criterion is near the best is completed with the terms that every fit
-reports, at zero where the data want them there, and a term's interval reaches from its lowest limit in any
-of them to its highest. What a model has to say gets less with its distance from the best.
+A term that may be zero has a bound instead of a value. Intervals that ignore the choice of the model do not
+cover: if a weak term is dropped, its neighbour absorbs its power with a narrow interval. So each model
+whose criterion is near the best is completed with the terms that every fit reports, at zero if the data
+prefer that. A term's interval extends from its lowest to its highest limit in these models. The weight of a
+model decreases with its distance from the best.
 
 Leeb & Pötscher (2005), Econometric Theory 21, p. 21, "Model selection and inference: facts and fiction",
-show why a remedy is needed; how well this one covers is measured by `tests/benchmarks/coverage_auto.py`.
+show why a remedy is needed; `tests/benchmarks/coverage_auto.py` measures the coverage of this one.
 """
 
 from collections.abc import Iterable, Iterator
@@ -36,14 +36,14 @@ from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
     """Return the best candidate, and estimates or bounds of its terms.
 
-    A term whose interval holds zero is bounded and left out of the model; the other terms keep the
-    values and intervals that they have beside it, since it may be there.
+    A term whose interval contains zero is bounded and left out of the model. The other terms keep their
+    values and intervals from the fit with it, since it may exist.
     """
     fitted = fitted_model(choice, 0)
     bounded: dict[str, Estimate] = {}
     estimates = estimate(problem, fitted)
     while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
-        # The term whose absence costs the least likelihood.
+        # Drop the term that costs the least likelihood.
         fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
         least = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
         fitted, bounded[gone[least].key] = fits[least].by_time(), gone[least]
@@ -52,23 +52,23 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, t
 
 
 def with_absent(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    """Add the bounds of N, B and K that a given model lacks: what it leaves them beside its own terms."""
+    """Add the upper bounds of N, B and K if the model lacks them, each fitted together with its own terms."""
     absent = set(ALWAYS).difference(e.symbol for e in estimates)
     bounds_of = [upper_bound(problem, add_term(problem, fitted, symbol), symbol) for symbol in absent]
     return ordered((*estimates, *bounds_of))
 
 
 def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
-    """Return estimates by rising slope, those of one symbol by their keys."""
+    """Return estimates sorted by rising slope, then by key."""
     order = list(TERMS)
     return tuple(sorted(estimates, key=lambda e: (order.index(e.symbol), e.key)))
 
 
 def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> list[Estimate]:
-    """Return the terms of which one must go before the others' estimates mean something.
+    """Return terms, one of which must be dropped to make the other estimates meaningful.
 
-    Terms with a time but without power, whose time means nothing but makes others unsure; else terms
-    that may stand for one another: each may be zero, but not all together.
+    These are bounded terms with a correlation time: their time is arbitrary and widens other intervals. If
+    there are none, these are terms that can replace one another: each may be zero, but not all at once.
     """
     gone = [e for e in estimates if e.status == "bounded"]
     timed = [e for e in gone if len(TERMS[e.symbol].parameters()) > 1]
@@ -85,9 +85,9 @@ def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, .
 def numbered(
     estimates: tuple[Estimate, ...], names: tuple[str, ...]
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
-    """Return estimates and parameters where each of several terms of one kind has a number.
+    """Return estimates and parameter names, with numbered keys if there are several terms of one kind.
 
-    One that stayed when others were dropped was called by its symbol alone; it comes first.
+    The only remaining term of a kind has its symbol as key and comes before dropped ones.
     """
     every = ordered(estimates)
     keys = term_keys(e.symbol for e in every)
@@ -97,12 +97,12 @@ def numbered(
 
 
 def fitted_model(choice: RankedModels, index: int) -> Fitted:
-    """Return one of the ranked models, terms of one kind by rising time."""
+    """Return one of the ranked models, with terms of one kind sorted by rising time."""
     return Fitted(structure=choice.structures[index], maximum=choice.maximum[[index]]).by_time()
 
 
 def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
-    """Return the fit of the structure without some of its terms, started where it stands."""
+    """Return the fit without some of its terms, started at its other parameters."""
     terms = list(zip(term_keys(fitted.structure), fitted.structure, strict=True))
     structure = tuple(symbol for key, symbol in terms if key not in keys)
     old = fitted.candidate
@@ -116,7 +116,7 @@ def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
 
 
 def behind_filter(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> Candidates:
-    """Return the candidate of another structure behind a fit's output filter."""
+    """Return the candidate of another structure with a fit's output filter."""
     return candidates_of(
         [structure],
         problem.ordinates.names,
@@ -128,7 +128,7 @@ def behind_filter(problem: Problem, fitted: Fitted, structure: Structure, room: 
 
 
 def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
-    """Return the fit with a power-law term added, started from almost none of it."""
+    """Return the fit with a power-law term added, started from almost zero."""
     structure = in_order((*fitted.structure, symbol))
     candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
     low, _ = bounds(problem.ordinates, candidate)
@@ -140,7 +140,7 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
 
 
 def completed(problem: Problem, fitted: Fitted) -> Fitted:
-    """Return the fit with the terms that every fit reports, at zero where the data want them there."""
+    """Return the fit with the terms that every fit reports, at zero if the data prefer that."""
     for symbol in fitted.missing:
         fitted = add_term(problem, fitted, symbol)
     return fitted
@@ -154,24 +154,24 @@ def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
     return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))
 
 
-#: A model has its full say up to the first distance in the criterion from the best, none from the second on.
+#: Distances in the criterion from the best: weight 1 up to the first, 0 from the second on.
 _FULL_SAY, _NO_SAY = 6.0, 9.0
-#: Models whose likelihoods, at two a parameter, are within this tell their terms apart no more.
+#: Difference in Akaike's criterion within which the data can't distinguish models.
 _ALIKE = 4.0
-#: A Gauss-Markov term slower than this part of the record is a walk to it: it speaks for K.
+#: Share of the record; a Gauss-Markov term with a longer correlation time is reported as K.
 _WALK = 1 / 20
 #: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
 #: Gauss-Markov term of some seconds next to a walk resembles flicker; B was shown in 21 of 24 records.
 _FADES = frozenset({"K"})
-#: Most models that are looked at.
+#: Largest number of models that are completed.
 _MOST = 16
 
 
 @frozen_alone
 class Opinion:
-    """What a near model says of its terms: its estimates by their keys.
+    """The estimates of a model near the best, by their keys.
 
-    Its `say` is how much it counts, 1 near the best and 0 far from it; limits are as far from the values.
+    `say` is its weight, 1 near the best and 0 far from it; it scales the width of the intervals.
     """
 
     say: float
@@ -180,23 +180,22 @@ class Opinion:
 
     @property
     def slow(self) -> bool:
-        """Whether its K is the walk of a slow Gauss-Markov term."""
+        """Whether its K describes a slow Gauss-Markov term."""
         return self.terms["K"].horizon_s < np.inf
 
     def vetoes(self, key: str) -> bool:
-        """Whether a term may be zero here, and this is near enough for that to bound it."""
+        """Whether a term may be zero here, and the model has enough weight to bound it."""
         return _may_be_zero(self.terms[key]) and (self.say >= 1 or key not in _FADES)
 
 
 def hull_estimates(
     problem: Problem, choice: RankedModels
 ) -> tuple[Fitted, tuple[Estimate, ...], tuple[Estimate, ...]]:
-    """Return the model to draw, its own estimates, and those whose intervals hold for every near model.
+    """Return the model to draw, its own estimates, and estimates whose intervals cover all near models.
 
-    A term whose interval reaches down to zero is bounded, also where the chosen model has it. Where N, B
-    or K is shown that the chosen model lacks, the model is drawn with it: a parameter costs the choice
-    more than data need to show it, and terms that are printed should add up to the line. Not so a K that
-    is the walk of a Gauss-Markov term, which the model has already.
+    A term whose interval reaches down to zero is bounded, even if it is in the chosen model. If N, B or K is
+    shown but not in the chosen model, it is added to the drawn model, so that the printed terms add up to the
+    line. The exception is a K that describes a Gauss-Markov term of the model.
     """
     fitted, own = estimate_or_bound(problem, choice)
     models = [_opinion(problem, distance, model) for distance, model in _completed(problem, choice)]
@@ -216,11 +215,11 @@ def hull_estimates(
 def _with_rivals(
     problem: Problem, choice: RankedModels, found: dict[str, Estimate], models: list[Opinion]
 ) -> Iterator[Estimate]:
-    """Yield estimates with the terms that may stand in their place, and for how long K holds beside them."""
+    """Yield estimates with their alternative terms, and K with the longest time for which it is valid."""
     others, markov = _alternatives(choice), GaussMarkov.symbol
     horizon = min(model.terms["K"].horizon_s for model in models)
     if markov in others["K"]:
-        # The lower limit of T of the slowest term that the nearest model has in place of K.
+        # K is valid up to the lower limit of T of the term that replaces it in the nearest model.
         rivals = (s for s in choice.structures if markov in s and "K" not in s)
         rival = fitted_model(choice, choice.structures.index(next(rivals)))
         slowest = [column for name, column in rival.columns() if name.endswith(".T")][-1]
@@ -234,13 +233,13 @@ def _with_rivals(
 
 
 def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
-    """Return what the nearest model with a value says of a term, where the chosen one has none."""
+    """Return the estimate, or if it has no value, that term in the nearest model with a value."""
     every = (own, *(model.terms[own.key] for model in models))
     return next((e for e in every if e.value is not None), own)
 
 
 def _opinion(problem: Problem, distance: float, model: Fitted) -> Opinion:
-    """Return what a model at that distance from the best says; its slowest term may say what K is."""
+    """Return the opinion of a model at a `distance` from the best; its slowest term may replace K."""
     say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
     reach = say * quantile(problem.level)
     terms = {
@@ -259,11 +258,11 @@ def _time_of(found: Estimate) -> float:
 
 
 def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
-    """Return the walk sigma sqrt(2/T) that a slow Gauss-Markov term begins with; at most `high`, or more.
+    """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term at short times.
 
-    Sigma and T of such a term are unsure by themselves, and the walk that both make is not: its
-    limits are `reach` standard errors of half the difference of log sigma² and log T. It holds for times
-    up to the lower limit of T.
+    Sigma and T are uncertain separately, their walk is not: its limits are `reach` standard errors of half
+    the difference of log sigma² and log T; the upper limit is at least `high`. The walk is valid for times up
+    to the lower limit of T.
     """
     columns = dict(model.columns())
     sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
@@ -280,10 +279,10 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
 
 
 def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
-    """Return the greatest white noise below the spectra of the near models, where N may be zero.
+    """Return N from the minima of the near models' spectra, if N may be zero.
 
-    Every record has a floor. Where a quick Gauss-Markov term at the end of the band may have all of it, the
-    models differ in its name and not in its level.
+    Every record has a noise floor. If a fast Gauss-Markov term at the end of the band can explain it, the
+    models disagree about its name, not its level.
     """
     ordinates = problem.ordinates
     levels, freedom = [], []
@@ -293,7 +292,7 @@ def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
         octave = np.abs(np.log2(ordinates.fraction / ordinates.fraction[lowest])) < 0.5
         levels.append(problem.deviation("N") * float(np.sqrt(spectrum[lowest])))
         freedom.append(float(ordinates.size[octave].sum()))
-    # A variance told by n ordinates is sure to the root of 2/n; its root to half of that.
+    # Relative standard error of the root of a variance from n ordinates: sqrt(2/n)/2.
     reach = problem.widening.get("N", 1.0) * quantile(problem.level) / np.sqrt(2 * max(min(freedom), 1.0))
     low, high = min(levels) * float(np.exp(-reach)), max(levels) * float(np.exp(reach))
     return replace(bound, status="estimated", value=levels[0], low=low, high=max(bound.high, high))
@@ -302,7 +301,7 @@ def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
 def _richer(
     problem: Problem, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
 ) -> tuple[Fitted, tuple[Estimate, ...]]:
-    """Return the chosen model, less what was dropped, with the terms that are shown; and its estimates."""
+    """Return the chosen model with the terms that are shown added, and its estimates."""
     for symbol in ALWAYS:
         if symbol in shown and symbol not in fitted.structure:
             fitted = add_term(problem, fitted, symbol)
@@ -310,9 +309,9 @@ def _richer(
 
 
 def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[tuple[float, Estimate]]:
-    """Return the say of each model and what it says of a term.
+    """Return the weight and the estimate of a term in each model.
 
-    Of others than N, B and K, each model that has the same ones.
+    For terms other than N, B and K only models with the same such terms count.
     """
     if key in ALWAYS:
         return [(model.say, model.terms[key]) for model in models]
@@ -321,7 +320,7 @@ def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[
 
 
 def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    """Return estimates with N, B and K so wide that they hold the limits of two fits; else the first's."""
+    """Return the estimates, with intervals of N, B and K that cover both fits."""
     other = {e.key: e for e in others if e.symbol in ALWAYS}
     spans = {e.key: [(1.0, e), (1.0, other[e.key])] for e in estimates if e.key in other}
     return tuple(
@@ -333,11 +332,10 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
-    """Return for each term those that may stand in its place: one of the two is there, but not told which.
+    """Return for each term the terms that may replace it: the data show one of them, but not which.
 
-    Every model of about the best likelihood has one of them, and neither is in all of these models. Here
-    a parameter has the price of Akaike's criterion: what tells two things apart is the record, and not
-    that one of them is simpler to write down.
+    Every model near the best likelihood contains one of the two, and neither is in all of these models. Near
+    is judged by Akaike's criterion: the data must distinguish the two, not the simplicity of a model.
     """
     fit = 2 * (choice.maximum.objective + choice.maximum.candidates.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _ALIKE)]
@@ -350,10 +348,10 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
 
 
 def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
-    """Return an estimate with the limits of all models; itself where no near model has its term.
+    """Return an estimate with the limits of all models, unchanged if no near model has its term.
 
-    A model with its full say that has the term at zero bounds it; one with less draws the lower limit of one
-    that `_FADES` towards zero.
+    A model of weight 1 with the term at zero bounds it; so does any model if the term is not in `_FADES`. For
+    terms in `_FADES` a smaller weight lowers the lower limit.
     """
     if not span:
         return own
@@ -377,12 +375,12 @@ def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
 
 
 def _may_be_zero(found: Estimate) -> bool:
-    """Whether an interval reaches down to zero, or to what is printed as zero beside its upper limit."""
+    """Whether the lower limit is zero, or negligible relative to the upper limit."""
     return found.low <= NOUGHT * found.high
 
 
 def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fitted]]:
-    """Yield the distinct completions of the near models and their distances, that of the best first."""
+    """Yield the distances and distinct completions of the near models, the best first."""
     distances = choice.criterion - choice.criterion[0]
     seen = set()
     for index in np.flatnonzero(distances < _NO_SAY)[:_MOST].tolist():

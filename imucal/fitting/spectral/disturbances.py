@@ -1,11 +1,10 @@
-"""What is not noise at low frequencies: temperature, warm-up, steps and cycles, found and taken out.
+"""Detection of disturbances at low frequencies: temperature, warm-up, steps and cycles.
 
-Each would be fitted as a random walk or flicker. One at a time, the shape that gains most beside a
-rich noise model is added to the regressors, as long as it gains more than chance and its price give.
+A fit would mistake them for random walk or flicker. The search adds one shape at a time to the regressors
+of a rich noise model: the one that gains most, if the gain exceeds its price and a margin.
 
-Which shapes are worth a fit, the whitened ordinates tell: at a given spectrum, the log-likelihood that a
-regressor gains is half the square of its correlation with them, less what the regressors that are in the
-fit explain of both.
+The whitened ordinates select the shapes worth a fit: at a given spectrum, the log-likelihood that a regressor
+gains is half its squared correlation with them, after both are made orthogonal to the fit's regressors.
 """
 
 import math
@@ -25,23 +24,23 @@ from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
 from imucal.units import pretty
 
-#: Places in a block at which a step is looked for.
+#: Number of places in a block that are searched for a step.
 _PLACES = 8192
-#: Ordinates, of all blocks, that hold nearly all of a cycle of 24 periods a record, or of a warm-up.
+#: Ordinates of all blocks that contain nearly all power of a cycle of 24 periods or of a warm-up.
 _OF_SMOOTH = 512
-#: The same for a slow cycle.
+#: Ordinates for a slow cycle.
 _OF_SLOW = 128
-#: Nearer to the ends of a block than this share of it, a step is not told from the block's mean.
+#: Share of a block at each end where a step can't be distinguished from the block's mean.
 _CLEAR = 0.005
-#: What is left of a shape beside the regressors of the fit, below which it is one of them.
+#: Remainder of a shape, after subtracting the fit's regressors, below which it is collinear with them.
 _ALIKE = 1e-6
 
 
 @frozen_alone
 class Whitened:
-    """The lowest ordinates of blocks over the roots of their spectrum, less what the regressors explain.
+    """The lowest ordinates of blocks, divided by the root of their spectrum, minus the fitted regressors.
 
-    `weight` is 1/sqrt(S) of each block's ordinates, 0 where they are left out, shapes (k,); `rest` the
+    `weight` is 1/sqrt(S) of each block's ordinates, 0 if they are left out, shapes (k,). `rest` are the
     whitened ordinates of all blocks, shape (K,), and `base` an orthonormal basis of the whitened regressors,
     (K, r).
     """
@@ -57,7 +56,7 @@ class Whitened:
         parts = np.split(spectrum, np.cumsum([block.bins.size for block in blocks])[:-1])
         weights = []
         for block, part in zip(blocks, parts, strict=True):
-            # Less where missing samples took of it.
+            # Missing samples reduce the power.
             share = 1.0 if block.loss is None else 1 - block.loss
             own = np.repeat(np.sqrt(share / part), block.bins.count)
             weights.append(own if block.kept is None else np.where(block.kept, own, 0.0))
@@ -80,7 +79,7 @@ class Whitened:
         return float(self.rest @ (columns @ solution))
 
     def lowest(self, count: int = _OF_SMOOTH) -> "Whitened":
-        """Return the lowest ordinates, which hold nearly all of a smooth shape; the basis is cut off too."""
+        """Return the lowest ordinates, which contain nearly all of a smooth shape, with truncated basis."""
         blocks = tuple(block.lowest(max(count // len(self.blocks), 1)) for block in self.blocks)
         sizes = [block.ordinates.size for block in self.blocks]
         starts = np.cumsum([0, *sizes[:-1]])
@@ -89,7 +88,7 @@ class Whitened:
         return Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
 
     def gains_alone(self, names: Sequence[str]) -> FloatArray:
-        """Return the gain of each of some regressors alone, shape (r,)."""
+        """Return the gain of each regressor alone, shape (r,)."""
         columns = self.columns(names)
         whole = np.sum(columns**2, axis=0)
         columns -= self.base @ (self.base.T @ columns)
@@ -108,7 +107,7 @@ class Whitened:
         pairs -= (pairs @ self.base) @ self.base.T
         products = np.moveaxis(pairs @ self.rest, 0, -1)
         size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
-        # Along the axes of each pair; one along which there is next to nothing is no regressor of its own.
+        # Use the principal axes of each pair, without nearly empty ones.
         along = np.einsum("wij,wi->wj", vectors, products)
         told = size > _ALIKE**2 * size[:, -1:]
         return np.asarray(np.sum(np.where(told, along**2 / np.where(told, size, 1.0), 0.0), axis=-1))
@@ -116,9 +115,9 @@ class Whitened:
     def step(self, taken: Sequence[float] = (), apart: float = 0.0) -> tuple[float, float, float]:
         """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
 
-        Places nearer than `apart` to one that is `taken` are left out.
-        The choice is the number of places that noise may choose among: by chance the gain of the best
-        exceeds u with a probability of that number times exp(-u/2), where it is small.
+        Places nearer than `apart` to one of `taken` are left out. The choice is the effective number of
+        independent places: in pure noise the best gain exceeds u with a probability of about this number
+        times exp(-u/2), if that is small.
         """
         first, choice, best = 0, 0.0, (0.0, 0.0)
         near = [(place - apart, place + apart) for place in taken]
@@ -140,9 +139,9 @@ def _best_step(
 ) -> tuple[float, float, float]:
     """Return place and gain of the best step inside one block, and the number of places to choose among.
 
-    A step's ordinates are sines of its place, so sine transforms give its products with everything
-    at all places at once. The number is how often the root of the gain of a chance step crosses zero, by
-    Rice (1945), Bell Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
+    A step's ordinates are sines of its place, so sine transforms give the products of all places at once. The
+    number is the expected count of zero crossings of the root of the gain in pure noise, by Rice (1945),
+    Bell Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
     """
     n, count = block.bins.n, weight.size
     places = max(_PLACES, 2 * count)
@@ -174,70 +173,68 @@ def _best_step(
     for low, high in without:
         gain[(where > low) & (where < high)] = 0.0
     at = int(np.argmax(gain))
-    # The path of the steps divided by their sizes: what changes the size alone is no way.
+    # Length of the path of the normalised steps: changes of size alone do not count.
     way = slope / power - (np.gradient(power) / (2 * power)) ** 2
     choice = float(np.sqrt(np.maximum(way, 0.0))[clear : gain.size - clear].sum()) / np.pi
     return float(where[at]), float(gain[at]), choice
 
 
-#: A rich model, and the ordinates that slow shapes live in.
+#: A rich model, and the number of ordinates that contain slow shapes.
 _STRUCTURE = ("N", "B", "GM", "K", "R")
 _LOWEST = 4000
-#: Time constants of a warm-up, and lags of a temperature, as parts of the record. A slower warm-up than the
-#: slowest is a ramp and a parabola, as the slowest is.
+#: Time constants of a warm-up, as parts of the record; the slowest is already a ramp and a parabola.
 _WARM_UPS = np.geomspace(0.01, 2.0, 12)
 #: Time constants around the best one, relative to it.
 _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
+#: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
-#: Periods a record of the cycles that are looked for: fewer are drifts, more are lines. And their
-#: spacing, at first and where a peak was found.
+#: Periods per record of cycles: fewer are drifts, more are lines.
 _FEWEST_PERIODS, _MOST_PERIODS = 2.0, 24.0
-#: Fewest periods a record of a slow cycle, one that looks like a random walk; fewer are a drift.
+#: Fewest periods per record of a slow cycle, which resembles a random walk; fewer are a drift.
 _FEWEST_SLOW = 0.7
+#: Spacing of the periods per record, in the search and around its peak.
 _SPACING, _FINE = 0.25, 1 / 64
-#: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
+#: Least gain of a shape beyond its price, in twice the log-likelihood.
 _MARGIN = 7.0
-#: Share of clean records in which a step would gain what it must, were their spectrum known.
+#: False alarm rate of steps in clean records of known spectrum.
 _CHANCE_STEP = 0.002
-#: What a cycle must gain beyond the margin. Its frequencies to choose among are the periods a record,
-#: whatever the rate: were the spectrum known, chance would gain 21 in one of 500 records by Baluev (2008),
-#: MNRAS 385, 1279; beside one that is fitted, 23.
+#: Price of a cycle, independent of the rate. With a known spectrum one of 500 clean records gains 21 by
+#: Baluev (2008), MNRAS 385, 1279; with a fitted one 23.
 _PRICE_CYCLE = 16.0
-#: A cycle that gains this much beyond its price, more than in 95 of 100 clean records, and is not named, may
-#: be there or not.
+#: Gain beyond its price above which a cycle below the margin is doubtful: 95 of 100 clean records gain less.
 _DOUBT = -0.5
-#: The same for a slow cycle, which a random walk looks like more often, and for a warm-up.
+#: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
-#: A warm-up or a slow cycle explains a record as well as a random walk does if N and B beside it gain this
-#: much on the rich model. Of 60 simulated records with a weak walk 8 gain either, with flicker alone 5.
+#: Gain on the rich model from which a warm-up or slow cycle with N and B explains a record as well as a
+#: walk. Of 60 simulated records with a weak walk 8 reach either gain, with flicker alone 5.
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
-#: Without this factor between the spectra with and without the walk no walk is shown.
+#: Ratio of the spectra with and without walk below which the record shows no walk.
 _NO_WALK = 2.0
 #: Logarithm of a variance that is zero.
 _NOTHING = -300.0
-#: A shape that has a cause goes before a cycle, the cheapest shape, where it gains this part as much.
+#: Other shapes, which have a cause, are preferred to cycles if they gain at least this share of the best.
 _CAUSED = 0.9
-#: Nearer than the record's length over this, two steps are too alike in the lowest ordinates to be fitted.
+#: Steps nearer than the record's length over this are collinear in the lowest ordinates.
 _TELLABLE = 65536
-#: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much. That
-#: spectrum has the power of a slow cycle or warm-up in it: the fit with that gains far more than it says.
+#: Least gain, at the spectrum without the shape, for a fit. Slow cycles and warm-ups need less: this spectrum
+#: contains their power, so the fit gains far more.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
-#: Most shapes that are taken out.
+#: Largest number of shapes to take out.
 _MOST = 8
 
 
-#: From about where a step lies, where others lie and how far it is from those, to where it lies exactly.
+#: Returns a step's exact place from its approximate place, other steps' places and the least distance.
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
 @frozen
 class Disturbance:
-    """A shape of the samples that is no noise.
+    """A shape in the samples that is not noise.
 
     Its `kind` is ``temperature``, ``warm-up``, ``step`` or ``cycle``. `names` are its regressors, and `size`
-    their coefficients in scaled units, () before it is fitted. Its `price` is what it must gain in twice the
-    log-likelihood, beside a margin: of a parameter the logarithm of the record's length; that of a step or a
-    cycle follows from how often chance makes one.
+    their coefficients in scaled units, () if not fitted yet. `price` is the gain in twice the log-likelihood
+    that it needs in addition to a margin: per parameter the logarithm of the record's length; for a step or a
+    cycle it follows from the false alarm rate.
     """
 
     kind: str
@@ -247,23 +244,23 @@ class Disturbance:
 
     @property
     def amplitude(self) -> float:
-        """Size of the regressors together, in scaled units."""
+        """Amplitude of all regressors together, in scaled units."""
         return float(np.linalg.norm(self.size))
 
     @property
     def value(self) -> float:
-        """What follows the colon of the first regressor's name; 0 where nothing does."""
+        """Number after the colon of the first regressor's name; 0 if there is none."""
         return float(self.names[0].partition(":")[2] or 0.0)
 
 
 def find_disturbances(
     blocks: Sequence[Block], *, steps: bool = True, exact: ExactPlace | None = None
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
-    """Return what the data ask to be taken out beside the ramp, the strongest first; and what is doubtful.
+    """Return the shapes to take out in addition to the ramp, the strongest first; and the doubtful ones.
 
-    Without `steps` none are looked for: a level that jumps to and fro is not a few of them. `exact` puts
-    each step where it lies exactly before it is fitted: beside a step that is fitted a little off its
-    place, the next best shape is another step there, which mends it.
+    Without `steps` the search skips steps: a level that jumps back and forth has too many. `exact` returns
+    the exact place of a step before its fit: otherwise the next best shape would be a second step that
+    corrects the error of the first.
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
@@ -299,10 +296,10 @@ def find_disturbances(
 def _taken_out(
     one: Disturbance, low: Sequence[Block], names: tuple[str, ...], length: int
 ) -> tuple[Disturbance, "_Fits"]:
-    """Return a shape and the fit with it, beside the regressors `names`.
+    """Return a shape and the fit with it and the regressors `names`.
 
-    The spectrum without a warm-up contains the warm-up's power. With the right spectrum its time constant is
-    found again.
+    The spectrum without a warm-up contains the warm-up's power, so its time constant is searched again
+    with the spectrum of the fit with it.
     """
     base = _fits(low, [(*names, *one.names)])
     if one.kind != "warm-up":
@@ -330,12 +327,12 @@ class _Fits:
 
     @property
     def spectrum(self) -> FloatArray:
-        """Of the first set, at the bins, shape (b,); 1 in bins without ordinates."""
+        """Spectrum of the first set at the bins, shape (b,); 1 in bins without ordinates."""
         return self._spectrum_at(self.maximum.theta[[0]])
 
     @property
     def without_walk(self) -> FloatArray:
-        """Of the first set, without K and the Gauss-Markov term; shape (b,)."""
+        """Spectrum of the first set without K and the Gauss-Markov term, shape (b,)."""
         theta = self.maximum.theta[[0]]
         theta[:, [COLUMN["K"], SHAPED]] = _NOTHING
         return self._spectrum_at(theta)
@@ -345,7 +342,7 @@ class _Fits:
 
 
 def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> _Fits:
-    """Return the best fit of a structure with each set of regressors beside the ramp."""
+    """Return the best fit of a structure with the ramp and each set of regressors."""
     names = ("R", *dict.fromkeys(name for names in sets for name in names))
     ordinates = bin_blocks(low, 1.0, names)
     seen = ordinates[ordinates.size > 0]
@@ -355,7 +352,7 @@ def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Stru
 
 
 def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
-    """Yield the best shape of each kind but steps that may be worth a fit."""
+    """Yield the best shape of each kind, except steps, if it may be worth a fit."""
     price = np.log(length)
     families: list[list[Disturbance]] = []
     once = {one.kind for one in found}
@@ -393,7 +390,7 @@ def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
 def _rival(low: Sequence[Block], base: "_Fits", found: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
     """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ().
 
-    A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little beside it.
+    A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little with it.
     The shape with N and B alone is compared with the rich model instead.
     """
     still, length = base.without_walk, low[-1].offset + low[-1].bins.n
@@ -413,7 +410,7 @@ def _rival(low: Sequence[Block], base: "_Fits", found: Sequence[Disturbance]) ->
 def _step(
     whitened: Whitened, apart: float, found: Sequence[Disturbance], exact: ExactPlace | None
 ) -> Iterator[Disturbance]:
-    """Yield the best step if it may be worth a fit; nearer than `apart` to another it is the same one."""
+    """Yield the best step at least `apart` from the others, if it may be worth a fit."""
     taken = [one.value for one in found if one.kind == "step"]
     place, gain, choice = whitened.step(taken, apart)
     if gain <= _WORTH_A_FIT:
@@ -443,17 +440,17 @@ def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[
 
 #: Time constants after which a warm-up has settled: 5 % of it is left.
 _SETTLED = 3.0
-#: Jumps in one direction within this part of the record of each other are one shift.
+#: Share of the record within which jumps in one direction are one shift.
 _ONE_SHIFT = 0.02
-#: The search tells a step's place to this share of the record.
+#: Accuracy of the search for a step's place, as a share of the record.
 _COARSE = 1 / 1000
 
 
 def exact_places(series: AxisSeries) -> ExactPlace:
-    """Return what puts a step at the sample where it splits its surroundings best.
+    """Return the function that moves a step to the sample that splits its surroundings best.
 
-    Of two levels in white noise, the place of least squares maximises the weighted square of their
-    difference. The surroundings end at other steps.
+    For two levels in white noise, the least-squares place maximises the weighted square of their difference.
+    The surroundings end at other steps.
     """
 
     def exact(about: float, taken: Sequence[float], apart: float) -> int:
@@ -481,7 +478,7 @@ def disturbance_findings(
 ) -> tuple[Finding, ...]:
     """Return a finding for each kind that was found; `scale` is U per scaled unit.
 
-    Where they are `fitted` with the noise, the finding says so.
+    If they are `fitted` with the noise, the finding explains it.
     """
     kinds = {kind: [one for one in found if one.kind == kind] for kind in _WORDS}
     return tuple(_WORDS[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
@@ -517,7 +514,7 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
     """Name the jumps in order of time; the longest part without one is worth keeping.
 
-    Jumps that follow each other soon in one direction are one shift that takes its time.
+    Jumps in one direction shortly after each other are reported as one gradual shift.
     """
     found = sorted(found, key=lambda one: one.value)
     times = [one.value * series.tau0 for one in found]
@@ -552,7 +549,7 @@ def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *
     return Finding("warning", "cycle", text, advice, axis=series.name)
 
 
-#: Kind of disturbance -> what says it, in the order in which they are said.
+#: Kind of disturbance -> function that returns its finding, in order of the report.
 _WORDS = {
     "temperature": _temperature_finding,
     "warm-up": _warm_up_finding,
@@ -564,7 +561,7 @@ _WORDS = {
 def doubtful_finding(
     doubtful: Sequence[Disturbance], series: AxisSeries, scale: float
 ) -> tuple[Finding, ...]:
-    """Return a finding for the warm-up or cycles that may be there; `scale` is U per scaled unit."""
+    """Return a finding for doubtful warm-ups or cycles; `scale` is U per scaled unit."""
     if not doubtful:
         return ()
     cycles = [one for one in doubtful if one.kind == "cycle"]

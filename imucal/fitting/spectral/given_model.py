@@ -1,17 +1,17 @@
-"""The fit of a given model from stored bins, of one record or of several as one.
+"""Fit of a given model to stored bins of one record or of several jointly.
 
-Whether records of one sensor have the same coefficients is told by the likelihood ratio of one for all
-against one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). A term is tested with the other
-terms free in each record, so that a change of one is not blamed on another; correlation times and the
-output filter are as in the joint fit.
+A likelihood ratio tests whether records of one sensor have the same coefficient: one for all records
+against one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). The other terms are free in each
+record, so that a change of one term is not attributed to another. Correlation times and the output filter
+come from the joint fit.
 
-Squared coefficients may be below zero. A fit keeps variances positive, and so an absent term is never zero
-on average; but the spectrum is linear in the variances, and weighted least squares have no bias where the
-weights do not follow the low ordinates: those of a spectrum that holds each weak term at one standard
-deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed., section 2.5). The deviation of an
-estimate grows with the coefficient. It is given as a law, not at the estimate: who weights many logs by
-deviations at their own estimates prefers those that drew low. Of a term told by two to four deviations,
-such a mean was half to one deviation of a log too low, however many the logs.
+Squared coefficients may be negative. A fit keeps variances positive, so its estimate of an absent term is
+positive on average. But the spectrum is linear in the variances, and weighted least squares are unbiased if
+the weights do not follow low ordinates. The weights come from a spectrum with each weak term at one standard
+deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed., section 2.5). The standard deviation
+of an estimate grows with the coefficient and is given as a function of it. Weighting many logs by deviations
+at their own estimates would favour low estimates: for terms of two to four deviations the mean would be half
+to one deviation of a log too low, for any number of logs.
 """
 
 import math
@@ -40,13 +40,12 @@ from imucal.noise.model import NoiseModel
 
 @frozen_alone
 class BinFit:
-    """A model fitted to the bins of some records: their ordinates, up to the end of the band, in one scale.
+    """A model fitted to the bins of some records, up to the end of the band, in one scale.
 
-    `problem` is all of them as one, `band` the part of the spectrum and the response of the output filter in
-    it, and `whole` the fit of the given terms and of N, B and K, at zero where the data want them there.
-    `model` and `estimates` are what a fit reports: those whose interval holds 0 are bounded, and not in the
-    model. `misfits` says by what factor a misfit makes a symbol's limits wider; it is empty where the model
-    fits.
+    `problem` joins all records. `band` is the part of the spectrum used and the output filter's response in
+    it. `whole` is the fit of the given terms and of N, B and K, at zero if the data prefer that. `model` and
+    `estimates` are the reported ones: terms whose interval contains 0 are bounded and not in the model.
+    `misfits` maps symbols to the factors by which a misfit widens their limits; empty if the model fits.
     """
 
     records: tuple[Ordinates, ...]
@@ -62,15 +61,15 @@ class BinFit:
 def fit_bins(
     bins: Sequence[Bins], structure: Structure, *, level: float, near: float | None = None
 ) -> BinFit:
-    """Return the fit of a structure to one or several records: as `fit_mle` from there on.
+    """Return the fit of a structure to one or several records, like `fit_mle` with given bins.
 
-    `near` is the band, as a fraction of Nyquist, in which they were described before, and not as flat.
+    `near` is the end of a known band that is not flat, as a fraction of Nyquist.
     """
     parts = [ordinates_of(one) for one in bins]
     every = joined(parts) if len(parts) > 1 else parts[0]
     band = _band(every, parts, structure, near)
     seen = band.select(every)
-    # Of all records half the excess kurtosis plus one, weighted by their ordinates.
+    # Half the excess kurtosis plus one, averaged over the records by their ordinates.
     surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
     problem = Problem(
         ordinates=seen,
@@ -99,9 +98,9 @@ def fit_bins(
 
 
 def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, near: float | None) -> Band:
-    """Return the band and response of all records; flat where most records by themselves are.
+    """Return the band and response of all records; flat if most records are flat by themselves.
 
-    Records whose coefficients differ fit no one model; together they may look like a filter's doing.
+    Records with different coefficients fit no common model; jointly they may resemble an output filter.
     """
     rich = richest(structure)
     if near is not None or len(parts) == 1:
@@ -112,9 +111,9 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ne
     return alone[0] if 2 * len(alone) > len(parts) else find_band(every, rich, given=structure)
 
 
-#: A coefficient whose log has less information than this is not told at all.
+#: Information on a log coefficient below which it is undetermined.
 _NONE = 1e-8
-#: A term whose log variance is no further above its lower bound is absent from the joint fit.
+#: Distance of a log variance from its lower bound below which the term is absent from the joint fit.
 _RAISED = 8.0
 
 
@@ -122,10 +121,10 @@ _RAISED = 8.0
 class RecordTest:
     """The test of one term over r records.
 
-    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared with
-    r - 1 degrees of freedom where there is one; `p_value` the probability of so much by chance. `values` are
-    the coefficients of the records in SI, shape (r,), 0 where the data want none, and `log_deviations` the
-    standard errors of their logarithms, shape (r,), inf where one is not told.
+    `statistic` is twice the drop of the log-likelihood with one coefficient for all records. If the records
+    share it, the statistic is chi-squared with r - 1 degrees of freedom; `p_value` is the probability of a
+    larger one. `values` are the records' coefficients in SI, shape (r,), 0 if the data prefer that.
+    `log_deviations` are the standard errors of their logarithms, shape (r,), inf if undetermined.
     """
 
     key: str
@@ -138,7 +137,7 @@ class RecordTest:
 
 
 def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
-    """Return the test of each term of a joint fit but the ramp; none for a single record."""
+    """Return the test of each term of a joint fit except the ramp; () for a single record."""
     if len(fit.records) < 2:
         return ()
     fitted, dof = fit.whole, len(fit.records) - 1
@@ -168,9 +167,9 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
 
 
 def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
-    """Return the parts of each term's test, beside which all others vary, and the logs of their variances.
+    """Return the parts of each term's test, with all other terms free, and the logs of their variances.
 
-    Each record has a ramp of its own; what was taken out of one is nothing in the others.
+    Each record has its own ramp; regressors of one record are zero in the others.
     """
     candidate, theta = fit.whole.candidate, fit.whole.maximum.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
@@ -197,23 +196,23 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     return parts, theta[0, : candidate.variances] + np.log(factor)
 
 
-#: Most steps of a search for squared coefficients.
+#: Largest number of steps of the search for squared coefficients.
 _STEPS = 100
-#: The search is at rest when a step gains less log-likelihood.
+#: Gain in log-likelihood below which the search ends.
 _REST = 1e-9
-#: What is beyond so many deviations of an estimate is sure, and in the weights.
+#: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
-#: A law is taken at zero and at the estimate, or at so many deviations.
+#: A deviation's growth is computed between zero and the estimate, at least this many deviations.
 _FAR = 4.0
-#: Beside the term that a law is of, a weak one is so many of its deviations at least.
+#: Least size of the other terms in this computation, in their deviations.
 _FLOOR = 0.5
 
 
 @frozen
 class SquaredCoefficient:
-    """The estimate of a squared coefficient in SI², which may be negative, and its law.
+    """The estimate of a squared coefficient in SI², which may be negative, and its deviation.
 
-    Its standard deviation is ``deviation + growth * square``: `deviation` where the coefficient is zero.
+    Its standard deviation is ``deviation + growth * square``: `deviation` if the coefficient is zero.
     """
 
     value: float
@@ -222,10 +221,10 @@ class SquaredCoefficient:
 
 
 def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
-    """Return the squared coefficient of each term of a fit but the ramp, by its key.
+    """Return the squared coefficient of each term of a fit except the ramp, by its key.
 
-    Correlation times and the output filter's response stay where the fit has them; the deviations allow
-    for their errors. They are wider, as the fit's limits are, for an excess kurtosis and for a misfit.
+    Correlation times and the output filter's response keep the fit's values; the deviations include their
+    errors. Excess kurtosis and a misfit widen them like the fit's limits.
     """
     problem, fitted = found.problem, found.whole
     ordinates, candidate = problem.ordinates, fitted.candidate
@@ -261,7 +260,7 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
 
 
 def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the variances, shape (t,), of the shapes, shape (t, b), where the likelihood is greatest."""
+    """Return the variances, shape (t,), of maximum likelihood for the shapes, shape (t, b)."""
 
     def objective(spectrum: FloatArray) -> float:
         if spectrum.min() <= 0:
@@ -286,7 +285,7 @@ def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: F
 
 
 def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatArray:
-    """Return the variances, shape (t,), of which weights are made: a weak one is its own deviation."""
+    """Return the variances, shape (t,), for the weights: weak ones are replaced by their deviation."""
     reference = np.maximum(peak, _deviations(shapes, size, np.maximum(peak, 0.0) @ shapes))
     for _ in range(_STEPS):
         deviation = _deviations(shapes, size, reference @ shapes)
@@ -302,9 +301,9 @@ def _laws(
 ) -> list[tuple[float, float]]:
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
-    `slopes`, shape (t + j, b), has the other parameters after them. The weights are those of `spectrum`; the
-    spectrum itself has one term at a place to choose, and the others where they are most likely then. So the
-    law does not follow the estimate, with which those of the others move.
+    `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. The weights follow
+    `spectrum`. The true spectrum is assumed with one term at a chosen value and the others at their most
+    likely values given it, because the estimates are correlated.
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2
@@ -327,7 +326,7 @@ def _laws(
 
 
 def _inverse(slopes: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the inverse of the slopes' information, also where some of them are alike."""
+    """Return the inverse of the slopes' information, a pseudo-inverse if some are collinear."""
     information = np.einsum("ib,b,jb->ij", slopes, weight, slopes)
     root = np.sqrt(np.maximum(np.diag(information), 1e-300))
     both = np.outer(root, root)

@@ -1,10 +1,10 @@
-"""The fitted model in each segment of a record: which of its terms are the same in all of them.
+"""The fitted model in each segment of a record, to test which terms change.
 
-Segments are of equal time. Nothing is looked for again: the scale, the lines that are left out, the
-drift, what the gaps miss, correlation times and the output filter are those of the whole record.
+Segments have equal duration. They use the whole record's scale, lines, drift, completed gaps, correlation
+times and output filter.
 
-A term is tested with white noise free to vary beside it, so that a change of the white noise is not
-blamed on the term; white noise itself with all slower terms free in one.
+A term is tested with free white noise, so that a change of the white noise is not attributed to the term.
+White noise is tested with a free common factor of all slower terms.
 """
 
 import math
@@ -33,11 +33,11 @@ from imucal.recording import AxisSeries
 
 #: Fewest samples of a segment, and of a part of it between two long gaps.
 _FEWEST, _FEWEST_IN_PART = 2048, 64
-#: Fewest segments that show how a term changes.
+#: Least number of segments for the tests.
 _LEAST = 3
-#: The bins of a segment: its spectrum is known roughly, and the model's mean over a bin exactly.
+#: Single bins and bins per octave: coarse, because the model's mean over a bin is exact.
 _SINGLES, _PER_OCTAVE = 16, 12
-#: Fewest ordinates that are left out on each side of a line.
+#: Least number of ordinates to leave out on each side of a line.
 _REACH = 3
 
 
@@ -45,8 +45,8 @@ _REACH = 3
 class SegmentOrdinates:
     """The ordinates of all segments, one after the other, without regressors.
 
-    Each segment's `first` bin stands at a place, and it begins and ends at a time in s from the first sample;
-    shape (s,) each.
+    Each segment has the index of its `first` bin, and its start and end in s from the first sample; shape
+    (s,) each.
     """
 
     ordinates: Ordinates
@@ -56,7 +56,7 @@ class SegmentOrdinates:
 
 
 def number_of_segments(samples: int, wanted: int) -> int:
-    """Return how many segments a record is cut into: fewer where it is short, 0 for none."""
+    """Return the number of segments of a record: fewer if it is short, 0 for none."""
     count = min(wanted, samples // _FEWEST)
     return count if count >= min(_LEAST, wanted) > 1 else 0
 
@@ -64,11 +64,10 @@ def number_of_segments(samples: int, wanted: int) -> int:
 def segment_ordinates(
     series: AxisSeries, blocks: SeriesBlocks, *, drift: Mapping[str, float], wanted: int, band: Band
 ) -> SegmentOrdinates | None:
-    """Return the ordinates of each segment of finite samples; None where they are too few for any.
+    """Return the ordinates of each segment of finite samples, or None if there are too few samples.
 
-    A segment of which the gaps leave too little is left out. `drift`, the name of a regressor -> its
-    coefficient in scaled units, is taken out; `wanted` is the most segments, `band` the part of the
-    spectrum that is fitted.
+    Segments with too few samples are left out. `drift` maps regressors to take out to their coefficients in
+    scaled units. `wanted` is the largest number of segments, `band` the fitted part of the spectrum.
     """
     count = number_of_segments(series.n, wanted)
     if not count:
@@ -100,7 +99,7 @@ def segment_ordinates(
 def _piece(
     series: AxisSeries, block: Block, *, drift: Mapping[str, float], scale: float, place: int, size: int
 ) -> Block | None:
-    """Return the part of a block from a place of the grid on; None where little of it was measured."""
+    """Return the part of a block from a place of the grid on, or None if it has too few samples."""
     size = fast_length(max(size, 0))
     clock = series.clock
     first, stop = clock.index_from(place), clock.index_from(place + size)
@@ -114,7 +113,7 @@ def _piece(
         at = clock.grid(first, stop) - place
         samples = _between(samples, at, block.drawn[before : before + missing])
     for name, coefficient in drift.items():
-        # What lags is followed from the beginning of the block on.
+        # A lagged temperature depends on the whole block before.
         before = place - block.offset
         start = 0 if name.startswith("temperature") else before
         places = block.offset + np.arange(start, before + size, dtype=np.float64)
@@ -122,7 +121,7 @@ def _piece(
         samples -= coefficient * regressor_samples(name, places, temperature)[before - start :]
     bins, loss = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE), None
     if missing:
-        # The share of information lost is the block's at the same frequency, as the gaps are spread.
+        # Lost information: the block's at the same frequency, scaled by the part's gaps.
         whole = np.zeros(block.bins.size) if block.loss is None else block.loss
         share = missing / size * block.bins.n / block.drawn.size if block.drawn is not None else 0.0
         loss = np.clip(share * np.interp(bins.omega, block.bins.omega, whole), 0.0, 0.99)
@@ -132,7 +131,7 @@ def _piece(
 
 
 def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray:
-    """Return samples at their places with those that were drawn between them."""
+    """Return samples at their places, with drawn samples in the gaps."""
     filled = np.empty(samples.size + drawn.size)
     gaps = np.ones(filled.size, dtype=bool)
     gaps[at] = False
@@ -141,10 +140,10 @@ def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray
 
 
 def _kept(block: Block, size: int) -> BoolArray | None:
-    """Return which ordinates of a part to use: those that are no line of the block; None for all.
+    """Return the mask of a part's ordinates without the block's lines; None for all.
 
-    A line's tail falls off with the distance in ordinates, which are wider apart in a part: so many
-    times that its reach there is the root of so many times that of the block.
+    A line's tail falls off with the distance in ordinates, which are wider apart in a part: its reach there
+    is the block's times the root of the ratio of lengths.
     """
     if block.kept is None:
         return None
@@ -157,7 +156,7 @@ def _kept(block: Block, size: int) -> BoolArray | None:
     return outside(low, high, size - 1)
 
 
-#: Longest averaging time of the floor, as a part of a segment.
+#: Longest averaging time of the floor, as a share of a segment.
 _PART = 0.25
 
 
@@ -172,10 +171,10 @@ def fit_segments(
     wanted: int,
     band: Band,
 ) -> Segments | None:
-    """Return what the segments of finite samples say of their fit; None where they are too few for any.
+    """Return the segments of a fit of finite samples, or None if there are too few samples.
 
-    `fitted` is the model that is shown, and `model` the same in SI; where it is lowest on the series' `curve`
-    is the averaging time of the floor. `wanted` and `band` as in `segment_ordinates`.
+    `fitted` is the reported model, `model` the same in SI. The averaging time of the floor is its minimum on
+    the series' `curve`. `wanted` and `band` as in `segment_ordinates`.
     """
     names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
     drift = {name: value for name, value in zip(names, beta, strict=True) if value}
@@ -195,7 +194,7 @@ def fit_segments(
 
 
 class _Tests:
-    """The tests of one fit's terms, all side by side."""
+    """The tests of one fit's terms, computed together."""
 
     def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
         self.problem, self.fitted, self.segments = problem, fitted, segments
@@ -211,7 +210,7 @@ class _Tests:
         whole = np.delete(spectra, absent, axis=0).sum(axis=0)
         columns = fitted.variances(fitted.missing)
         self.names = list(columns)
-        # Free beside a term is white noise, and beside that all slower ones in one.
+        # Free parameters: white noise in a term's test, a factor of all slower terms in white noise's.
         n = COLUMN["N"]
         white, slower = (set(rows).difference(absent) for rows in ([n], range(n + 1, len(spectra))))
         beside = [spectra[sorted(slower if at == n else white)].sum(axis=0) for at in columns.values()]
@@ -229,12 +228,12 @@ class _Tests:
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
 
     def homogeneity(self) -> tuple[TermHomogeneity, ...]:
-        """Return each term's test: Cochran's Q where each segment tells it, else the likelihood ratio."""
+        """Return each term's test: Cochran's Q if every segment determines it, or the likelihood ratio."""
         common = self.parts.fit(common=True)
         tests = []
         for row, name in enumerate(self.names):
             surplus = self.surplus(name)
-            # The variance of the log of a deviation is a quarter of that of its square's.
+            # A log deviation has a quarter of the variance of the log of its square.
             logs, weight = self.free.logs[row, :, 0] / 2, 4 * self.free.information[row] / surplus
             if weight.min() > SURE**-2:
                 statistic = cochran_q(logs, weight)
@@ -246,7 +245,7 @@ class _Tests:
         return tuple(tests)
 
     def surplus(self, name: str) -> float:
-        """Return by what factor the variance of a log is larger than the likelihood's: heavy tails."""
+        """Return the factor by which heavy tails increase the variance of a log."""
         return self.problem.widening.get(name, 1.0) ** 2
 
     def traces(
@@ -254,7 +253,7 @@ class _Tests:
     ) -> tuple[Trace | None, Trace | None, float]:
         """Return N and the floor of each segment, and the floor's averaging time."""
         length = float(np.min(self.segments.end_s - self.segments.start_s))
-        # The curve's own lowest point may be any low one of its uncertain end.
+        # Use the model's minimum: the curve's may be in its uncertain end.
         lowest = curve.tau[int(np.argmin(model.avar(curve.m.astype(np.float64), rate_hz=series.rate_hz)))]
         tau = min(float(lowest), _PART * length)
         m = np.array([max(tau / series.tau0, 1.0)])
@@ -276,7 +275,7 @@ class _Tests:
         n = Trace(value=value, low=low, high=high)
         if not slow:
             return n, None, np.nan
-        # What tells the slow part is a few ordinates: Student's quantile of the freedom that it has.
+        # Few ordinates determine the slow part: use Student's quantile.
         (tested, both), (_, beside) = np.moveaxis(sure.matrix[row], 0, -1)
         reach = student_quantile(self.problem.level, np.sqrt(tested / (tested * beside - both**2)))
         sums = self.parts.of(row).sum_limits(self.free.logs[row], np.array([shares["N"], slow]), reach)
