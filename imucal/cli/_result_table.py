@@ -67,13 +67,14 @@ def _wrapped(text: str, columns: int) -> list[str]:
 
 
 def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
-    """Return the keys of all blocks: the heading, the terms by rising slope, the minimum."""
+    """Return the keys of all blocks: the heading, the terms by rising slope, other rows, the minimum."""
     keys = dict.fromkeys(key for column in columns for key in column)
     first = [
         "",
         *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T")),
     ]
-    return [key for key in first if key in keys] + ["minimum"]
+    others = [key for key in keys if key not in {*first, "minimum"}]
+    return [*(key for key in first if key in keys), *others, "minimum"]
 
 
 def _blocks(axes: Sequence[AxisReport], *, datasheet: bool, plain: bool) -> dict[str, _Block]:
