@@ -20,7 +20,7 @@ from imucal.calibration.exports import export_calibration
 from imucal.calibration.writer import is_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
-from imucal.checking.verdict import check_calibration
+from imucal.checking.calibrated import check_calibration
 from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError, ImucalError
 from imucal.fitting import NoiseFit

@@ -7,14 +7,12 @@ JUnit XML, or as GitHub's workflow commands.
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import KW_ONLY, asdict, dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass
 from itertools import chain
 from typing import Literal, TypeAlias
 from xml.etree import ElementTree as ET
 
-from imucal._version import __version__
 from imucal.checking.limits import (
-    CALIBRATION_UNITS,
     LOG_QUANTITIES,
     Baseline,
     FindingRules,
@@ -25,11 +23,11 @@ from imucal.checking.limits import (
 from imucal.errors import LimitsError
 from imucal.findings import Finding
 from imucal.frozen import frozen
-from imucal.grading import BY_LEVEL, GRADES, Grade, NoiseVerdict
+from imucal.grading import NoiseVerdict
 from imucal.printable import one_line
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.json_file import Node, load, picked
+from imucal.report.json_file import load, picked
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
@@ -130,7 +128,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     A LimitsError says that neither they nor the caller name one, or that all limits are of a calibration; a
     ReadError that the one they name can't be read.
     """
-    if limits.calibration and not _of_noise(limits):
+    if limits.calibration and not are_of_noise(limits):
         msg = (
             f"{report.source.path}: this is a noise report, and the limits are for a calibration; write "
             "limits such as [gyroscope] N = { max = 1e-4 }, or check the folder of 'imucal calibrate'"
@@ -139,7 +137,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     rows = [
         *_axes_there(report, limits),
         *chain.from_iterable(_limit(report, limit) for limit in limits.limits),
-        *_findings(report.all_findings, limits.findings),
+        *finding_rows(report.all_findings, limits.findings),
     ]
     if limits.baseline is not None:
         rows += _baseline(report, baseline or _older(limits.baseline), limits.baseline)
@@ -153,101 +151,9 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     )
 
 
-def _of_noise(limits: Limits) -> bool:
+def are_of_noise(limits: Limits) -> bool:
+    """Return whether some limits are for a noise report."""
     return bool(limits.limits or limits.required or limits.baseline)
-
-
-def check_calibration(found: Node, limits: Limits) -> CheckResult:
-    """Judge a calibration.json: a row for each limit and parameter, and for each forbidden finding.
-
-    A limit is about the size of a parameter, whatever its sign. A LimitsError explains that all limits are
-    for noise, or that one does not fit raw counts.
-    """
-    source = found["source"]["path"].text()
-    if _of_noise(limits) and not limits.calibration:
-        msg = (
-            f"{source}: this is a calibration, and the limits are for noise; write limits such as "
-            '[calibration.accelerometer] scale = { max = 2, unit = "%" }, or check a noise report'
-        )
-        raise LimitsError(msg)
-    findings = [_finding(node) for node in found["findings"]]
-    codes = ", ".join(dict.fromkeys(finding.code for finding in findings)) or "no findings"
-    grade: Grade = max((BY_LEVEL[finding.level] for finding in findings), key=GRADES.index, default="good")
-    rows = [
-        *chain.from_iterable(_calibrated(found, limit) for limit in limits.calibration),
-        *_findings(findings, limits.findings),
-    ]
-    return CheckResult(
-        source=source,
-        level=0.95,
-        rows=tuple(rows),
-        undecided_fails=limits.undecided == "fail",
-        version=__version__,
-        noise=NoiseVerdict(grade=grade, sentence=f"{found['verdict'].text()} ({codes})", axes=()),
-    )
-
-
-def _finding(node: Node) -> Finding:
-    level = next(level for level in BY_LEVEL if level == node["level"].text(*BY_LEVEL))
-    return Finding(level, node["code"].text(), node["text"].text(), axis=node["axis"].maybe(Node.text))
-
-
-def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
-    """Yield the verdicts on one limit of a calibrated sensor."""
-    sensor = Sensor(limit.where.rpartition(".")[2])
-    where, node = sensor.short, found[sensor.value]
-    if node.value is None:
-        yield Row(where, limit.quantity, "fail", f"{where}: the calibration has no {sensor}")
-        return
-    for name, size in _sizes(found, sensor, limit.quantity):
-        row = judge(
-            where,
-            f"|{name}|" if name != "residual" else name,
-            size and size.scaled(1 / limit.factor, limit.unit),
-            side=limit.side,
-            limit=limit.value,
-            unit=limit.unit,
-        )
-        if size is None:
-            said = (
-                f"{where}: the log does not determine {name}; add the rests and turns that the findings name"
-            )
-            row = replace(row, text=said)
-        yield row
-
-
-def _sizes(found: Node, sensor: Sensor, quantity: str) -> Iterator[tuple[str, Quantity | None]]:
-    """Yield the size of each parameter of a kind in SI, or the rms residual; None for what is not known."""
-    if quantity == "residual":
-        yield quantity, _residual(found, sensor)
-        return
-    units = CALIBRATION_UNITS[sensor][quantity]
-    parameters = found[sensor.value]["parameters"]
-    for name in (name for name in parameters.table() if name.startswith(quantity)):
-        one = parameters[name]
-        unit = one["unit"].text()
-        if unit not in units:
-            msg = (
-                f"{found['source']['path'].text()}: {name} of the {sensor} is in raw counts; calibrate with "
-                "the scale of the sensor, or remove the limit"
-            )
-            raise LimitsError(msg)
-        if one["value"].value is None:
-            yield name, None
-            continue
-        value, low, high = (one[key].number() * units[unit] for key in ("value", "low", "high"))
-        least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
-        yield name, Quantity(value=abs(value), low=least, high=max(abs(low), abs(high)))
-
-
-def _residual(found: Node, sensor: Sensor) -> Quantity | None:
-    """Return the rms error of |f| in the rests, or of the direction after the turns; None without them."""
-    if sensor is Sensor.ACCELEROMETER:
-        sizes = [one["residual"].number() for one in found["rests"] if one["used"].value]
-    else:
-        pairs = [one["residual_deg"].pair() for one in found["turns"] if one["used"].value]
-        sizes = [math.radians(math.hypot(*pair)) for pair in pairs]
-    return Quantity.exactly(math.hypot(*sizes) / math.sqrt(len(sizes))) if sizes else None
 
 
 def _older(rules: Baseline) -> Report:
@@ -313,7 +219,8 @@ def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
         yield judge(where, key, scaled, side=limit.side, limit=limit.value, unit=limit.unit)
 
 
-def _findings(findings: Iterable[Finding], rules: FindingRules) -> Iterator[Row]:
+def finding_rows(findings: Iterable[Finding], rules: FindingRules) -> Iterator[Row]:
+    """Fail for each forbidden finding; pass once if there is none."""
     found = dict.fromkeys(findings)
     forbidden = [finding for finding in found if rules.forbids(finding.level, finding.code)]
     for finding in forbidden:

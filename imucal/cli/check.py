@@ -146,7 +146,7 @@ def _of_report(
 def _of_calibration(request: LogRequest, limits_file: Path | None, other: object) -> CheckResult:
     """Check a calibration; a usage error for anything but limits."""
     from imucal.checking import read_limits
-    from imucal.checking.verdict import check_calibration
+    from imucal.checking.calibrated import check_calibration
 
     if limits_file is None or other:
         misuse(f"{request.logs[0]} is a calibration, which only limits can check; give --limits FILE alone")

@@ -10,7 +10,7 @@ import imucal
 from imucal.calibration import Calibration
 from imucal.calibration.document import to_document
 from imucal.checking import CheckResult, parse_limits
-from imucal.checking.verdict import check_calibration
+from imucal.checking.calibrated import check_calibration
 from imucal.errors import LimitsError
 from imucal.report.json_file import Node, plain
 from tests.cli.run import SAMPLE_LOGS, run
