@@ -166,7 +166,9 @@ def _record(folder: Path, chosen: list[str]) -> Suite:
         f"--basetemp={folder / 'pytest'}",
         *chosen,
     ]
-    subprocess.run(command, cwd=tree, env=environment, check=False, stdout=subprocess.DEVNULL)  # noqa: S603
+    ended = subprocess.run(command, cwd=tree, env=environment, check=False, stdout=subprocess.DEVNULL)  # noqa: S603
+    if ended.returncode not in {0, 1}:
+        raise SystemExit(f"the suite did not run: pytest ended with {ended.returncode}")
     seconds: dict[str, float] = {}
     failed: set[str] = set()
     slow: set[str] = set()
