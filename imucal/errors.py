@@ -1,6 +1,4 @@
-"""Every error imucal raises on purpose, and the exit code each one ends a command with.
-
-Codes: 2 usage, 3 reading, 4 the data, 5 writing.
+"""The errors that imucal raises on purpose, and the exit codes of the command line.
 
 A message reads *where: what was found, what was expected, what to do*.
 A caller's mistake (an argument out of range) is a `ValueError`; of what people type in notebooks, an
@@ -9,6 +7,19 @@ A caller's mistake (an argument out of range) is a `ValueError`; of what people 
 
 from collections.abc import Sequence
 from typing import ClassVar
+
+#: Exit code -> its meaning, and what a script can do.
+EXIT_CODES = {
+    0: ("done", "continue"),
+    1: ("a check failed, or a comparison found a difference", "stop: this is the result"),
+    2: ("the command line, a limits file or an environment variable is wrong", "correct the call"),
+    3: ("the log can't be read", "read the message: it lists what was found"),
+    4: ("the data can't be analysed or are not noise at rest", "record again"),
+    5: ("the output can't be written", "run it again: no file is incomplete"),
+    70: ("a bug in imucal", "report it; IMUCAL_DEBUG=1 shows the place"),
+    130: ("interrupted with Ctrl-C", "run it again: no file is incomplete"),
+    141: ("the reader of standard output closed it", "nothing"),
+}
 
 #: What joins the things that a message asks for.
 ALSO = "; also, "

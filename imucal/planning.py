@@ -193,7 +193,7 @@ def resolution_findings(fit: NoiseFit, duration_s: float) -> tuple[Finding, ...]
             sharp = f"±{100 * _SHARP:.3g} %"
             text = f"{name} needs {needed} for {sharp}; this log has {had}."
             if longest.bounded:
-                text = f"{name} is not visible in {had}. If it equals its bound, {needed} would "
+                text = f"{name} was not detected in {had}. If it equals its bound, {needed} would "
                 text += f"measure it to {sharp}."
             findings.append(Finding("info", "record-length", text))
     return tuple(findings)

@@ -112,7 +112,6 @@ def test_every_finding_is_described() -> None:
     for name in ("screening/values.py", "readers/message_logs.py"):
         written |= _loose_codes(name)
     assert set(code_texts()) == written
-    assert code_tables.renewed_page() == (DOCS / "messages.md").read_text(encoding="utf-8")
 
 
 def _loose_codes(name: str) -> set[str]:
@@ -123,35 +122,35 @@ def _loose_codes(name: str) -> set[str]:
     return set(re.findall(r'_error\(\s*"([a-z-]+)"', text)) | set(listed)
 
 
-def test_every_key_of_the_schema_is_described() -> None:
-    """A reader of report.json finds each key on the page."""
+def test_every_key_of_the_schema_has_a_description() -> None:
+    """The page shows it."""
     schema = json.loads((PACKAGE / "report" / "schema" / "report-2.schema.json").read_text(encoding="utf-8"))
-    page = (DOCS / "json.md").read_text(encoding="utf-8")
-    keys = {key for part in (schema, *schema["$defs"].values()) for key in part.get("properties", {})}
-    keys |= set(schema["$defs"]["goodness"]["properties"]["lines"]["items"]["properties"])
-    missing = sorted(key for key in keys if f"`{key}`" not in page and f'"{key}"' not in page)
-    assert missing == []
+    parts = {**schema["$defs"], "report": schema, "with axes": schema["oneOf"][0]}
+    lacking = [
+        f"{name}: {key}"
+        for name, part in parts.items()
+        for key, value in part["properties"].items()
+        if not value.get("description")
+    ]
+    assert lacking == []
+    shown = {name for page in PAGES for name in re.findall("<!-- table: (.*) -->", page.read_text("utf-8"))}
+    # `quantity` is described in each key that contains one.
+    assert {*schema["$defs"], "report"} - {"quantity"} <= shown
 
 
-def test_every_export_is_in_the_table() -> None:
-    """One row a format, under the name that --to takes."""
-    from imucal.report.exports import TARGETS
-
-    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
-    rows = set(re.findall(r"^\|[^|]*\| `([a-z][a-z0-9-]+)` \|", page, re.MULTILINE))
-    assert rows == set(TARGETS)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_tables_made_from_the_code_are_current(page: Path) -> None:
+    """Run `python -m tests.benchmarks.code_tables` after a change of the code."""
+    text = page.read_text(encoding="utf-8")
+    assert code_tables.renewed_page(text) == text
 
 
-def test_the_kind_of_numbers_is_in_the_table() -> None:
-    """Continuous or discrete, as the format's own comment."""
-    from imucal.report.exports import TARGETS
-
-    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
-    kinds = dict(re.findall(r"^\|[^|]*\| `([a-z][a-z0-9-]+)` \|.*\| ([^|]*) \|$", page, re.MULTILINE))
-    named = {name: set(re.findall("continuous|discrete", kind)) for name, kind in kinds.items()}
-    assert sum(map(bool, named.values())) >= 25
-    for name, words in named.items():
-        assert words <= set(re.findall("continuous|discrete", TARGETS[name].kind)), name
+def test_a_stale_table_is_found() -> None:
+    """A page with an old row differs from the renewed page."""
+    page = "<!-- table: exit codes -->\n| 0 | all is well |\n<!-- end -->\nmore\n"
+    assert "| 0 | done | continue |" in code_tables.renewed_page(page)
+    assert "all is well" not in code_tables.renewed_page(page)
+    assert code_tables.renewed_page("no table\n") == "no table\n"
 
 
 def test_what_was_read_of_each_program_is_in_the_table() -> None:
@@ -163,24 +162,12 @@ def test_what_was_read_of_each_program_is_in_the_table() -> None:
         assert f"| {target.name} | {target.source} | " in page
 
 
-def test_every_format_is_on_the_page() -> None:
-    """Each part of a format's name, such as NPZ and MATLAB."""
-    from imucal.readers.formats import FORMATS
-
-    page = (DOCS / "formats.md").read_text(encoding="utf-8")
-    rows = "\n".join(re.findall(r"^\| ([^|]*) \|", page, re.MULTILINE))
-    for name in ", ".join(entry.name for entry in FORMATS).split(", "):
-        assert name in rows
-
-
-def test_every_exit_code_is_in_the_table() -> None:
-    """Those of the errors, and those of the command line itself."""
+def test_every_exit_code_has_a_meaning() -> None:
+    """The exit codes of the errors, and those of the command line itself."""
     from imucal import errors
 
-    page = (DOCS / "exit-codes.md").read_text(encoding="utf-8")
-    rows = {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)}
     own = {value.exit_code for value in vars(errors).values() if hasattr(value, "exit_code")}
-    assert own | {0, 2, 70, 130, 141} == rows
+    assert own | {0, 2, 70, 130, 141} == set(errors.EXIT_CODES)
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,7 @@ def test_the_sentence_of_a_report() -> None:
     assert walk.text.endswith(" h for ±10 %; this log has 5.6 h.")
     assert not any(f.text.startswith("N ") for f in findings)
     flicker = next(f for f in findings if f.text.startswith("B "))
-    assert flicker.text.startswith("B is not visible in 5.6 h. If it equals its bound, ")
+    assert flicker.text.startswith("B was not detected in 5.6 h. If it equals its bound, ")
 
 
 def test_a_long_record_needs_no_sentence() -> None:

@@ -115,7 +115,7 @@ def judge(
             verdict, said = "pass", f"not {beyond} {allowed}"
         elif up * near > up * limit:
             verdict, said = "fail", f"{beyond} {allowed}"
-        shown = f"{'not identified, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
+        shown = f"{'not detected, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
         text = f"{subject} is {shown}; {said}"
     text = f"{where}: {text}"
     return Row(where, subject, verdict, text, side=side, limit=limit, unit=unit, measured=measured)

@@ -19,7 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
-from imucal.errors import ALSO, ChoiceError, DataError, ImucalError, WriteError
+from imucal.errors import ALSO, EXIT_CODES, ChoiceError, DataError, ImucalError, WriteError
 from imucal.printable import printable, printable_json
 from imucal.resources import single_matrix_thread
 
@@ -89,6 +89,12 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in self.table.items()])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        super().format_epilog(ctx, formatter)
+        if ctx.parent is None:
+            with formatter.section("Exit codes"):
+                formatter.write_dl([(str(code), meaning) for code, (meaning, _) in EXIT_CODES.items()])
 
 
 def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None:

@@ -236,7 +236,7 @@ def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
     for symbol in ("N", "K") if numbers == "as-fitted" else ():
         if axes := [axis.name for axis in report.axes if axis.fit[symbol].value is None]:
             yield (
-                f"{symbol} was not identified on {', '.join(axes)}; files that need it contain its upper "
+                f"{symbol} was not detected on {', '.join(axes)}; files that need it contain its upper "
                 "bound, with a comment (--unidentified refuse writes none)"
             )
     for sensor in Sensor:

@@ -1,46 +1,120 @@
-"""The tables of findings in docs/messages.md, made of imucal/finding_codes.txt.
+"""The tables of docs/ that are made from the code: findings, exit codes, JSON keys, formats, programs.
+
+A page contains each between ``<!-- table: NAME -->`` and ``<!-- end -->``.
 
     python -m tests.benchmarks.code_tables
 
-Run it after a change of that file; `tests/test_docs.py` fails if the page is stale.
+Run it after a change of the code; `tests/test_docs.py` fails if a page is stale.
 """
 
+import json
+import re
+from collections.abc import Callable, Iterable
+from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 
+from imucal.errors import EXIT_CODES
 from imucal.findings import code_texts
+from imucal.readers.formats import FORMATS
+from imucal.report.exports import TARGETS
 
-__all__ = ["PAGE", "renewed_page"]
+__all__ = ["PAGES", "renewed_page"]
 
-PAGE = Path(__file__).parents[2] / "docs" / "messages.md"
-#: The lines of the page around its tables.
-_START, _END = "<!-- made by tests/benchmarks/code_tables.py -->\n", "<!-- end -->\n"
-
-
-def _table(section: str) -> str:
-    """Return the heading and table of a section; its last column only if a row has an advice."""
-    rows: list[tuple[list[str], str, str]] = []
-    for code, text in code_texts().items():
-        if text.section == section and text.found:
-            rows.append(([code], text.found, text.advice))
-        elif text.section == section:
-            rows[-1][0].append(code)
-    advised = any(advice for _, _, advice in rows)
-    head = "| code | what was found |" + " what to do |" * advised
-    lines = [head, "|---" * (2 + advised) + "|"]
-    for codes, found, advice in rows:
-        names = ", ".join(f"`{code}`" for code in codes)
-        lines.append(f"| {names} | {found} |" + f" {advice} |" * advised)
-    return f"### {section}\n\n" + "\n".join(lines) + "\n"
+PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))
+_TABLE = re.compile(r"(<!-- table: ([a-z_ -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def renewed_page() -> str:
-    """Return the page with the tables of the codes that the package has now."""
-    above, _, rest = PAGE.read_text(encoding="utf-8").partition(_START)
-    below = rest.partition(_END)[2]
-    sections = [section for section, _ in groupby(text.section for text in code_texts().values())]
-    return above + _START + "\n" + "\n".join(map(_table, sections)) + _END + below
+def _table(head: str, rows: Iterable[Iterable[object]]) -> str:
+    """Return a table in Markdown; `head` contains its column names between bars."""
+    lines = [head, "|---" * head.strip("|").count("|") + "|---|"]
+    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)]) + "\n"
+
+
+def _findings() -> str:
+    """Return a table for each section of codes; its last column only if a row has an advice."""
+    tables = []
+    for section, codes in groupby(code_texts().items(), key=lambda item: item[1].section):
+        rows: list[tuple[list[str], str, str]] = []
+        for code, text in codes:
+            if text.found:
+                rows.append(([code], text.found, text.advice))
+            else:
+                rows[-1][0].append(code)
+        advised = any(advice for _, _, advice in rows)
+        head = "| code | what was found |" + " what to do |" * advised
+        cells = [[_named(names), found, *[advice] * advised] for names, found, advice in rows]
+        tables.append(f"### {section}\n\n{_table(head, cells)}")
+    return "\n".join(tables)
+
+
+def _named(codes: Iterable[str]) -> str:
+    return ", ".join(f"`{code}`" for code in codes)
+
+
+def _exit_codes() -> str:
+    rows = ((code, *texts) for code, texts in EXIT_CODES.items())
+    return _table("| code | meaning | what a script can do |", rows)
+
+
+def _keys(name: str) -> Callable[[], str]:
+    """Return what makes the table of the keys of a part of report.json."""
+
+    def table() -> str:
+        text = (files("imucal.report") / "schema" / "report-2.schema.json").read_text(encoding="utf-8")
+        schema = json.loads(text)
+        parts = [schema["$defs"][name]] if name else [schema, schema["oneOf"][0]]
+        keys = {key: value for part in parts for key, value in part["properties"].items()}
+        rows = ((f"`{key}`", value["description"]) for key, value in keys.items())
+        return _table("| key | content |", rows)
+
+    return table
+
+
+def _formats() -> str:
+    return _table("| format | supported |", ((entry.name, _escaped(entry.supported)) for entry in FORMATS))
+
+
+def _programs() -> str:
+    rows = (
+        (
+            target.title,
+            f"`{target.name}`",
+            _escaped("; ".join(target.formulas)),
+            _escaped(target.kind.partition(";")[0]),
+        )
+        for target in TARGETS.values()
+    )
+    return _table("| file | `--to` | numbers | kind |", rows)
+
+
+def _escaped(text: str) -> str:
+    """Return a text with the signs that Markdown would take for its own escaped."""
+    return re.sub(r"([*|<])", r"\\\1", text)
+
+
+#: Name of a table -> what makes it.
+_TABLES: dict[str, Callable[[], str]] = {
+    "findings": _findings,
+    "exit codes": _exit_codes,
+    "formats": _formats,
+    "programs": _programs,
+    "report": _keys(""),
+    **{
+        name: _keys(name)
+        for name in (
+            *("source", "filter_numbers", "axis", "curve", "minimum", "spectrum", "fit", "goodness"),
+            *("segments", "bins", "term", "finding"),
+        )
+    },
+}
+
+
+def renewed_page(text: str) -> str:
+    """Return a page with the tables of the present code."""
+    return _TABLE.sub(lambda found: f"{found[1]}\n{_TABLES[found[2]]()}{found[3]}", text)
 
 
 if __name__ == "__main__":
-    PAGE.write_text(renewed_page(), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(renewed_page(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -121,7 +121,7 @@ def test_sentences_say_what_was_found_and_allowed() -> None:
     texts = [row.text for row in _check("[gyroscope]\nK = { max = 5e-7 }").rows]
     assert texts[:3] == [
         "gyro_x: K is 1.1e-06 [9.509e-07, 1.272e-06] rad/s/sqrt(s); above the largest allowed, 5e-07",
-        "gyro_y: K is not identified, but <= 4.1e-07 rad/s/sqrt(s); not above the largest allowed, 5e-07",
+        "gyro_y: K is not detected, but <= 4.1e-07 rad/s/sqrt(s); not above the largest allowed, 5e-07",
         "gyro_z: K is 3e-07 [2.593e-07, 3.47e-07] rad/s/sqrt(s); not above the largest allowed, 5e-07",
     ]
 
@@ -379,7 +379,7 @@ def test_every_sentence_of_a_check() -> None:
     ]
     assert (result.count("pass"), result.count("fail"), result.count("undecided")) == (3, 5, 2)
     bounds = [row.text for row in _check("[gyro_y]\nK = { min = 1e-7, max = 1e-7 }").rows[:2]]
-    found = "K is not identified, but <= 4.1e-07 rad/s/sqrt(s)"
+    found = "K is not detected, but <= 4.1e-07 rad/s/sqrt(s)"
     assert bounds == [
         f"gyro_y: {found}; the interval contains the {side} allowed, 1e-07{long}"
         for side in ("smallest", "largest")

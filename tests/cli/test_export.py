@@ -67,7 +67,7 @@ def test_policy_inflation_and_topic_reach_the_file(still: str, tmp_path: Path) -
 def test_n_and_k_of_the_fit_say_what_they_leave_out(still: str, tmp_path: Path) -> None:
     """On standard error which are bounds, in the file that a filter with them is too sure."""
     done = run("export", still, "--to", "kalibr", "-o", "-", "--numbers", "as-fitted", cwd=tmp_path)
-    assert "K was not identified on gyro_y, accel_y" in done.stderr
+    assert "K was not detected on gyro_y, accel_y" in done.stderr
     assert "without flicker and Gauss-Markov terms, so a filter may be overconfident" in done.stdout
 
 
@@ -95,7 +95,7 @@ def test_horizon_and_step_reach_the_file(still: str, tmp_path: Path) -> None:
             "'walk=-1' is not a factor of white, walk, flicker;",
         ),
         (("--to", "kalibr", "--axis-policy", "w"), 2, "'w' is not one of 'worst', 'rms', 'x', 'y', 'z'"),
-        (("--to", "all", "--unidentified", "refuse", "-o", "out"), 4, "accel_y: K was not identified"),
+        (("--to", "all", "--unidentified", "refuse", "-o", "out"), 4, "accel_y: K was not detected"),
         (("--to", "kalibr", "-o", "no/where.yaml"), 5, "no/where.yaml: can't be written: No such file"),
         (
             ("--to", "kalibr", "--topic", "/imu"),

@@ -130,7 +130,7 @@ def test_a_bound_is_written_and_said() -> None:
     text = render_fitted(consumer_report(), "kalibr", axis_policy="y")
     assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
     assert "K of gyro_y, UPPER BOUND (95%): the data do not show this term" in text
-    assert "not identified, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
+    assert "not detected, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
 
 
 def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> None:
@@ -166,7 +166,7 @@ def test_a_bound_is_refused_on_request() -> None:
     with pytest.raises(DataError) as error:
         render(consumer_report(), "kalibr", unidentified="refuse")
     assert str(error.value) == (
-        "logs/still_night.mcap: accel_y: K was not identified (upper bound 5e-06 m/s^2/sqrt(s)), but kalibr "
+        "logs/still_night.mcap: accel_y: K was not detected (upper bound 5e-06 m/s^2/sqrt(s)), but kalibr "
         "needs a value; accept the bound, choose an axis that shows the term, or record for longer"
     )
     assert render(consumer_report(), "kalibr", unidentified="refuse", axis_policy="x")
@@ -587,7 +587,7 @@ def test_the_comment_says_what_two_numbers_do_not_cover() -> None:
     assert "accel_x: quantization adds up to sqrt(2) Q = 2.83e-06" in text
     assert f"the tone of 12.5 Hz is not covered; it adds {1.2e-5 / (math.pi * 12.5):.3g}" in text
     assert "; fit: N 0.00013 (" in text
-    assert "not identified, so the 95% upper bound is covered in part: K of accel_y, K of gyro_y" in text
+    assert "not detected, so the 95% upper bound is covered in part: K of accel_y, K of gyro_y" in text
 
 
 def test_kf_gins_and_okvis2_take_the_time_that_was_measured() -> None:

@@ -39,7 +39,7 @@ def test_a_filter_gets_a_pair_though_the_sheet_has_no_walk(target: str) -> None:
     text = render(imucal.model_as_report({GYRO: "N=0.3deg/sqrt(h) + B=5deg/h"}, rate_hz=200.0), target)
     assert "N=0.3deg/sqrt(h) + B=5deg/h (gyroscope) (a model as given, no log" in text
     assert "f = 200 Hz (given by the user), nothing recorded" in text
-    assert "not identified" not in text
+    assert "not detected" not in text
     assert "K <" not in text
 
 

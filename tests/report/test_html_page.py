@@ -93,7 +93,7 @@ def test_tables_hold_both_conventions_and_the_bounds(page: html.HtmlElement) -> 
     assert "deg/√h" in row.xpath("th")[0].text_content()
     assert "10−6 rad/s/√Hz" in row.xpath("th")[0].text_content()
     bound = table.xpath(".//tr[th/b='K']/td[2]/span[@class='sheet']")[0].text_content()
-    assert bound == "< 5.1not shown; upper bound"
+    assert bound == "< 5.1not detected; upper bound"
 
 
 def test_findings_are_in_words(page: html.HtmlElement) -> None:

@@ -169,7 +169,7 @@ class Numbers:
     """A report as a file format sees it.
 
     Every method raises `DataError` where the report has no number to give: a sensor or an axis is
-    missing, or a term was not identified and the user refused its bound. A log of one sensor gives a
+    missing, or a term was not detected and the user refused its bound. A log of one sensor gives a
     format the half that is about it, so formats go over `sensors`.
     """
 
@@ -287,7 +287,7 @@ class Numbers:
         if bounded and self.choices.unidentified == "refuse":
             unit = TERMS[symbol].unit(axis.sensor)
             msg = (
-                f"{self.report.source.path}: {axis.name}: {symbol} was not identified "
+                f"{self.report.source.path}: {axis.name}: {symbol} was not detected "
                 f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
                 "accept the bound, choose an axis that shows the term, or record for longer"
             )
