@@ -19,7 +19,7 @@ from imucal.findings import code_texts
 from imucal.readers.formats import FORMATS
 from imucal.report.exports import TARGETS
 
-__all__ = ["PAGES", "renewed_page"]
+__all__ = ["PAGES", "renew_pages", "renewed_page"]
 
 PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))
 _TABLE = re.compile(r"(<!-- table: ([a-z_ -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -115,6 +115,11 @@ def renewed_page(text: str) -> str:
     return _TABLE.sub(lambda found: f"{found[1]}\n{_TABLES[found[2]]()}{found[3]}", text)
 
 
-if __name__ == "__main__":
+def renew_pages() -> None:
+    """Write the tables into all pages of docs/."""
     for page in PAGES:
         page.write_text(renewed_page(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    renew_pages()

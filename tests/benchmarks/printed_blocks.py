@@ -47,7 +47,7 @@ def main() -> None:
             print(f"{page.name}: {len(lines)} lines are not printed", *lines, sep="\n  ", flush=True)
     if len(sys.argv) == 1:
         options_page.PAGE.write_text(options_page.page(), encoding="utf-8")
-        code_tables.PAGE.write_text(code_tables.renewed_page(), encoding="utf-8")
+        code_tables.renew_pages()
         tutorial_figures.draw(ROOT / "docs" / "images")
         for name, draw in theory_figures.FIGURES.items():
             (ROOT / "docs" / "images" / f"{name}.png").write_bytes(render(draw(), "png"))
