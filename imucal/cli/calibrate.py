@@ -64,7 +64,7 @@ def command(
     six edges; about two minutes in all. Gravity is the reference: no turntable and no levelled
     surface are needed. The table shows scale error, misalignment, bias and g-sensitivity with
     95 % intervals. The folder contains calibration.json, calibration.html and three pictures.
-    Raw counts are welcome: --accel-scale 1 --gyro-scale 1.
+    Raw counts are welcome: --accel-unit count --gyro-unit count.
 
     Examples::
       imucal calibrate poses.mcap --noise still-imucal --latitude 47.4

@@ -76,8 +76,18 @@ class Number(click.FloatRange):
 _UNCLEAR = frozenset({"rads", "mrads", "degs", "mdegs"})
 
 
+#: The unit of raw samples, which only a calibration can read without a scale.
+_COUNT = "count"
+
+
 def _unit_of(sensor: Sensor, text: str) -> str:
     """Return a unit of one sensor's samples, in a spelling that can't be meant otherwise."""
+    if text.strip().lower() in {_COUNT, f"{_COUNT}s"}:
+        context = click.get_current_context(silent=True)
+        if context is not None and context.info_name == "calibrate":
+            return _COUNT
+        msg = f"{text!r} is not a unit of the {sensor}; give the size of a count with --{sensor.short}-scale"
+        raise ValueError(f"{msg}, in {sensor.unit}")
     found = parse_sample_unit(text)
     if text.strip().lower() in _UNCLEAR and found is not None:
         raise ValueError(f"{text!r} is ambiguous; did you mean {found[1]!r}?")
@@ -168,6 +178,9 @@ class Asked(NamedTuple):
 def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: object) -> Asked:
     # What stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, is no log.
     more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
+    for sensor in Sensor:
+        if options[f"{sensor.short}_unit"] == _COUNT:
+            options |= {f"{sensor.short}_unit": None, f"{sensor.short}_scale": 1.0}
     options["fields"] = (*fields, *more)
     return Asked(tuple(log for log in logs if log not in more), options)
 

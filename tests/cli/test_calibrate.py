@@ -257,7 +257,7 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     one = drawn(8212)
     counts = np.round(np.column_stack([4000 * one.gyroscope, 400 * one.accelerometer]) + 32768)
     np.savetxt(tmp_path / "raw.csv", counts, delimiter=",", header="gx,gy,gz,ax,ay,az", comments="", fmt="%d")
-    raw = ("raw.csv", "--rate", "100", "--gyro-scale", "1", "--accel-scale", "1")
+    raw = ("raw.csv", "--rate", "100", "--gyro-unit", "count", "--accel-unit", "count")
     done = run("calibrate", *raw, *PLACE, "-o", "out", "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "per m/s²" in done.stdout

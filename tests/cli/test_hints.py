@@ -69,6 +69,7 @@ def test_a_wrong_value_is_answered_with_its_own_option(tmp_path: Path) -> None:
         ("--gyro-unit", "g", "'g' is not a unit of the gyroscope"),
         ("--gyro-unit", "degs", "'degs' is ambiguous; did you mean 'deg/s'?"),
         ("--accel-unit", "furlong", "'furlong' is not a unit of the accelerometer; expected one of m/s^2, g"),
+        ("--accel-unit", "counts", "'counts' is not a unit of the accelerometer; give the size of a count"),
         ("--accel-unit", "rads", "'rads' is ambiguous; did you mean 'rad/s'?"),
     ],
 )
