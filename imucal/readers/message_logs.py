@@ -26,7 +26,7 @@ from imucal.readers.messages import (
     stream_of,
 )
 from imucal.readers.messages.leaves import MOST
-from imucal.readers.messages.loader import Stream
+from imucal.readers.messages.loader import Stream, first_message
 from imucal.readers.messages.message_types import EACH, ImuFields, parse_fields_text
 from imucal.readers.messages.topic_streams import first_frames
 from imucal.readers.messages.trees import TreeDecoder, spread_times
@@ -149,7 +149,10 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
     work.decisions += first_frames(containers, choices)
     for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
-        work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
+        work.findings += [
+            *_loss_findings(decoding.losses),
+            *_other_elements(containers, choice.topic, stream),
+        ]
         if not decoding.columns.n:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
             why = next(iter(seen), "the log has none")
@@ -253,11 +256,12 @@ def _other_vectors(topic: Topic, imu: ImuFields) -> Iterator[Finding]:
         yield Finding("warning", "other-vectors", text)
 
 
-def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
+def _other_elements(containers: Sequence[Container], topic: Topic, stream: Stream) -> list[Finding]:
     """Return a finding for each list of which one element was read and others were not."""
     lengths: dict[str, int] = {}
-    for decoder in stream.decoders.values():
-        lengths |= decoder.lengths if isinstance(decoder, TreeDecoder) else {}
+    for (number, key), decoder in stream.decoders.items():
+        if isinstance(decoder, TreeDecoder):
+            lengths |= decoder.lengths(first_message(containers[number], key) or b"")
     texts = [
         f"Messages of {topic.name} contain {count} elements of {name}; one was read. If all are samples of "
         f"one sensor, use {name}{EACH}."

@@ -9,7 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,10 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, never_changes
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.resources import column_limit
+
+#: Rows of some samples, shape (n,) each: stamps and log times in ns, the axes of each sensor, and the
+#: temperature if there is one.
+Block: TypeAlias = Sequence[NDArray[Any]]
 
 T = TypeVar("T", bound=np.generic)
 
@@ -153,7 +157,7 @@ class Columns:
             sensor: data[first:stop] for sensor, (first, stop) in zip(sensors, pairwise(ends), strict=True)
         }
         self.temperature: FloatArray | None = data[-1] if temperature else None
-        self.rows: list[FloatArray] = list(data)
+        self.rows: list[NDArray[Any]] = [self.stamps, self.log, *data[2:]]
 
     @property
     def n(self) -> int:

@@ -11,10 +11,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
@@ -240,42 +240,25 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
     return positions
 
 
-def batch_of(raw: Bytes, positions: Sequence[int]) -> Batch:
+def batch_of(raw: Bytes, positions: Sequence[int] | IntArray) -> Batch:
     """Return the messages whose whole records start at `positions`."""
-    starts = np.array(positions, np.int64)
-    heads = gather(raw, starts, _MESSAGE).view(_HEADS)
-    return Batch.of(raw, starts, heads["length"] - (_MESSAGE - 9), heads["log"], header=_MESSAGE)
+    starts = np.asarray(positions, np.int64)
+    return _batch(raw, starts, gather(raw, starts, _MESSAGE).view(_HEADS))
+
+
+def _batch(raw: Bytes, starts: IntArray, heads: NDArray[Any]) -> Batch:
+    return Batch(raw, starts + _MESSAGE, heads["length"] - (_MESSAGE - 9), heads["log"])
 
 
 def _indexed(raw: memoryview, starts: IntArray, key: int) -> Batch:
-    """Return the messages of an index, whose records are taken to be like the first."""
-    check = partial(_checked, raw, starts, key)
-    try:
-        # What else the first record may be is no matter: the guards compare it with a message.
-        length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
-    except struct.error:
-        return check()
-    return Batch(
-        buffer=raw,
-        starts=starts,
-        header=_MESSAGE,
-        sizes=length - (_MESSAGE - 9),
-        log_ns=starts[:0],
-        log_at=15,
-        guards=((0, _RECORD.pack(MESSAGE, length, key)),),
-        check=check,
-    )
-
-
-def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
-    """Check every record of an index; where one is none of the channel's, walk the chunk."""
+    """Return the messages of an index; if a record is not the channel's, walk the chunk."""
     with suppress(DamagedError):
         heads = gather(raw, starts, _MESSAGE).view(_HEADS)
         length = heads["length"]
         right = (heads["opcode"] == MESSAGE) & (heads["channel"] == key)
-        right &= (length >= _MESSAGE - 9) & (length <= len(raw) - starts - 9)
+        right &= (length >= _MESSAGE - 9) & (length <= len(raw) - 9 - starts)
         if right.all():
-            return batch_of(raw, starts.tolist())
+            return _batch(raw, starts, heads)
     loss = Loss(
         "index", "a message index points to wrong records; all records of its chunk were read instead"
     )

@@ -138,7 +138,7 @@ class _ZstdTask:
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         for key, batch in self._inner.load(scratch):
-            yield key, _decompressed(batch.checked())
+            yield key, _decompressed(batch)
 
 
 def _decompressed(batch: Batch) -> Batch:

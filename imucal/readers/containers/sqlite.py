@@ -15,7 +15,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.containers.container import Batch, Channel, Loss, MessageFile, Task
@@ -227,21 +226,13 @@ def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
     """Return separate messages as one batch; raises TypeError if a value has another type."""
     sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
     # Unlike NumPy, `array` refuses floats.
-    return Batch.of(b"".join(blobs), _starts(sizes), sizes, np.array(array("q", times)))
+    return Batch(b"".join(blobs), np.cumsum(sizes) - sizes, sizes, np.array(array("q", times)))
 
 
 def _joined(parts: list[Batch]) -> Batch:
     """Return the messages of several batches."""
-    sizes = np.concatenate([np.broadcast_to(part.sizes, part.n) for part in parts])
-    times = np.concatenate([part.log_ns for part in parts])
-    return Batch.of(b"".join(part.buffer for part in parts), _starts(sizes), sizes, times)
-
-
-def _starts(sizes: IntArray) -> IntArray:
-    """Return where messages start that are stored without gaps."""
-    starts = np.cumsum(sizes)
-    starts -= sizes
-    return starts
+    sizes, times = (np.concatenate([getattr(part, name) for part in parts]) for name in ("sizes", "log_ns"))
+    return Batch(b"".join(part.buffer for part in parts), np.cumsum(sizes) - sizes, sizes, times)
 
 
 def _if_whole(query: Callable[[], Value]) -> Value | None:

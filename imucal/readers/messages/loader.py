@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -10,15 +10,12 @@ from itertools import islice
 from operator import itemgetter
 from typing import Protocol
 
-import numpy as np
-
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages.message_types import ImuFields
-from imucal.readers.messages.trees import ListDecoder
 from imucal.readers.read_options import Progress
-from imucal.readers.store import Columns
+from imucal.readers.store import Block, Columns
 from imucal.resources import threads as allowed_threads
 
 #: More threads gain nothing: the interpreter's lock is held in between.
@@ -29,21 +26,15 @@ _LARGE = 50_000
 _LOOKS = 8
 #: Losses kept word by word; the rest is counted.
 _MAX_LOSSES = 1000
+#: If more messages than these are damaged in a row, the others are not tried one by one.
+_MANY = 64
 
 
 class Decoder(Protocol):
-    """Turns the messages of one channel into numbers; `notes` is what was found in doing so."""
+    """Decodes the messages of one channel."""
 
-    notes: list[Loss]
-
-    def settle(self, batch: Batch) -> None:
-        """Look at the first messages, once."""
-
-    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
-        """Decode messages that are all alike; False if they are not."""
-
-    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
-        """Decode checked messages that may differ; raises DamagedError."""
+    def decode(self, batch: Batch) -> Block:
+        """Return the samples of messages; raises DamagedError if one can't be decoded."""
 
 
 @dataclass(slots=True, eq=False)
@@ -74,10 +65,9 @@ class _Target:
     extra: list[tuple[int, Columns]] = field(default_factory=list)
     losses: list[tuple[int, Loss]] = field(default_factory=list)
 
-    def decoding(self, decoders: Iterable[Decoder]) -> Decoding:
+    def decoding(self) -> Decoding:
         """Return what the stream gave, in the order of the chunks, and as it was found in each."""
         losses = [loss for _, loss in sorted(self.losses, key=itemgetter(0))][:_MAX_LOSSES]
-        losses += [note for decoder in decoders for note in decoder.notes]
         columns = self.columns
         columns.keep_spans(_merged(self.filled))
         if self.extra:
@@ -90,8 +80,7 @@ class _Target:
 class _Part:
     """The messages of a channel in one chunk: its number, where they go, and who decodes them.
 
-    They have room for `most` messages from row `first` on. They are `hopeless` when all of many were damaged:
-    the type itself is wrong then, and each of the others would be tried in vain.
+    They have room for `most` messages from row `first` on.
     """
 
     number: int
@@ -100,7 +89,6 @@ class _Part:
     decoder: Decoder
     first: int
     most: int
-    hopeless: bool = False
 
 
 def decode(
@@ -124,9 +112,8 @@ def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -
     for task in islice(container.tasks(frozenset({key})), chunks):
         with suppress(DamagedError):
             for _, batch in task.load(scratch):
-                checked = batch.checked()
-                if checked.n:
-                    return bytes(next(checked.messages()))
+                if batch.n:
+                    return bytes(next(batch.messages()))
     return None
 
 
@@ -189,8 +176,7 @@ class _Run:
             scratch = Scratch()
             for job in self.jobs:
                 self._work(*job, scratch)
-        both = zip(self.targets, self.streams, strict=True)
-        return [target.decoding(stream.decoders.values()) for target, stream in both]
+        return [target.decoding() for target in self.targets]
 
     def _in_threads(self, threads: int) -> None:
         """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
@@ -226,56 +212,27 @@ class _Run:
                 self.progress(self.done, self.total)
 
     def _decode(self, part: _Part, batch: Batch) -> None:
-        decoder, target = part.decoder, self.targets[part.target]
-        lists = isinstance(decoder, ListDecoder)
-        try:
-            with self.lock:
-                decoder.settle(batch)
-            if not lists and batch.n <= part.most and decoder.fast(batch, target.columns, part.first):
-                self._note_filled(target.filled, target.columns, part.first, batch.n)
-                self._lose(part, batch.loss)
-                return
-            checked = batch.checked()
-        except DamagedError as error:
-            self._lose(part, _loss(error, batch.n))
-            return
-        self._lose(part, checked.loss)
-        if isinstance(decoder, ListDecoder):
-            more, losses = decoder.elements(checked, target.columns)
-            for loss in losses:
+        target = self.targets[part.target]
+        pieces = _pieces(part.decoder, batch)
+        for loss in (batch.loss, *pieces):
+            if isinstance(loss, Loss):
                 self._lose(part, loss)
-        elif checked.n <= part.most:
-            self._slow(part, checked, (target.columns, part.first), target.filled)
-            return
+        blocks = [piece for piece in pieces if not isinstance(piece, Loss)]
+        n = sum(block[0].size for block in blocks)
+        # The index counted too few: all messages of the chunk go behind all others.
+        extra = n > part.most
+        columns, first = (target.columns.like(n), 0) if extra else (target.columns, part.first)
+        start = first
+        for block in blocks:
+            stop = start + block[0].size
+            for row, values in zip(columns.rows, block, strict=True):
+                row[start:stop] = values
+            start = stop
+        if extra:
+            with self.lock:
+                target.extra.append((part.number, columns))
         else:
-            # The index counted too few: what it left out goes behind all others.
-            more = target.columns.like(checked.n)
-            spans: list[tuple[int, int]] = []
-            self._slow(part, checked, (more, 0), spans)
-            more.keep_spans(_merged(spans))
-        with self.lock:
-            target.extra.append((part.number, more))
-
-    def _slow(self, part: _Part, batch: Batch, to: tuple[Columns, int], spans: list[tuple[int, int]]) -> None:
-        """Decode message by message where some are damaged: halves, down to the bad ones.
-
-        Adds the samples that were written to the `spans`.
-        """
-        if not batch.n:
-            return
-        columns, first = to
-        try:
-            part.decoder.slow(batch, columns, first)
-        except DamagedError as error:
-            if batch.n == 1 or part.hopeless or error.code in {"encapsulation", "definition"}:
-                self._lose(part, _loss(error, batch.n))
-                return
-            before, half, chosen = len(spans), batch.n // 2, np.arange(batch.n)
-            self._slow(part, batch.part(chosen[:half]), (columns, first), spans)
-            self._slow(part, batch.part(chosen[half:]), (columns, first + half), spans)
-            part.hopeless |= batch.n > 64 and len(spans) == before
-            return
-        self._note_filled(spans, columns, first, batch.n)
+            self._note_filled(target.filled, columns, first, n)
 
     def _note_filled(self, spans: list[tuple[int, int]], columns: Columns, first: int, n: int) -> None:
         with self.lock:
@@ -291,6 +248,22 @@ class _Run:
             if len(target.losses) >= 2 * _MAX_LOSSES:
                 # Those of the first chunks stay, whichever thread came first.
                 target.losses = sorted(target.losses, key=itemgetter(0))[:_MAX_LOSSES]
+
+
+def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:
+    """Return the samples of messages; if some are damaged, halve the batch down to the damaged ones.
+
+    If all of many are damaged, the type itself is wrong, and the others are not split.
+    """
+    try:
+        return [decoder.decode(batch)]
+    except DamagedError as error:
+        if batch.n == 1 or not split or error.code in {"encapsulation", "definition"}:
+            return [_loss(error, batch.n)]
+    half = batch.n // 2
+    first = _pieces(decoder, batch.part(slice(half)))
+    hopeless = half > _MANY and all(isinstance(piece, Loss) for piece in first)
+    return first + _pieces(decoder, batch.part(slice(half, None)), split=not hopeless)
 
 
 def _loss(error: DamagedError, messages: int) -> Loss:

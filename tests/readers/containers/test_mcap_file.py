@@ -87,7 +87,7 @@ def test_the_index_says_what_is_in_a_file(held: Held) -> None:
             tasks = list(file.tasks(frozenset({7})))
             assert [task.counts for task in tasks] == [{7: 2}, {7: 2}]
             assert [task.counts for task in file.tasks(frozenset({8, 9}))] == [{8: 1}]
-            loaded = [batch.checked() for task in tasks for _, batch in task.load(Scratch())]
+            loaded = [batch for task in tasks for _, batch in task.load(Scratch())]
             assert [time for batch in loaded for time in batch.log_ns.tolist()] == [10, 30, 40, 35]
 
 

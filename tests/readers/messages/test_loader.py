@@ -14,24 +14,17 @@ from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages import loader
 from imucal.readers.messages.loader import Decoding, Stream, _merged, decode
 from imucal.readers.messages.message_types import ImuFields, Vector
-from imucal.readers.store import Columns
+from imucal.readers.store import Block
 from imucal.recording import Sensor
 
 GYRO = Sensor.GYROSCOPE
 IMU = ImuFields(stamp=None, vectors=(Vector(sensor=GYRO, paths=("g",)),))
 
 
-def batch(values: Sequence[int], loss: Loss | None = None, listed: Sequence[int] | None = None) -> Batch:
-    """Return messages that are but their log times; `listed` is what an index says instead of them."""
+def batch(values: Sequence[int], loss: Loss | None = None) -> Batch:
+    """Return messages that are only their log times."""
     starts = np.arange(len(values))
-    whole = Batch(buffer=b"", starts=starts, header=0, sizes=0, log_ns=np.array(values, dtype=np.int64))
-    checked = Batch(buffer=b"", starts=starts, header=0, sizes=0, log_ns=whole.log_ns, loss=loss)
-    if listed is None:
-        return checked
-    said = np.array(listed, dtype=np.int64)
-    return Batch(
-        buffer=b"", starts=np.arange(said.size), header=0, sizes=0, log_ns=said, check=lambda: checked
-    )
+    return Batch(b"", starts, np.zeros_like(starts), np.array(values, np.int64), loss)
 
 
 @dataclass
@@ -55,36 +48,18 @@ class Task:
 
 
 class Decoder:
-    """Takes log times for samples; negative ones are damaged, and those of 1000 and more are not alike."""
+    """Returns log times as samples; negative ones are damaged."""
 
     def __init__(self, code: str = "damaged") -> None:
-        self.notes: list[Loss] = []
         self.calls: list[int] = []
         self.code = code
 
-    def settle(self, batch: Batch) -> None:
-        if batch.log_ns[0] == 999:
-            msg = "unsettled"
-            raise DamagedError(msg, code=self.code)
-
-    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
-        if (batch.log_ns < 0).any() or (batch.log_ns >= 1000).any():
-            return False
-        self._write(batch, columns, first)
-        return True
-
-    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
+    def decode(self, batch: Batch) -> Block:
         self.calls.append(batch.n)
         if (batch.log_ns < 0).any():
             msg = "bad"
             raise DamagedError(msg, code=self.code)
-        self._write(batch, columns, first)
-
-    @staticmethod
-    def _write(batch: Batch, columns: Columns, first: int) -> None:
-        part = slice(first, first + batch.n)
-        columns.log[part] = columns.stamps[part] = batch.log_ns
-        columns.vectors[GYRO][:, part] = batch.log_ns
+        return [batch.log_ns] * 5
 
 
 def container(*tasks: Task, compression: str = "none", parallel: bool = False) -> Any:  # noqa: ANN401
@@ -202,37 +177,19 @@ def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> Non
         assert [loss.text for loss in found.losses] == ["gone 0", "gone 1", "gone 2"]
 
 
-def test_what_an_index_lists_wrongly_is_loaded_record_by_record() -> None:
-    """What was found is told; with fewer messages than listed, the rows between close up."""
+def test_what_an_index_lists_wrongly_is_reported() -> None:
+    """With fewer messages than listed, the rows between close up."""
     loss = Loss(code="index", text="walked")
-    values, found = run(Task({1: batch([1, 2], loss, listed=[1, 2000, 3])}, {1: 3}), Task({1: batch([5])}))
+    values, found = run(Task({1: batch([1, 2], loss)}, {1: 3}), Task({1: batch([5])}))
     assert (values, found.losses) == ([1, 2, 5], [loss])
 
 
 def test_what_an_index_leaves_out_comes_behind_all_others() -> None:
-    """There is no space for it in between; messages as many as the room are decoded in it."""
-    values, _ = run(Task({1: batch([1, 2, 3], listed=[1, 2])}, {1: 1}), Task({1: batch([5])}))
+    """There is no space for it in between."""
+    values, _ = run(Task({1: batch([1, 2, 3])}, {1: 1}), Task({1: batch([5])}))
     assert values == [5, 1, 2, 3]
-    values, _ = run(Task({1: batch([1, 2])}, {1: 1}), Task({1: batch([5])}))
-    assert values == [5, 1, 2]
-    values, _ = run(Task({1: batch([1000, 2])}, {1: 2}), Task({1: batch([5])}))
-    assert values == [1000, 2, 5]
-
-
-def test_a_damaged_first_message_is_told() -> None:
-    """Where the definition can't be chosen, and where the records can't be checked."""
-
-    def fail() -> Batch:
-        msg = "unchecked"
-        raise DamagedError(msg, code="index")
-
-    _, found = run(Task({1: batch([999, 1])}))
-    assert found.losses == [Loss(code="damaged", text="unsettled", messages=2)]
-    broken = Batch(
-        buffer=b"", starts=np.arange(3), header=0, sizes=0, log_ns=np.array([1, 2, -1]), check=fail
-    )
-    _, found = run(Task({1: broken}))
-    assert found.losses == [Loss(code="index", text="unchecked", messages=3)]
+    values, _ = run(Task({1: batch([1, -1, 2])}, {1: 2}), Task({1: batch([5])}))
+    assert values == [1, 2, 5]
 
 
 def test_channels_without_messages_are_passed_over() -> None:
@@ -252,14 +209,6 @@ def test_a_look_takes_a_few_chunks_of_the_first_file_that_has_some() -> None:
         stream = Stream(IMU, {(number, 1): Decoder() for number in range(3)})
         (found,) = decode([empty, first, second], [stream], most_chunks=most)
         assert found.columns.log.tolist() == expected
-
-
-def test_notes_of_the_decoders_are_losses_too() -> None:
-    """What they found about the whole channel."""
-    decoder = Decoder()
-    decoder.notes.append(Loss(code="definition", text="another"))
-    _, found = run(Task({1: batch([1])}), decoder=decoder)
-    assert found.losses == decoder.notes
 
 
 def test_only_so_many_losses_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
