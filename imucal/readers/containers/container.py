@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.findings import Finding
 from imucal.frozen import frozen
-from imucal.readers.files import LogFile, Scratch, damaged_if
+from imucal.readers.files import LogFile, damaged_if
 from imucal.readers.read_options import Progress
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
@@ -20,18 +20,20 @@ Bytes: TypeAlias = bytes | bytearray | memoryview
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A damaged part of a log: the finding's code, the reason and the number of lost messages."""
+    """A damaged part of a log: the finding's code, the reason, and the number of lost messages.
+
+    None: the part could not be read, so the number of its messages is unknown.
+    """
 
     code: str
     text: str
-    messages: int | None = None
+    messages: int | None = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
     """Messages of one channel: where each payload is in a buffer, its size, and its recording time in ns."""
 
-    #: Buffer with the messages; valid until the same thread loads the next chunk.
     buffer: Bytes
     #: Shape (n,) each.
     starts: IntArray
@@ -98,19 +100,15 @@ class Channel:
     last_ns: int | None = None
 
 
-class Task(Protocol):
-    """A chunk, loaded by one thread."""
+class Task(NamedTuple):
+    """A part of a file, loaded by one thread."""
 
-    @property
-    def counts(self) -> dict[int, int]:
-        """Channel -> upper bound of the number of messages."""
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file, for progress."""
-
-    def load(self, scratch: Scratch) -> Iterable[tuple[int, Batch]]:
-        """Yield the messages of each wanted channel; raises DamagedError if the chunk can't be read."""
+    #: Bytes of the file, for progress.
+    size: int
+    #: The wanted channels with messages in it.
+    keys: frozenset[int]
+    #: Yields the messages of each of these channels; raises DamagedError if the part can't be read.
+    load: Callable[[], Iterable[tuple[int, Batch]]]
 
 
 class Container(ABC):

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -26,10 +26,11 @@ from imucal.readers.containers.container import (
     Channel,
     Loss,
     MessageFile,
+    Task,
     cells,
     gather,
 )
-from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if, refused
+from imucal.readers.files import DamagedError, LogFile, damaged_if, refused
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -162,35 +163,25 @@ class BagChunk:
     last_ns: int = 0
 
 
-class BagChunkTask:
-    """A chunk to load."""
-
-    def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
-        self._file, self._chunk, self.size = file, chunk, chunk.size
-        # An index entry has 12 bytes: a count beyond them is not believed.
-        most = chunk.size // 12 if chunk.indexed else chunk.size
-        self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
-
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each wanted connection; see `Task`."""
-        region = scratch.buffer(self.size)
-        self._file.into(self._chunk.start, region)
-        raw, end = unpack(region, cut=self._chunk.cut)
-        indexes: dict[int, memoryview] = {}
-        # Behind the chunk stand its index records: up to the last wanted one.
-        with suppress(DamagedError):
-            for opcode, entry in walk(region[end:]) if self._chunk.indexed else ():
-                if opcode != INDEX or entry.end - entry.start != 12 * number(entry.head, b"count", 4):
-                    break
-                indexes[entry.key] = region[end + entry.start : end + entry.end]
-                if self.counts.keys() <= indexes.keys():
-                    break
-        for key in self.counts:
-            if key in indexes:
-                yield key, _indexed(raw, key, indexes[key])
-            else:
-                loss = Loss("index", "an index record is missing; all records of its chunk were read instead")
-                yield key, _walked(raw, key, loss if self._chunk.indexed else None)
+def load_chunk(file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
+    """Yield the messages of some connections in a chunk; see `Task`."""
+    region = memoryview(file.read(chunk.start, chunk.size))
+    raw, end = unpack(region, cut=chunk.cut)
+    indexes: dict[int, memoryview] = {}
+    # The index records follow the chunk.
+    with suppress(DamagedError):
+        for opcode, entry in walk(region[end:]) if chunk.indexed else ():
+            if opcode != INDEX or entry.end - entry.start != 12 * number(entry.head, b"count", 4):
+                break
+            indexes[entry.key] = region[end + entry.start : end + entry.end]
+            if keys <= indexes.keys():
+                break
+    for key in keys:
+        if key in indexes:
+            yield key, _indexed(raw, key, indexes[key])
+        else:
+            loss = Loss("index", "an index record is missing; all records of its chunk were read instead")
+            yield key, _walked(raw, key, loss if chunk.indexed else None)
 
 
 def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
@@ -297,12 +288,11 @@ class BagFile(MessageFile):
         self.start_ns = min((chunk.first_ns for chunk in self._chunks if chunk.first_ns), default=None)
         self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
 
-    def tasks(self, keys: frozenset[int]) -> Iterator[BagChunkTask]:
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         """Yield the chunks that hold messages of some connections."""
         for chunk in self._chunks:
-            task = BagChunkTask(self._file, chunk, keys)
-            if task.counts:
-                yield task
+            if found := frozenset(key for key in keys if chunk.counts.get(key)):
+                yield Task(chunk.size, found, partial(load_chunk, self._file, chunk, found))
 
     def _read_section(self) -> None:
         """Read the index section; raises DamagedError if there is none, or it is damaged."""

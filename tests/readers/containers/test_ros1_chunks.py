@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.ros1 import BagChunk, BagChunkTask, unpack, walk
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.containers.ros1 import BagChunk, load_chunk, unpack, walk
+from imucal.readers.files import DamagedError, LogFile
 from tests.readers.containers.ros1_bytes import chunk, connection, index, message, record, stamp
 
 Held = Callable[..., LogFile]
@@ -32,9 +32,7 @@ def loaded(held: Held, *parts: bytes, indexed: bool = True, cut: bool = False) -
     """Return connection -> its messages in a chunk and the index records behind it."""
     data = b"".join(parts)
     about = BagChunk(start=3, size=len(data), counts={1: 2, 2: 1, 3: 5}, indexed=indexed, cut=cut)
-    task = BagChunkTask(held(b"???", data), about, frozenset({1, 2}))
-    assert (task.size, task.counts) == (len(data), {1: 2, 2: 1})
-    return dict(task.load(Scratch()))
+    return dict(load_chunk(held(b"???", data), about, frozenset({1, 2})))
 
 
 def test_a_chunk_gives_the_messages_of_its_index_records(held: Held) -> None:
@@ -149,23 +147,6 @@ def test_chunks_are_unpacked(held: Held) -> None:
         unpack(memoryview(message(1, 2)))
     with pytest.raises(DamagedError, match=r"has a declared size"):
         unpack(memoryview(chunk(RAW, size=len(RAW) + 1)))
-
-
-@pytest.mark.parametrize(
-    ("size", "indexed", "count", "expected"),
-    [(120, True, 10, 10), (120, True, 11, 10), (119, True, 11, 9), (120, False, 200, 120), (120, True, 0, 0)],
-)
-def test_a_count_is_bounded_by_what_a_chunk_can_hold(
-    size: int,
-    indexed: bool,  # noqa: FBT001
-    count: int,
-    expected: int,
-    held: Held,
-) -> None:
-    """An entry of an index has twelve bytes, a message one at least."""
-    about = BagChunk(start=0, size=size, counts={1: count, 2: 5}, indexed=indexed)
-    task = BagChunkTask(held(), about, frozenset({1, 9}))
-    assert task.counts == ({1: expected} if expected else {})
 
 
 @pytest.mark.parametrize("end", [b"", MESSAGES[0][:-1], MESSAGES[0][:3], bytes(8), record(9, {})[:-1]])
