@@ -128,7 +128,7 @@ def equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Stamps and samples of one topic, one contiguous row a quantity."""
+    """Stamps and samples of one topic, one contiguous row per quantity."""
 
     rows: Block
     #: Sensor -> its number of axes.
@@ -225,5 +225,5 @@ class GrowingColumn:
 
 
 def is_constant(rows: Sequence[NDArray[Any]] | NDArray[Any]) -> bool:
-    """Say whether no row of samples ever changes; the first block mostly tells."""
+    """Return whether no row of samples ever changes."""
     return all(never_changes(row) for row in rows if row.size)

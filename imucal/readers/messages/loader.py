@@ -25,11 +25,11 @@ R = TypeVar("R")
 
 #: More threads gain nothing: the interpreter's lock is held in between.
 _MAX_THREADS = 4
-#: Logs of more messages have chunks enough to make up for preparing the allocator.
+#: Preparing the allocator pays off for logs of more messages.
 _LARGE = 50_000
-#: Chunks in which the first message of a channel is looked for.
+#: Chunks that are searched for the first message of a channel.
 _LOOKS = 8
-#: Losses kept word by word; the rest is counted.
+#: Losses kept of one stream.
 _MAX_LOSSES = 1000
 #: If more messages than these are damaged in a row, the others are not tried one by one.
 _MANY = 64
@@ -46,7 +46,7 @@ class Decoder(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Stream:
-    """One topic to decode: what to take, and who decodes each channel of each container."""
+    """One topic to decode: its fields, and the decoder of each channel (container, key)."""
 
     imu: ImuFields
     decoders: dict[tuple[int, int], Decoder]
@@ -128,7 +128,7 @@ class _Output:
 
 
 def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -> bytes | None:
-    """Return the first whole message of a channel; None where there is none in some chunks, or in all."""
+    """Return the first whole message of a channel in some chunks, or in all; None if there is none."""
     for task in islice(container.tasks(frozenset({key})), chunks):
         with suppress(DamagedError):
             for _, batch in task.load():
@@ -177,7 +177,7 @@ def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterat
 
 
 def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int, int, list[Block | Loss]]]:
-    """Return for batches of a chunk the number of the stream, of messages, and the samples and losses."""
+    """Return the results of a chunk: index of the stream, number of messages, samples and losses."""
     at, task = job
     results: list[tuple[int, int, list[Block | Loss]]] = []
     missing = set(task.keys)

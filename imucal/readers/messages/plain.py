@@ -17,7 +17,7 @@ from imucal.arrays import IntArray
 from imucal.frozen import frozen
 from imucal.readers.containers import Batch, Bytes, gather
 from imucal.readers.containers.container import cells
-from imucal.readers.files import damaged_if
+from imucal.readers.files import DamagedError, damaged_if
 from imucal.readers.messages.definitions import Field
 from imucal.readers.messages.message_types import ImuFields, Stamp
 from imucal.readers.store import Block
@@ -121,11 +121,12 @@ class BinaryDecoder:
         spare = batch.sizes - skipped - end
         damaged_if((spare < 0).any(), "a message is shorter than its type")
         wrong = spare > _PADDING
-        damaged_if(
-            self._whole and wrong.any(),
-            "messages do not have the size of their definition",
-            "definition" if wrong.all() else "damaged",
-        )
+        if self._whole and wrong.any():
+            row = int(np.argmax(wrong))
+            size = int(batch.sizes[row])
+            msg = f"a message has {size} bytes instead of the {size - spare[row]} of its definition"
+            # If all differ, the definition is wrong, and halves of the batch need not be tried.
+            raise DamagedError(msg, "definition" if wrong.all() else "damaged")
         values = iter(_gathered(batch.buffer, starts, list(self._numbers(places))))
         samples = [_stamps(self.imu.stamp, values, batch.n), batch.log_ns]
         for vector in self.imu.vectors:

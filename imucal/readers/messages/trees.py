@@ -69,7 +69,7 @@ class TreeDecoder:
         self._lists = [match[1] for match in map(_ONE.match, imu.wanted) if match]
 
     def lengths(self, message: bytes) -> dict[str, int]:
-        """Return how many elements each list of which one is read has in a message; none if it is damaged."""
+        """Return the length of each list of which one element is read; nothing for a damaged message."""
 
         def count(tree: Any) -> dict[str, int]:  # noqa: ANN401 - any tree
             return {name: len(_follow(tree, _steps(name))) for name in self._lists}
@@ -79,7 +79,7 @@ class TreeDecoder:
         return {}
 
     def decode(self, batch: Batch) -> Block:
-        """Decode messages; raises DamagedError where one can't be read, or has not the fields wanted."""
+        """Return the samples of messages; raises DamagedError if one is damaged or lacks a wanted field."""
         found = [self._parsed(data, self._samples) for data in batch.messages()]
         samples = [sample for some in found for sample in some]
         stamps, values, warmth = zip(*samples, strict=True) if samples else ((), (), ())
