@@ -125,8 +125,8 @@ class BinaryDecoder:
             row = int(np.argmax(wrong))
             size = int(batch.sizes[row])
             msg = f"a message has {size} bytes instead of the {size - spare[row]} of its definition"
-            # If all differ, the definition is wrong, and halves of the batch need not be tried.
-            raise DamagedError(msg, "definition" if wrong.all() else "damaged")
+            # If all of several differ, the definition is wrong, and halves of the batch need not be tried.
+            raise DamagedError(msg, "definition" if batch.n > 1 and wrong.all() else "damaged")
         values = iter(_gathered(batch.buffer, starts, list(self._numbers(places))))
         samples = [_stamps(self.imu.stamp, values, batch.n), batch.log_ns]
         for vector in self.imu.vectors:

@@ -136,12 +136,14 @@ def test_a_message_that_is_shorter_than_its_type_is_damaged(code: int | None) ->
 
 @pytest.mark.parametrize("code", [None, 1])
 def test_messages_have_the_size_of_their_definition(code: int | None) -> None:
-    """Up to three bytes are padding. If all messages are longer, the definition is wrong."""
+    """Up to three bytes are padding. If several messages are all longer, the definition is wrong."""
     data = [payload(row, code) for row in range(2)]
     check(decoder(code).decode(batch(data[0] + b"???", data[1])), range(2))
-    for more, expected in ((b"more", "definition"), (b"", "damaged")):
+    longer = data[0] + b"more"
+    cases = (((longer, longer), "definition"), ((longer, data[1]), "damaged"), ((longer,), "damaged"))
+    for payloads, expected in cases:
         with pytest.raises(DamagedError, match=r"bytes instead of the \d+ of its definition$") as caught:
-            decoder(code).decode(batch(data[0] + b"more", data[1] + more))
+            decoder(code).decode(batch(*payloads))
         assert caught.value.code == expected
 
 
