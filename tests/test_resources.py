@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -180,9 +179,9 @@ def test_a_log_is_decoded_by_as_many_threads(tmp_path: Path, monkeypatch: pytest
     started: list[int] = []
     pool = ThreadPoolExecutor
 
-    def counted(number: int, initializer: Callable[..., None] | None = None) -> object:
+    def counted(number: int) -> object:
         started.append(number)
-        return pool(number, initializer=initializer)
+        return pool(number)
 
     monkeypatch.setattr("imucal.readers.messages.loader.ThreadPoolExecutor", counted)
     for number, pools in (("1", set()), ("2", {2})):

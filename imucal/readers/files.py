@@ -1,6 +1,5 @@
-"""Bytes of a log file, read at any place by any thread, and the buffers each thread keeps."""
+"""Bytes of a log file, read at any place by any thread."""
 
-import os
 import threading
 from pathlib import Path
 from typing import TypeVar
@@ -40,15 +39,11 @@ def first_bytes(path: Path, size: int) -> bytes:
 
 
 class LogFile:
-    """A file read by absolute position; safe to share between threads.
-
-    Positioned reads into a buffer that is used again beat a memory map for uncompressed logs, keep the
-    file's pages out of the process, and can't raise SIGBUS on a file that is cut while it is read.
-    """
+    """A file read by absolute position; safe to share between threads."""
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file = path.open("rb", buffering=0)
+            self._file = path.open("rb")
             self.size = path.stat().st_size
         except OSError as error:
             raise refused(path, f"can't be opened: {error.strerror or error}") from error
@@ -67,53 +62,20 @@ class LogFile:
         code = "truncated" if end < self.size else reason.code
         return Finding("warning", code, text)
 
-    def into(self, position: int, view: memoryview) -> None:
-        """Fill `view` with the bytes from `position` on.
-
-        Raises DamagedError if the file ends before.
-        """
-        damaged_if(
-            position < 0 or position + len(view) > self.size,
-            f"bytes {position} to {position + len(view)} are beyond the end of the file",
-            "truncated",
-        )
-        self._fill(position, view)
-
-    def _fill(self, position: int, view: memoryview) -> None:
-        done = 0
-        while done < len(view):
-            count = self._read_some(position + done, view[done:])
-            damaged_if(not count, f"the file ended at byte {position + done} during reading", "truncated")
-            done += count
-
-    def read(self, position: int, size: int) -> bytearray:
+    def read(self, position: int, size: int) -> bytes:
         """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
-        beyond = size < 0 or position + size > self.size
+        beyond = min(position, size) < 0 or position + size > self.size
         damaged_if(beyond, f"{size} bytes at byte {position} are beyond the end of the file", "truncated")
-        data = bytearray(size)
-        self.into(position, memoryview(data))
+        data = self._bytes(position, size)
+        end = position + len(data)
+        damaged_if(len(data) < size, f"the file ended at byte {end} during reading", "truncated")
         return data
 
-    def _read_some(self, position: int, view: memoryview) -> int:
+    def _bytes(self, position: int, size: int) -> bytes:
         try:
-            if hasattr(os, "preadv"):
-                return os.preadv(self._file.fileno(), [view], position)
             with self._lock:
                 self._file.seek(position)
-                return self._file.readinto(view) or 0
+                return self._file.read(size)
         except OSError as error:
-            msg = f"{self.path}: can't be read at byte {position}: {error.strerror or error}"
-            raise ReadError(msg) from error
-
-
-class Scratch:
-    """The buffer of one thread, used again for every chunk so that memory is touched once."""
-
-    def __init__(self) -> None:
-        self._held = bytearray()
-
-    def buffer(self, size: int) -> memoryview:
-        """Return a buffer of `size` bytes; its content is that of the last use."""
-        if len(self._held) < size:
-            self._held = bytearray(size + size // 8)
-        return memoryview(self._held)[:size]
+            text = f"can't be read at byte {position}: {error.strerror or error}"
+            raise refused(self.path, text) from error

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imucal.arrays import IntArray, blocks
+from imucal.arrays import IntArray, blocks, release
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -26,7 +26,7 @@ from imucal.readers.messages import (
     stream_of,
 )
 from imucal.readers.messages.leaves import MOST
-from imucal.readers.messages.loader import Stream
+from imucal.readers.messages.loader import Stream, first_message
 from imucal.readers.messages.message_types import EACH, ImuFields, parse_fields_text
 from imucal.readers.messages.topic_streams import first_frames
 from imucal.readers.messages.trees import TreeDecoder, spread_times
@@ -149,7 +149,10 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
     work.decisions += first_frames(containers, choices)
     for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
-        work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
+        work.findings += [
+            *_loss_findings(decoding.losses, decoding.missing),
+            *_other_elements(containers, choice.topic, stream),
+        ]
         if not decoding.columns.n:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
             why = next(iter(seen), "the log has none")
@@ -193,17 +196,28 @@ def _refuse_options(path: Path, options: ReadOptions) -> None:
         raise ChoiceError(msg)
 
 
-def _loss_findings(losses: Sequence[Loss]) -> list[Finding]:
-    """Return one finding for each kind of loss."""
+def _loss_findings(losses: Sequence[Loss], missing: int | None = None) -> list[Finding]:
+    """Return one finding for each kind of loss; `missing` messages are in parts that could not be read."""
     findings = []
+    unread = {loss.code for loss in losses if loss.messages is None}
     for code in dict.fromkeys(loss.code for loss in losses):
         same = [loss for loss in losses if loss.code == code]
-        lost = sum(loss.messages or 0 for loss in same)
         where = f"{len(same)} places" if len(same) > 1 else "one place"
-        text = f"The log is damaged in {where}: {same[0].text}"
-        text += f"; about {lost} messages are lost." if lost else "; no message is lost."
+        lost = sum(loss.messages or 0 for loss in same)
+        if code not in unread:
+            count = _lost(lost)
+        elif missing is None:
+            count = "the number of lost messages is unknown"
+        else:
+            # The file's count does not distinguish the reasons.
+            count = _lost(lost + missing) if len(unread) == 1 else f"{_lost(missing)} in all unreadable parts"
+        text = f"The log is damaged in {where}: {same[0].text}; {count}."
         findings.append(Finding("warning", code, text))
     return findings
+
+
+def _lost(n: int) -> str:
+    return f"about {n} messages are lost" if n else "no message is lost"
 
 
 def _add_topic(
@@ -222,7 +236,7 @@ def _add_topic(
     work.findings += [replace(finding, axis=label) for finding in reading.findings]
     if clock.source == HEADER:
         work.findings += compare_clocks(columns.stamps, columns.log)
-    columns.release()
+    release(*columns.rows)
     work.decisions.append(("time", clock.source))
     usual = "from the message type" if imu.standard else "assumed for this message type"
     unscaled = []
@@ -253,11 +267,12 @@ def _other_vectors(topic: Topic, imu: ImuFields) -> Iterator[Finding]:
         yield Finding("warning", "other-vectors", text)
 
 
-def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
+def _other_elements(containers: Sequence[Container], topic: Topic, stream: Stream) -> list[Finding]:
     """Return a finding for each list of which one element was read and others were not."""
     lengths: dict[str, int] = {}
-    for decoder in stream.decoders.values():
-        lengths |= decoder.lengths if isinstance(decoder, TreeDecoder) else {}
+    for (number, key), decoder in stream.decoders.items():
+        if isinstance(decoder, TreeDecoder):
+            lengths |= decoder.lengths(first_message(containers[number], key) or b"")
     texts = [
         f"Messages of {topic.name} contain {count} elements of {name}; one was read. If all are samples of "
         f"one sensor, use {name}{EACH}."

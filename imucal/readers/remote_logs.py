@@ -150,19 +150,17 @@ class RangedFile(LogFile):
         """Let the blocks go."""
         self._blocks.clear()
 
-    def _fill(self, position: int, view: memoryview) -> None:
-        if not len(view):
-            return
-        first, last = position // _BLOCK, (position + len(view) - 1) // _BLOCK
+    def _bytes(self, position: int, size: int) -> bytes:
+        first, stop = position // _BLOCK, -(-(position + size) // _BLOCK)
         with self._lock:
-            self._fetch(first, last)
-            data = b"".join(self._blocks[index] for index in range(first, last + 1))
+            self._fetch(range(first, stop))
+            data = b"".join(self._blocks[index] for index in range(first, stop))
         start = position - first * _BLOCK
-        view[:] = data[start : start + len(view)]
+        return data[start : start + size]
 
-    def _fetch(self, first: int, last: int) -> None:
+    def _fetch(self, wanted: range) -> None:
         """Ask for the blocks that are missing, neighbours in one request."""
-        missing = [index for index in range(first, last + 1) if index not in self._blocks]
+        missing = [index for index in wanted if index not in self._blocks]
         for _, run in groupby(enumerate(missing), key=lambda item: item[1] - item[0]):
             indices = [index for _, index in run]
             start, stop = indices[0] * _BLOCK, min((indices[-1] + 1) * _BLOCK, self.size)

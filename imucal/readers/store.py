@@ -1,15 +1,15 @@
-"""Room for what reading holds: in memory up to a limit of bytes, in temporary files above it.
+"""Arrays in memory up to a limit of bytes, in temporary files above it.
 
-A temporary file has no name, so nothing is left behind whatever happens. `Columns` are written at any place
-by several threads, their number of samples known beforehand; a `GrowingColumn` takes block after block.
+A temporary file has no name, so nothing is left behind whatever happens.
 """
 
 import mmap
 import os
 import tempfile
-from collections.abc import Callable, Sequence
-from itertools import accumulate, pairwise
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,10 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, never_changes
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.resources import column_limit
+
+#: Rows of some samples, shape (n,) each: stamps and log times in ns, the axes of each sensor, and the
+#: temperature if there is one.
+Block: TypeAlias = Sequence[NDArray[Any]]
 
 T = TypeVar("T", bound=np.generic)
 
@@ -122,87 +126,39 @@ def equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
     return all(bool((first[part] == second[part]).all()) for part in blocks(first.size, first, second))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Stamps and samples of one topic, one contiguous row a quantity.
+    """Stamps and samples of one topic, one contiguous row per quantity."""
 
-    `stamps` and `log` are in ns, int64, shape (n,); `vectors` has for each sensor float64 of shape (3, n), or
-    a row for each of fewer axes; `temperature` has shape (n,), or is None.
-    """
-
-    def __init__(
-        self,
-        n: int,
-        sensors: tuple[Sensor, ...],
-        *,
-        temperature: bool,
-        limit: int | None = None,
-        axes: tuple[int, ...] = (),
-    ) -> None:
-        self._axes = axes or (3,) * len(sensors)
-        shape = (2 + sum(self._axes) + int(temperature), n)
-        self._limit = column_limit() if limit is None else limit
-        self._written = 0
-        self._data: FloatArray = allocated(shape[0] * n, np.float64, self._limit).reshape(shape)
-        self._view(self._data, sensors, temperature=temperature)
-
-    def _view(self, data: FloatArray, sensors: tuple[Sensor, ...], *, temperature: bool) -> None:
-        self.stamps: IntArray = data[0].view(np.int64)
-        self.log: IntArray = data[1].view(np.int64)
-        ends = [2, *(2 + end for end in accumulate(self._axes))]
-        self.vectors: dict[Sensor, FloatArray] = {
-            sensor: data[first:stop] for sensor, (first, stop) in zip(sensors, pairwise(ends), strict=True)
-        }
-        self.temperature: FloatArray | None = data[-1] if temperature else None
-        self.rows: list[FloatArray] = list(data)
+    rows: Block
+    #: Sensor -> its number of axes.
+    axes: Mapping[Sensor, int]
 
     @property
     def n(self) -> int:
         """Number of samples."""
         return self.stamps.size
 
-    def wrote(self, size: int) -> None:
-        """Count bytes written; now and then hand the pages of a mapped file back to the system."""
-        self._written += size
-        if self._written >= _FLUSH:
-            self._written = 0
-            self.release()
+    @property
+    def stamps(self) -> IntArray:
+        """Stamps in ns."""
+        return self.rows[0]
 
-    def release(self) -> None:
-        """Hand the pages of a mapped file back to the system; they are read again when used."""
-        release(self._data)
+    @property
+    def log(self) -> IntArray:
+        """Log times in ns."""
+        return self.rows[1]
 
-    def like(self, n: int) -> "Columns":
-        """Return columns for n samples of the same sensors."""
-        return Columns(
-            n,
-            tuple(self.vectors),
-            temperature=self.temperature is not None,
-            limit=self._limit,
-            axes=self._axes,
-        )
+    @property
+    def vectors(self) -> dict[Sensor, Sequence[FloatArray]]:
+        """Sensor -> its axes."""
+        rows = iter(self.rows[2:])
+        return {sensor: list(islice(rows, n)) for sensor, n in self.axes.items()}
 
-    def joined(self, others: Sequence["Columns"]) -> "Columns":
-        """Return these samples and those of others behind them."""
-        parts = [part for part in (self, *others) if part.n]
-        whole = self.like(sum(part.n for part in parts))
-        start = 0
-        for part in parts:
-            for row, values in zip(whole.rows, part.rows, strict=True):
-                copy_to(row[start : start + part.n], values)
-            start += part.n
-        return whole
-
-    def keep_spans(self, spans: list[tuple[int, int]]) -> None:
-        """Keep the samples of some spans (start, stop), in order, in place."""
-        end = 0
-        for start, stop in spans:
-            if start != end:
-                for row in self.rows:
-                    # Forward moves of overlapping ranges: NumPy copies through a buffer where they overlap.
-                    copy_to(row[end : end + stop - start], row[start:stop])
-            end += stop - start
-        if end != self.n:
-            self._view(self._data[:, :end], tuple(self.vectors), temperature=self.temperature is not None)
+    @property
+    def temperature(self) -> FloatArray | None:
+        """The temperature, if there is one."""
+        return self.rows[-1] if len(self.rows) > 2 + sum(self.axes.values()) else None
 
     def reorder(self, first: int, order: IntArray) -> None:
         """Put the samples from `first` on in another order, in place, row by row; `order` counts from it."""
@@ -268,6 +224,6 @@ class GrowingColumn:
         return array[: self._filled]
 
 
-def is_constant(rows: NDArray[Any]) -> bool:
-    """Say whether no row of samples ever changes; the first block mostly tells."""
+def is_constant(rows: Sequence[NDArray[Any]] | NDArray[Any]) -> bool:
+    """Return whether no row of samples ever changes."""
     return all(never_changes(row) for row in rows if row.size)

@@ -226,13 +226,13 @@ def idle_chunks_read(path: Path) -> tuple[int, int]:
     from imucal.readers.files import LogFile
 
     spans: list[tuple[int, int]] = []
-    into = LogFile.into
+    read_bytes = LogFile.read
 
-    def noted(file: LogFile, position: int, view: memoryview) -> None:
-        spans.append((position, position + len(view)))
-        into(file, position, view)
+    def noted(file: LogFile, position: int, size: int) -> bytes:
+        spans.append((position, position + size))
+        return read_bytes(file, position, size)
 
-    with mock.patch.object(LogFile, "into", noted):
+    with mock.patch.object(LogFile, "read", noted):
         read(path)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()

@@ -36,22 +36,19 @@ def test_integers_stay_integers(limit: int) -> None:
     npt.assert_array_equal(column.take(), stamps)
 
 
-@pytest.mark.parametrize("limit", LIMITS)
-def test_columns_are_cut_ordered_and_joined(limit: int) -> None:
-    """In place, every row alike."""
-    columns = Columns(100, (Sensor.GYROSCOPE,), temperature=True, limit=limit)
-    columns.stamps[:], columns.log[:] = np.arange(100), np.arange(100)
-    for row in columns.rows[2:]:
-        row[:] = np.arange(100)
-    columns.keep_spans([(5, 10), (20, 60)])
-    expected = np.r_[5:10, 20:60]
-    columns.reorder(0, np.arange(columns.n)[::-1])
-    columns.release()
-    both = columns.joined([columns])
-    for one, times in ((columns, 1), (both, 2)):
-        npt.assert_array_equal(one.stamps, np.tile(expected[::-1], times))
-        npt.assert_array_equal(one.vectors[Sensor.GYROSCOPE], np.tile(expected[::-1], (3, times)))
-        npt.assert_array_equal(one.temperature, np.tile(expected[::-1], times))
+def test_columns_are_named_and_ordered() -> None:
+    """Every row in the same order; the temperature is the last one."""
+    rows = [np.arange(100) + row for row in range(7)]
+    columns = Columns(rows, {Sensor.GYROSCOPE: 3, Sensor.ACCELEROMETER: 1})
+    columns.reorder(10, np.arange(90)[::-1])
+    expected = np.r_[0:10, 99:9:-1]
+    assert columns.n == 100
+    npt.assert_array_equal(columns.stamps, expected)
+    npt.assert_array_equal(columns.log, expected + 1)
+    npt.assert_array_equal(columns.vectors[Sensor.GYROSCOPE], [expected + row for row in (2, 3, 4)])
+    npt.assert_array_equal(columns.vectors[Sensor.ACCELEROMETER], [expected + 5])
+    npt.assert_array_equal(columns.temperature, expected + 6)
+    assert Columns(rows[:5], {Sensor.GYROSCOPE: 3}).temperature is None
 
 
 def test_a_recording_keeps_order_scale_and_each_finding_once() -> None:

@@ -27,6 +27,25 @@ def test_losses_in_words() -> None:
     assert _loss_findings([]) == []
 
 
+@pytest.mark.parametrize(
+    ("codes", "missing", "counts"),
+    [
+        ("a", 7, {"a": "about 7 messages are lost"}),
+        ("aa", 0, {"a": "no message is lost"}),
+        ("a", None, {"a": "the number of lost messages is unknown"}),
+        ("ac", 7, {"a": "about 7 messages are lost", "c": "about 3 messages are lost"}),
+        ("ab", 7, dict.fromkeys("ab", "about 7 messages are lost in all unreadable parts")),
+    ],
+)
+def test_messages_of_unreadable_parts(codes: str, missing: int | None, counts: dict[str, str]) -> None:
+    """Their number is what the file counts and no other part contained."""
+    losses = [Loss(code=code, text="bad", messages=3 if code == "c" else None) for code in codes]
+    found = {finding.code: finding.text for finding in _loss_findings(losses, missing)}
+    assert {code: text.partition("bad; ")[2] for code, text in found.items()} == {
+        code: f"{count}." for code, count in counts.items()
+    }
+
+
 def topic(*known: tuple[int | None, int | None, int | None]) -> Topic:
     """Return a topic of channels with count, first and last time."""
     channels = tuple(
@@ -85,12 +104,9 @@ def columns(
     stamps: list[int], log: list[int] | None = None, sensors: tuple[Sensor, ...] = (GYRO, ACCEL)
 ) -> Columns:
     """Return columns whose samples are the number of the row, from 0."""
-    held = Columns(len(stamps), sensors, temperature=False)
-    held.stamps[:] = stamps
-    held.log[:] = stamps if log is None else log
-    for rows in held.vectors.values():
-        rows[:] = np.arange(len(stamps))
-    return held
+    times = [np.array(stamps), np.array(stamps if log is None else log)]
+    axes = [np.arange(len(stamps), dtype=np.float64) for _ in range(3 * len(sensors))]
+    return Columns([*times, *axes], dict.fromkeys(sensors, 3))
 
 
 def test_the_order_of_the_log_time() -> None:

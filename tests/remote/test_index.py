@@ -71,7 +71,7 @@ def test_parts_are_the_file(web: WebServer) -> None:
     assert file.fetched <= len(body)
     for start, size in ((len(body), 1), (-1, 5), (0, len(body) + 1)):
         with pytest.raises(DamagedError):
-            file.into(start, memoryview(bytearray(size)))
+            file.read(start, size)
 
 
 def test_more_than_a_share_is_too_much(web: WebServer) -> None:

@@ -1,5 +1,5 @@
 """Bytes -> messages: the files that hold them, opened and cut into chunks."""
 
-from imucal.readers.containers.container import Alike, Batch, Bytes, Channel, Container, Loss, Task, gather
+from imucal.readers.containers.container import Batch, Bytes, Channel, Container, Loss, Task, gather
 
-__all__ = ["Alike", "Batch", "Bytes", "Channel", "Container", "Loss", "Task", "gather"]
+__all__ = ["Batch", "Bytes", "Channel", "Container", "Loss", "Task", "gather"]

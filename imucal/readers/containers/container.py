@@ -4,152 +4,71 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.frozen import frozen, frozen_alone
-from imucal.readers.files import LogFile, Scratch, damaged_if
+from imucal.frozen import frozen
+from imucal.readers.files import LogFile, damaged_if
 from imucal.readers.read_options import Progress
-
-#: A position from the start of a record, and the required bytes at that position.
-Guard = tuple[int, bytes]
-
-
-class Alike:
-    """Bytes that all records of a kind have in common.
-
-    Records are compared as adjacent words of up to eight bytes with a mask. A comparison of each guard would
-    need one pass per guard, and raw bytes (``V11``) take a nanosecond per byte.
-
-    Gathered records are `width` bytes wide; multiples of eight are fastest.
-    """
-
-    def __init__(self, guards: Iterable[Guard], width: int) -> None:
-        mask, value = bytearray(width), bytearray(width)
-        for at, part in guards:
-            mask[at : at + len(part)] = b"\xff" * len(part)
-            value[at : at + len(part)] = part
-        self._dtype = next(f"u{size}" for size in (8, 4, 2, 1) if width % size == 0)
-        self._one = np.frombuffer(mask, self._dtype), np.frombuffer(value, self._dtype)
-        self._many = self._one
-
-    def all(self, records: NDArray[np.void]) -> bool:
-        """Return whether all records, shape (n,), have these bytes; overwrites the records."""
-        words, mask, value = self._words(records)
-        np.bitwise_and(words, mask, out=words)
-        return bool((words == value).all())
-
-    def each(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Return which of the records, shape (n,), have these bytes."""
-        words, mask, value = self._words(records)
-        same: NDArray[np.bool_] = np.all(
-            ((words & mask) == value).reshape(records.size, self._one[0].size), axis=1
-        )
-        return same
-
-    def _words(self, records: NDArray[np.void]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return records as words, with masks and values of the same length."""
-        words = records.view(self._dtype).reshape(-1)
-        mask, value = self._many
-        if mask.size < words.size:
-            # Threads may do this at once, with the same result.
-            mask, value = (np.tile(part, records.size) for part in self._one)
-            self._many = mask, value
-        return words, mask[: words.size], value[: words.size]
-
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A damaged part of a log: the finding's code, the reason and the number of lost messages."""
+    """A damaged part of a log: the finding's code, the reason, and the number of lost messages.
+
+    None: the part could not be read, so the number of its messages is unknown.
+    """
 
     code: str
     text: str
-    messages: int | None = None
+    messages: int | None = 0
 
 
-@frozen_alone
+@dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Messages of one channel."""
+    """Messages of one channel: where each payload is in a buffer, its size, and its recording time in ns."""
 
-    #: Buffer with the messages; valid until the same thread loads the next chunk.
     buffer: Bytes
-    #: Start of each record, shape (n,).
+    #: Shape (n,) each.
     starts: IntArray
-    #: Bytes of a record before its payload.
-    header: int
-    #: Bytes of the payload: one for all messages, or one for each, shape (n,).
-    sizes: IntArray | int
-    #: Recording times, shape (n,), in ns; empty if `log_at` is used.
+    sizes: IntArray
     log_ns: IntArray
-    #: Position of that time in a record, as eight bytes, or None.
-    log_at: int | None = None
-    #: Guards that each record must match for `header` and `sizes` to be valid; empty if already checked.
-    guards: tuple[Guard, ...] = ()
-    #: Returns the same messages with each record checked; raises DamagedError.
-    check: Callable[[], "Batch"] | None = None
-    #: Damage found by the check.
+    #: Damage found by the container.
     loss: Loss | None = None
-
-    @classmethod
-    def of(
-        cls, buffer: Bytes, starts: IntArray, sizes: IntArray, log_ns: IntArray, *, header: int = 0
-    ) -> "Batch":
-        """Return a batch of checked positions and sizes; equal sizes become one number."""
-        same = bool(sizes.size) and bool((sizes == sizes[0]).all())
-        size = int(sizes[0]) if same else sizes
-        return cls(buffer=buffer, starts=starts, header=header, sizes=size, log_ns=log_ns)
 
     @property
     def n(self) -> int:
         """Number of messages."""
         return self.starts.size
 
-    def checked(self) -> "Batch":
-        """Return the batch with positions and sizes checked for each record."""
-        return self.check() if self.check is not None else self
-
-    def part(self, chosen: IntArray) -> "Batch":
-        """Return some messages of a checked batch."""
-        sizes = self.sizes if isinstance(self.sizes, int) else self.sizes[chosen]
-        return Batch(
-            buffer=self.buffer,
-            starts=self.starts[chosen],
-            header=self.header,
-            sizes=sizes,
-            log_ns=self.log_ns[chosen],
-        )
-
-    def payload(self) -> IntArray:
-        """Return the start of each payload, shape (n,)."""
-        return self.starts + np.int64(self.header)
+    def part(self, chosen: IntArray | slice) -> "Batch":
+        """Return some of the messages."""
+        return Batch(self.buffer, self.starts[chosen], self.sizes[chosen], self.log_ns[chosen])
 
     def messages(self) -> Iterator[memoryview]:
-        """Yield the payload of each message of a checked batch."""
-        starts, view = self.payload(), memoryview(self.buffer)
-        for start, end in zip(starts.tolist(), (starts + self.sizes).tolist(), strict=True):
-            yield view[start:end]
+        """Yield the payload of each message."""
+        view = memoryview(self.buffer)
+        for start, size in zip(self.starts.tolist(), self.sizes.tolist(), strict=True):
+            yield view[start : start + size]
 
 
-def gather(buffer: Bytes, at: IntArray, width: int, offset: int = 0) -> NDArray[np.void]:
-    """Copy `width` bytes, `offset` bytes after each position in `at`, shape (n,), into an array of n items.
+def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
+    """Copy `width` bytes from each position in `at`, shape (n,), into an array of n items.
 
-    Item i of the view starts `offset` bytes after byte i, so indexing makes one copy per message at any
-    alignment. (`take` would copy the whole view first.)
-
-    Raises DamagedError if a position is outside the buffer.
+    Item i of the view starts at byte i, so indexing makes one copy per message at any alignment. (`take`
+    would copy the whole view first.) Raises DamagedError if a position is outside the buffer.
     """
-    count = max(len(buffer) - offset - width + 1, 0)
+    count = max(len(buffer) - width + 1, 0)
     # As unsigned numbers, negative positions are beyond any buffer.
     beyond = at.size and int(at.view(np.uint64).max()) >= count
     damaged_if(beyond, "a message extends beyond its chunk")
-    view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=offset, strides=(1,))
+    view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, strides=(1,))
     return view[at]
 
 
@@ -181,19 +100,15 @@ class Channel:
     last_ns: int | None = None
 
 
-class Task(Protocol):
-    """A chunk, loaded by one thread."""
+class Task(NamedTuple):
+    """A part of a file, loaded by one thread."""
 
-    @property
-    def counts(self) -> dict[int, int]:
-        """Channel -> upper bound of the number of messages."""
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file, for progress."""
-
-    def load(self, scratch: Scratch) -> Iterable[tuple[int, Batch]]:
-        """Yield the messages of each wanted channel; raises DamagedError if the chunk can't be read."""
+    #: Bytes of the file, for progress.
+    size: int
+    #: The wanted channels with messages in it.
+    keys: frozenset[int]
+    #: Yields the messages of each of these channels; raises DamagedError if the part can't be read.
+    load: Callable[[], Iterable[tuple[int, Batch]]]
 
 
 class Container(ABC):

@@ -15,12 +15,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS, check_crc, crc32, decompress, decompress_prefix
 from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, gather
-from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if, refused
+from imucal.readers.files import DamagedError, LogFile, damaged_if, refused
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
@@ -116,41 +117,21 @@ _TAKEN: dict[str, Callable[[bytes], Any]] = {
 }
 
 
-class ChunkTask:
-    """A chunk to load."""
-
-    def __init__(self, file: LogFile, chunk: ChunkIndex, keys: frozenset[int]) -> None:
-        self._file, self._chunk = file, chunk
-        self.size = chunk.length + chunk.index_length
-        counts = index_counts(file, chunk, keys)
-        self._indexed = counts is not None
-        if counts is None:
-            try:
-                walked = walk_records(_read_chunk(file, chunk))
-                counts = {key: len(places) for key, places in walked.items() if key in keys}
-            except DamagedError:
-                # One message at least, so that the chunk is tried, and its loss is told.
-                counts = dict.fromkeys(keys, 1)
-        self.counts = {key: count for key, count in counts.items() if count}
-
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each wanted channel; see `Task`."""
-        chunk = self._chunk
-        region = scratch.buffer(self.size)
-        self._file.into(chunk.start, region)
-        raw = unpack(region[: chunk.length])
-        walked = {} if self._indexed else walk_records(raw)
-        for key, count in self.counts.items():
-            if self._indexed:
-                at = chunk.indexes[key] - chunk.start + _INDEX_HEAD
-                offsets = np.frombuffer(region, "<i8", 2 * count, at).reshape(count, 2)[:, 1]
-                yield key, _indexed(raw, np.ascontiguousarray(offsets), key)
-            else:
-                yield key, batch_of(raw, walked.get(key, []))
+def load_chunk(file: LogFile, chunk: ChunkIndex, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
+    """Yield the messages of some channels in a chunk; see `Task`."""
+    raw = _read_chunk(file, chunk)
+    counts = index_counts(file, chunk, keys)
+    if counts is None:
+        for key, positions in walk_records(raw).items():
+            yield key, batch_of(raw, positions)
+    else:
+        for key in counts:
+            entries = index_entries(file, chunk, key)
+            yield key, _indexed(raw, np.ascontiguousarray(entries[:, 1]), key)
 
 
 @dataclass(slots=True)
-class LooseTask:
+class Loose:
     """Messages that lie in the file itself, or in what is left of a cut chunk."""
 
     file: LogFile
@@ -167,13 +148,9 @@ class LooseTask:
         """Channel -> number of messages."""
         return {key: len(positions) for key, positions in self.starts.items()}
 
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+    def load(self) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each channel; see `Task`."""
-        if self.data is not None:
-            raw = memoryview(self.data)
-        else:
-            raw = scratch.buffer(self.size)
-            self.file.into(self.position, raw)
+        raw = self.file.read(self.position, self.size) if self.data is None else self.data
         for key, positions in self.starts.items():
             yield key, batch_of(raw, positions)
 
@@ -205,12 +182,14 @@ def index_counts(
         return None
 
 
-def index_times(file: LogFile, chunk: ChunkIndex, key: int) -> list[int]:
-    """Return the log times of a channel in a chunk, by its index; raises DamagedError."""
+def index_entries(file: LogFile, chunk: ChunkIndex, key: int) -> IntArray:
+    """Return log time and offset of the messages of a channel in a chunk, shape (n, 2), by its index.
+
+    Raises DamagedError if there is none.
+    """
     position = chunk.indexes[key]
     data = file.read(position + _INDEX_HEAD, 16 * index_count(file, key, position))
-    times: list[int] = np.frombuffer(data, "<i8")[::2].tolist()
-    return times
+    return np.frombuffer(data, "<i8").reshape(-1, 2)
 
 
 def _read_chunk(file: LogFile, chunk: ChunkIndex) -> memoryview:
@@ -240,42 +219,25 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
     return positions
 
 
-def batch_of(raw: Bytes, positions: Sequence[int]) -> Batch:
+def batch_of(raw: Bytes, positions: Sequence[int] | IntArray) -> Batch:
     """Return the messages whose whole records start at `positions`."""
-    starts = np.array(positions, np.int64)
-    heads = gather(raw, starts, _MESSAGE).view(_HEADS)
-    return Batch.of(raw, starts, heads["length"] - (_MESSAGE - 9), heads["log"], header=_MESSAGE)
+    starts = np.asarray(positions, np.int64)
+    return _batch(raw, starts, gather(raw, starts, _MESSAGE).view(_HEADS))
+
+
+def _batch(raw: Bytes, starts: IntArray, heads: NDArray[Any]) -> Batch:
+    return Batch(raw, starts + _MESSAGE, heads["length"] - (_MESSAGE - 9), heads["log"])
 
 
 def _indexed(raw: memoryview, starts: IntArray, key: int) -> Batch:
-    """Return the messages of an index, whose records are taken to be like the first."""
-    check = partial(_checked, raw, starts, key)
-    try:
-        # What else the first record may be is no matter: the guards compare it with a message.
-        length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
-    except struct.error:
-        return check()
-    return Batch(
-        buffer=raw,
-        starts=starts,
-        header=_MESSAGE,
-        sizes=length - (_MESSAGE - 9),
-        log_ns=starts[:0],
-        log_at=15,
-        guards=((0, _RECORD.pack(MESSAGE, length, key)),),
-        check=check,
-    )
-
-
-def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
-    """Check every record of an index; where one is none of the channel's, walk the chunk."""
+    """Return the messages of an index; if a record is not the channel's, walk the chunk."""
     with suppress(DamagedError):
         heads = gather(raw, starts, _MESSAGE).view(_HEADS)
         length = heads["length"]
         right = (heads["opcode"] == MESSAGE) & (heads["channel"] == key)
-        right &= (length >= _MESSAGE - 9) & (length <= len(raw) - starts - 9)
+        right &= (length >= _MESSAGE - 9) & (length <= len(raw) - 9 - starts)
         if right.all():
-            return batch_of(raw, starts.tolist())
+            return _batch(raw, starts, heads)
     loss = Loss(
         "index", "a message index points to wrong records; all records of its chunk were read instead"
     )
@@ -291,7 +253,7 @@ class Bookkeeping:
     #: Channel -> the number of its schema (0 for none), topic and encoding.
     channels: dict[int, list[Any]] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
-    loose: list[LooseTask] = field(default_factory=list)
+    loose: list[Loose] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
     start_ns: int | None = None
     end_ns: int | None = None
@@ -317,9 +279,16 @@ def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
     found.define_from_chunks()
     if not book.channels:
         raise refused(file.path, f"{reason}, and no whole record was found; expected an MCAP file")
-    known = frozenset(book.channels)
     for chunk in book.chunks:
-        book.counts.update(index_counts(file, chunk) or ChunkTask(file, chunk, known).counts)
+        counts = index_counts(file, chunk)
+        if not counts:
+            try:
+                walked = walk_records(_read_chunk(file, chunk))
+                counts = {key: len(places) for key, places in walked.items()}
+            except DamagedError:
+                # At least one message, so that the chunk is tried and its loss is reported.
+                counts = dict.fromkeys(book.channels, 1)
+        book.counts.update(counts)
     for loose in book.loose:
         book.counts.update(loose.counts)
     book.findings.append(file.scan_finding(reason, end))
@@ -382,7 +351,7 @@ class _Scan:
                 self.book.loose,
             )
             if not loose or end - loose[-1].position > _PART:
-                loose.append(LooseTask(self._file, at))
+                loose.append(Loose(self._file, at))
             part = loose[-1]
             part.starts.setdefault(key, []).append(at - part.position)
             part.size = end - part.position
@@ -394,7 +363,7 @@ class _Scan:
             raw = unpack(memoryview(self._file.read(at, size)), cut=True)
             self.book.define_all(raw)
             if starts := walk_records(raw):
-                self.book.loose.append(LooseTask(self._file, at, size, starts, bytes(raw)))
+                self.book.loose.append(Loose(self._file, at, size, starts, bytes(raw)))
 
     def define_from_chunks(self) -> None:
         """Read definitions from chunks until every indexed channel is known.
@@ -429,12 +398,12 @@ class McapFile(MessageFile):
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         """Yield the chunks that hold messages of some channels."""
         for chunk in self._book.chunks:
-            task = ChunkTask(self._file, chunk, keys)
-            if task.counts:
-                yield task
+            if found := keys & chunk.indexes.keys() if chunk.indexes else keys:
+                size = chunk.length + chunk.index_length
+                yield Task(size, found, partial(load_chunk, self._file, chunk, found))
         for loose in self._book.loose:
-            if starts := {key: starts for key, starts in loose.starts.items() if key in keys}:
-                yield replace(loose, starts=starts)
+            if found := keys & loose.starts.keys():
+                yield Task(loose.size, found, loose.load)
 
     def _summary(self) -> Bookkeeping:
         """Read the summary; raises DamagedError if it is missing, damaged or does not index all."""
@@ -524,9 +493,10 @@ class McapFile(MessageFile):
         times: dict[int, list[int]] = {}
         for key, chunks in ends.items():
             with suppress(DamagedError):
-                times[key] = [time for chunk in chunks for time in index_times(self._file, chunk, key)]
+                entries = [index_entries(self._file, chunk, key)[:, 0] for chunk in chunks]
+                times[key] = np.concatenate(entries).tolist()
         for loose in self._book.loose:
-            for key, batch in loose.load(Scratch()):
+            for key, batch in loose.load():
                 times.setdefault(key, []).extend([int(batch.log_ns.min()), int(batch.log_ns.max())])
         return times
 

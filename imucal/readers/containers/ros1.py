@@ -15,22 +15,22 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucal.arrays import IntArray
+from imucal.arrays import BoolArray
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS, decompress, decompress_prefix
 from imucal.readers.containers.container import (
-    Alike,
     Batch,
     Bytes,
     Channel,
-    Guard,
     Loss,
     MessageFile,
+    Task,
     cells,
     gather,
 )
-from imucal.readers.files import DamagedError, LogFile, Scratch, damaged_if, refused
+from imucal.readers.files import DamagedError, LogFile, damaged_if, refused
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -163,35 +163,25 @@ class BagChunk:
     last_ns: int = 0
 
 
-class BagChunkTask:
-    """A chunk to load."""
-
-    def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
-        self._file, self._chunk, self.size = file, chunk, chunk.size
-        # An index entry has 12 bytes: a count beyond them is not believed.
-        most = chunk.size // 12 if chunk.indexed else chunk.size
-        self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
-
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each wanted connection; see `Task`."""
-        region = scratch.buffer(self.size)
-        self._file.into(self._chunk.start, region)
-        raw, end = unpack(region, cut=self._chunk.cut)
-        indexes: dict[int, memoryview] = {}
-        # Behind the chunk stand its index records: up to the last wanted one.
-        with suppress(DamagedError):
-            for opcode, entry in walk(region[end:]) if self._chunk.indexed else ():
-                if opcode != INDEX or entry.end - entry.start != 12 * number(entry.head, b"count", 4):
-                    break
-                indexes[entry.key] = region[end + entry.start : end + entry.end]
-                if self.counts.keys() <= indexes.keys():
-                    break
-        for key in self.counts:
-            if key in indexes:
-                yield key, _indexed(raw, key, indexes[key])
-            else:
-                loss = Loss("index", "an index record is missing; all records of its chunk were read instead")
-                yield key, _walked(raw, key, loss if self._chunk.indexed else None)
+def load_chunk(file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
+    """Yield the messages of some connections in a chunk; see `Task`."""
+    region = memoryview(file.read(chunk.start, chunk.size))
+    raw, end = unpack(region, cut=chunk.cut)
+    indexes: dict[int, memoryview] = {}
+    # The index records follow the chunk.
+    with suppress(DamagedError):
+        for opcode, entry in walk(region[end:]) if chunk.indexed else ():
+            if opcode != INDEX or entry.end - entry.start != 12 * number(entry.head, b"count", 4):
+                break
+            indexes[entry.key] = region[end + entry.start : end + entry.end]
+            if keys <= indexes.keys():
+                break
+    for key in keys:
+        if key in indexes:
+            yield key, _indexed(raw, key, indexes[key])
+        else:
+            loss = Loss("index", "an index record is missing; all records of its chunk were read instead")
+            yield key, _walked(raw, key, loss if chunk.indexed else None)
 
 
 def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
@@ -207,70 +197,42 @@ def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
 
 
 def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
-    """Return the messages that an index record lists.
+    """Return the messages that an index record lists; walk the chunk if an entry is wrong.
 
-    All records are compared with the last one, whose header repeats but for the time; the first may have
-    the connection's own record in front.
+    All headers are compared with the last one, which repeats except for the time. Records that differ are
+    parsed one by one: the first may have the connection's own record in front.
     """
     seconds, rest, starts = np.frombuffer(entries, "<u4").reshape(-1, 3).T.astype(np.int64, order="C")
     log_ns = seconds * 1_000_000_000 + rest
-    check = partial(_checked, raw, key, starts, log_ns)
     if not starts.size:
-        return Batch.of(raw, starts, starts, log_ns)
-    last = int(starts[-1])
-    size = int.from_bytes(raw[last : last + 4], "little")
-    head = bytes(raw[last : last + size + 8])
-    before, time, value = head.partition(b"time=")
-    common = _message_head(before + time + bytes(len(value[:8])) + value[8:])
-    if common is None or common[0] != key:
-        return check()
-    return Batch(
-        buffer=raw,
-        starts=starts,
-        header=len(head),
-        sizes=common[1],
-        log_ns=log_ns,
-        guards=common[2],
-        check=check,
-    )
-
-
-@lru_cache(maxsize=64)
-def _message_head(head: bytes) -> tuple[int, int, tuple[Guard, ...]] | None:
-    """Return connection, bytes of data and guards by a message's header, its time blank; None for others."""
-    with suppress(DamagedError):
-        entry = record(head, 0)
-        if entry.opcode == MESSAGE and entry.start == len(head):
-            return entry.key, entry.end - entry.start, _guards(head)
-    return None
-
-
-def _guards(head: bytes) -> tuple[Guard, ...]:
-    """Return the bytes of a header, its lengths too, except the value of its time."""
-    before, time, value = head.partition(b"time=")
-    at = len(before + time)
-    return tuple((start, part) for start, part in ((0, head[:at]), (at + 8, value[8:])) if part)
-
-
-def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> Batch:
-    """Check the header of every record; skip connection records; walk the chunk where that fails."""
-    payloads, sizes = starts.copy(), np.zeros_like(starts)
+        return Batch(raw, starts, starts, log_ns)
     try:
-        # Those whose header is that of the last are taken at once.
         last = int(starts[-1])
         head = bytes(raw[last : _message(raw, key, last)[0]])
-        rows = np.flatnonzero((starts >= 0) & (starts <= len(raw) - len(head)))
-        heads = gather(raw, starts[rows], len(head))
-        length = cells(heads, len(head) - 4, "<u4")
-        payloads[rows] += len(head)
-        alike = Alike(_guards(head[:-4]), len(head)).each(heads) & (payloads[rows] + length <= len(raw))
-        sizes[rows] = length
-        for row in np.delete(np.arange(starts.size), rows[alike]).tolist():
+        payloads, sizes = starts + len(head), np.zeros_like(starts)
+        inside = np.flatnonzero(starts <= len(raw) - len(head))
+        heads = gather(raw, starts[inside], len(head))
+        sizes[inside] = cells(heads, len(head) - 4, "<u4")
+        alike = inside[_alike(heads, head)]
+        alike = alike[payloads[alike] + sizes[alike] <= len(raw)]
+        for row in np.delete(np.arange(starts.size), alike).tolist() if alike.size < starts.size else ():
             payloads[row], sizes[row] = _message(raw, key, int(starts[row]))
     except DamagedError:
         loss = Loss("index", "an index points to wrong records; all records of its chunk were read instead")
         return _walked(raw, key, loss)
-    return Batch.of(raw, payloads, sizes, log_ns)
+    return Batch(raw, payloads, sizes, log_ns)
+
+
+def _alike(heads: NDArray[np.void], head: bytes) -> BoolArray:
+    """Return which gathered headers are `head`, except for the value of the time and the size at the end."""
+    end = len(head) - 4
+    time = head.find(b"time=") + 5 if b"time=" in head else end
+    same = np.ones(heads.size, np.bool_)
+    for start, stop in ((0, time), (time + 8, end)):
+        if start < stop:
+            code = f"V{stop - start}"
+            same &= cells(heads, start, code) == np.frombuffer(head, code, 1, start)
+    return same
 
 
 def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
@@ -292,7 +254,7 @@ def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
         if opcode == MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key
     ]
     starts, sizes, times = np.array(found, np.int64).reshape(-1, 3).T.copy()
-    return replace(Batch.of(raw, starts, sizes, times), loss=loss)
+    return Batch(raw, starts, sizes, times, loss)
 
 
 class BagFile(MessageFile):
@@ -326,12 +288,11 @@ class BagFile(MessageFile):
         self.start_ns = min((chunk.first_ns for chunk in self._chunks if chunk.first_ns), default=None)
         self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
 
-    def tasks(self, keys: frozenset[int]) -> Iterator[BagChunkTask]:
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         """Yield the chunks that hold messages of some connections."""
         for chunk in self._chunks:
-            task = BagChunkTask(self._file, chunk, keys)
-            if task.counts:
-                yield task
+            if found := frozenset(key for key in keys if chunk.counts.get(key)):
+                yield Task(chunk.size, found, partial(load_chunk, self._file, chunk, found))
 
     def _read_section(self) -> None:
         """Read the index section; raises DamagedError if there is none, or it is damaged."""

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from inspect import get_annotations
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from imucal.readers.containers.container import Batch, Container, Task
 from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.rosbag2_folder import Folder, open_folder
 from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
-from imucal.readers.files import DamagedError, Scratch, damaged_if, refused
+from imucal.readers.files import DamagedError, damaged_if, refused
 from imucal.readers.read_options import Progress
 
 #: First bytes of a zstd frame.
@@ -126,19 +127,12 @@ class _ZstdMessages(_Wrapped):
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         for task in self._inner.tasks(keys):
-            yield _ZstdTask(task)
+            yield task._replace(load=partial(_load_decompressed, task))
 
 
-class _ZstdTask:
-    """A task whose messages are decompressed one by one."""
-
-    def __init__(self, inner: Task) -> None:
-        self._inner = inner
-        self.counts, self.size = inner.counts, inner.size
-
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-        for key, batch in self._inner.load(scratch):
-            yield key, _decompressed(batch.checked())
+def _load_decompressed(task: Task) -> Iterator[tuple[int, Batch]]:
+    for key, batch in task.load():
+        yield key, _decompressed(batch)
 
 
 def _decompressed(batch: Batch) -> Batch:

@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,11 +16,10 @@ from urllib.parse import quote
 
 import numpy as np
 
-from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.containers.container import Batch, Channel, Loss, MessageFile, Task
-from imucal.readers.files import Scratch, first_bytes
+from imucal.readers.files import first_bytes
 
 Value = TypeVar("Value")
 
@@ -31,8 +31,6 @@ _PART, _ROWS = 1 << 22, 256
 _FETCH = 1024
 #: Ranges of damaged rows are halved down to this many rows.
 _FEW = 16
-#: A row of `messages` takes at least this many bytes, with its index.
-_SMALLEST = 16
 #: Rows up to which messages are counted if the metadata do not list the counts.
 _COUNTED = 2_000_000
 #: Errors of a database with damaged pages; the last three come from values of a wrong type.
@@ -86,7 +84,7 @@ class SqliteFile(MessageFile):
             self.findings.append(Finding("warning", "wal-ignored", text, advice))
         return base
 
-    def _check_size(self, head: bytearray) -> None:
+    def _check_size(self, head: bytes) -> None:
         """Raise an error if the end of the file is missing; SQLite reads zeros if part of a page is."""
         page, pages = struct.unpack_from(">H10xI", head, 16)
         stated = pages * (page if page > 1 else 1 << 16)
@@ -118,7 +116,43 @@ class SqliteFile(MessageFile):
         for first in range(self._rows.start, self._rows.stop, step):
             rows = range(first, min(first + step, self._rows.stop))
             size = max(self.size * (rows.stop - first) // total, 1)
-            yield SqliteTask(self.path, self._base, wanted, rows, size)
+            yield Task(size, frozenset(wanted), partial(self._load, wanted, rows))
+
+    def _load(self, keys: list[int], rows: range) -> Iterator[tuple[int, Batch]]:
+        """Yield the messages of some topics in a range of rows; see `Task`."""
+        for key in keys:
+            yield key, self._fetch(key, rows)
+
+    def _fetch(self, key: int, rows: range) -> Batch:
+        """Return the messages of a topic; halves of a damaged range are fetched on their own."""
+        lost, reason = 0, ""
+        parts = [batch_of_blobs([], [])]
+        ranges = [rows]
+        while ranges:
+            rows = ranges.pop()
+            size = rows.stop - rows.start
+            try:
+                parts.append(self._fetch_range(key, rows))
+            except sqlite3.OperationalError as error:
+                raise _refusal(self.path, error) from error
+            except _ERRORS as error:
+                if size > _FEW:
+                    middle = rows.start + size // 2
+                    ranges += [range(middle, rows.stop), range(rows.start, middle)]
+                else:
+                    lost, reason = lost + size, reason or f"rows from {rows.start} on: {error}"
+        batch = parts[1] if len(parts) == 2 else _joined(parts)
+        loss = Loss("damaged", f"the SQLite database can't be read at {reason}", lost) if lost else None
+        return replace(batch, loss=loss)
+
+    def _fetch_range(self, key: int, rows: range) -> Batch:
+        # No `order by`: it would go through the index of times instead of the table.
+        query = "select timestamp, data from messages where rowid between ? and ? and topic_id = ?"
+        values: list[Any] = []
+        cursor = self._base.execute(query, (rows.start, rows.stop - 1, key))
+        while found := cursor.fetchmany(_FETCH):
+            values += chain.from_iterable(found)
+        return batch_of_blobs(values[1::2], values[0::2])
 
     def sample(self) -> bytes:
         """Return the start of the first message's payload, which shows whether it is compressed."""
@@ -176,72 +210,17 @@ class SqliteFile(MessageFile):
         return _if_whole(lambda: dict(self._base.execute(query).fetchall()))
 
 
-class SqliteTask:
-    """A range of rows to load."""
-
-    def __init__(self, path: Path, base: sqlite3.Connection, keys: list[int], rows: range, size: int) -> None:
-        self._path, self._base, self._rows = path, base, rows
-        self.size = size
-        # Ids may be sparse.
-        self.counts = dict.fromkeys(keys, min(rows.stop - rows.start, size // _SMALLEST + 1))
-
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each wanted topic; see `Task`."""
-        del scratch
-        for key in self.counts:
-            yield key, self._fetch(key)
-
-    def _fetch(self, key: int) -> Batch:
-        """Return the messages of a topic; halves of a damaged range are fetched on their own."""
-        lost, reason = 0, ""
-        parts = [batch_of_blobs([], [])]
-        ranges = [self._rows]
-        while ranges:
-            rows = ranges.pop()
-            size = rows.stop - rows.start
-            try:
-                parts.append(self._fetch_range(key, rows))
-            except sqlite3.OperationalError as error:
-                raise _refusal(self._path, error) from error
-            except _ERRORS as error:
-                if size > _FEW:
-                    middle = rows.start + size // 2
-                    ranges += [range(middle, rows.stop), range(rows.start, middle)]
-                else:
-                    lost, reason = lost + size, reason or f"rows from {rows.start} on: {error}"
-        batch = parts[1] if len(parts) == 2 else _joined(parts)
-        loss = Loss("damaged", f"the SQLite database can't be read at {reason}", lost) if lost else None
-        return replace(batch, loss=loss)
-
-    def _fetch_range(self, key: int, rows: range) -> Batch:
-        # No `order by`: it would go through the index of times instead of the table.
-        query = "select timestamp, data from messages where rowid between ? and ? and topic_id = ?"
-        values: list[Any] = []
-        cursor = self._base.execute(query, (rows.start, rows.stop - 1, key))
-        while found := cursor.fetchmany(_FETCH):
-            values += chain.from_iterable(found)
-        return batch_of_blobs(values[1::2], values[0::2])
-
-
 def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
     """Return separate messages as one batch; raises TypeError if a value has another type."""
     sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
     # Unlike NumPy, `array` refuses floats.
-    return Batch.of(b"".join(blobs), _starts(sizes), sizes, np.array(array("q", times)))
+    return Batch(b"".join(blobs), np.cumsum(sizes) - sizes, sizes, np.array(array("q", times)))
 
 
 def _joined(parts: list[Batch]) -> Batch:
     """Return the messages of several batches."""
-    sizes = np.concatenate([np.broadcast_to(part.sizes, part.n) for part in parts])
-    times = np.concatenate([part.log_ns for part in parts])
-    return Batch.of(b"".join(part.buffer for part in parts), _starts(sizes), sizes, times)
-
-
-def _starts(sizes: IntArray) -> IntArray:
-    """Return where messages start that are stored without gaps."""
-    starts = np.cumsum(sizes)
-    starts -= sizes
-    return starts
+    sizes, times = (np.concatenate([getattr(part, name) for part in parts]) for name in ("sizes", "log_ns"))
+    return Batch(b"".join(part.buffer for part in parts), np.cumsum(sizes) - sizes, sizes, times)
 
 
 def _if_whole(query: Callable[[], Value]) -> Value | None:

@@ -94,7 +94,7 @@ class Definition:
     """The definition of a message type, in the form of rosbags: the types that are known, by their names.
 
     `given` are the texts of further types, by ``package/Name``; with them the standard types of ROS are known
-    too. It is `assumed` where it stands in for the log's own, by the name of the type.
+    too.
     """
 
     def __init__(
@@ -104,10 +104,9 @@ class Definition:
         *,
         ros1: bool,
         given: Mapping[str, str] | None = None,
-        assumed: bool = False,
     ) -> None:
         self.name = long_type(name)
-        self.ros1, self.assumed = ros1, assumed
+        self.ros1 = ros1
         self.types = dict(types)
         self._given = given
 
@@ -239,18 +238,16 @@ def standard_types(*, ros1: bool) -> Mapping[str, Any]:
     return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
 
 
-def defined(
-    name: str, text: str, *, ros1: bool, given: Mapping[str, str] | None = None, assumed: bool = False
-) -> Definition:
+def defined(name: str, text: str, *, ros1: bool, given: Mapping[str, str] | None = None) -> Definition:
     """Return the definition of a type by its text; raises DefinitionError if it can't be read."""
     types = _parsed(long_type(name), text)
-    return Definition(name, types, ros1=ros1, given=given, assumed=assumed)
+    return Definition(name, types, ros1=ros1, given=given)
 
 
 def built_in(name: str, *, ros1: bool) -> Definition | None:
     """Return the definition of a type of ROS itself; None for others."""
     types = standard_types(ros1=ros1)
-    return Definition(name, types, ros1=ros1, assumed=True) if long_type(name) in types else None
+    return Definition(name, types, ros1=ros1) if long_type(name) in types else None
 
 
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
@@ -306,7 +303,7 @@ def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definit
         else:
             return own
     elif (text := definition_of(channel.type, given)) is not None:
-        return defined(channel.type, text, ros1=ros1, given=given, assumed=True)
+        return defined(channel.type, text, ros1=ros1, given=given)
     standard = standard or built_in(channel.type, ros1=ros1)
     if standard is not None:
         return standard

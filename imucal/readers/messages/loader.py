@@ -1,106 +1,65 @@
-"""Chunks -> columns: every chunk into its own rows, in parallel where the container allows it."""
+"""Chunks -> columns: decoded in parallel where the container allows it, appended in the order of the file."""
 
-import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from itertools import islice
-from operator import itemgetter
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.containers import Batch, Container, Loss, Task
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.files import DamagedError
 from imucal.readers.messages.message_types import ImuFields
-from imucal.readers.messages.trees import ListDecoder
 from imucal.readers.read_options import Progress
-from imucal.readers.store import Columns
+from imucal.readers.store import Block, Columns, GrowingColumn
+from imucal.resources import column_limit
 from imucal.resources import threads as allowed_threads
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 #: More threads gain nothing: the interpreter's lock is held in between.
 _MAX_THREADS = 4
-#: Logs of more messages have chunks enough to make up for preparing the allocator.
+#: Preparing the allocator pays off for logs of more messages.
 _LARGE = 50_000
-#: Chunks in which the first message of a channel is looked for.
+#: Chunks that are searched for the first message of a channel.
 _LOOKS = 8
-#: Losses kept word by word; the rest is counted.
+#: Losses kept of one stream.
 _MAX_LOSSES = 1000
+#: If more messages than these are damaged in a row, the others are not tried one by one.
+_MANY = 64
+#: A message takes at least this many bytes of a file: its entry in an index.
+_SMALLEST = 12
 
 
 class Decoder(Protocol):
-    """Turns the messages of one channel into numbers; `notes` is what was found in doing so."""
+    """Decodes the messages of one channel."""
 
-    notes: list[Loss]
-
-    def settle(self, batch: Batch) -> None:
-        """Look at the first messages, once."""
-
-    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
-        """Decode messages that are all alike; False if they are not."""
-
-    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
-        """Decode checked messages that may differ; raises DamagedError."""
+    def decode(self, batch: Batch) -> Block:
+        """Return the samples of messages; raises DamagedError if one can't be decoded."""
 
 
 @dataclass(slots=True, eq=False)
 class Stream:
-    """One topic to decode: what to take, and who decodes each channel of each container."""
+    """One topic to decode: its fields, and the decoder of each channel (container, key)."""
 
     imu: ImuFields
     decoders: dict[tuple[int, int], Decoder]
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Decoding:
-    """What decoding a stream gave: its columns, in the order of the file, and what was lost."""
+    """The samples of a stream in the order of the file, and what was lost."""
 
     columns: Columns
-    losses: list[Loss] = field(default_factory=list)
-
-
-@dataclass(slots=True, eq=False)
-class _Target:
-    """Where the messages of a stream go."""
-
-    columns: Columns
-    #: Spans of the columns (first, last + 1) that were written.
-    filled: list[tuple[int, int]] = field(default_factory=list)
-    #: Columns that found no room, and what was lost, each with the number of its chunk: threads are not done
-    #: with chunks in their order.
-    extra: list[tuple[int, Columns]] = field(default_factory=list)
-    losses: list[tuple[int, Loss]] = field(default_factory=list)
-
-    def decoding(self, decoders: Iterable[Decoder]) -> Decoding:
-        """Return what the stream gave, in the order of the chunks, and as it was found in each."""
-        losses = [loss for _, loss in sorted(self.losses, key=itemgetter(0))][:_MAX_LOSSES]
-        losses += [note for decoder in decoders for note in decoder.notes]
-        columns = self.columns
-        columns.keep_spans(_merged(self.filled))
-        if self.extra:
-            columns = columns.joined([more for _, more in sorted(self.extra, key=itemgetter(0))])
-        columns.release()
-        return Decoding(columns, losses)
-
-
-@dataclass(slots=True, eq=False)
-class _Part:
-    """The messages of a channel in one chunk: its number, where they go, and who decodes them.
-
-    They have room for `most` messages from row `first` on. They are `hopeless` when all of many were damaged:
-    the type itself is wrong then, and each of the others would be tried in vain.
-    """
-
-    number: int
-    key: int
-    target: int
-    decoder: Decoder
-    first: int
-    most: int
-    hopeless: bool = False
+    losses: list[Loss]
+    #: Messages that the file counts but no part contained; None if the file does not count them.
+    missing: int | None
 
 
 def decode(
@@ -111,198 +70,144 @@ def decode(
     progress: Progress | None = None,
     most_chunks: int | None = None,
 ) -> list[Decoding]:
-    """Decode streams from containers; at most `most_chunks` of the first file that holds messages.
+    """Decode streams from containers; at most `most_chunks` of the first file that has messages of them.
 
-    Of the samples, `limit` bytes are held in memory before a temporary file takes them.
+    Samples of more than `limit` bytes are in temporary files.
     """
-    return _Run(containers, streams, limit, progress, most_chunks=most_chunks).go()
+    jobs = list(_jobs(containers, streams, most_chunks))
+    # Counts can be wrong, so the file's size limits the memory that is reserved.
+    most = sum(container.size for container in containers) // _SMALLEST if most_chunks is None else 0
+    share = (column_limit() if limit is None else limit) // len(streams)
+    outputs = [_Output(stream.imu, _stated(containers, stream), most, share) for stream in streams]
+    if sum(output.expected for output in outputs) > _LARGE:
+        keep_freed_memory()
+    parallel = all(container.parallel for container in containers)
+    threads = min(_MAX_THREADS, allowed_threads(), len(jobs)) if parallel else 1
+    done, total = 0, sum(task.size for _, task in jobs)
+    for (_, task), results in zip(jobs, _in_order(jobs, partial(_decoded, streams), threads), strict=True):
+        for index, n, pieces in results:
+            outputs[index].add(n, pieces)
+        done += task.size
+        if progress is not None:
+            progress(done, total)
+    return [output.decoding() for output in outputs]
+
+
+class _Output:
+    """What is decoded of a stream so far.
+
+    The files count `stated` messages; memory is reserved for at most `most`. The columns have at most `limit`
+    bytes in memory.
+    """
+
+    def __init__(self, imu: ImuFields, stated: int | None, most: int, limit: int) -> None:
+        self._stated, self._found = stated, 0
+        self.expected = min(stated or 0, most)
+        self._axes = {vector.sensor: len(vector.axes) for vector in imu.vectors}
+        types: list[type[np.generic]] = [np.int64] * 2
+        types += [np.float64] * (sum(self._axes.values()) + bool(imu.temperature))
+        share = limit // len(types)
+        self._columns = [GrowingColumn(one, limit=share, expected=self.expected) for one in types]
+        self._losses: list[Loss] = []
+
+    def add(self, n: int, pieces: Sequence[Block | Loss]) -> None:
+        """Append the samples and losses of n messages."""
+        self._found += n
+        for piece in pieces:
+            if not isinstance(piece, Loss):
+                for column, values in zip(self._columns, piece, strict=True):
+                    column.append(values)
+            elif len(self._losses) < _MAX_LOSSES:
+                self._losses.append(piece)
+
+    def decoding(self) -> Decoding:
+        """Return the result."""
+        columns = Columns([column.take() for column in self._columns], self._axes)
+        missing = None if self._stated is None else max(self._stated - self._found, 0)
+        return Decoding(columns, self._losses, missing)
 
 
 def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -> bytes | None:
-    """Return the first whole message of a channel; None where there is none in some chunks, or in all."""
-    scratch = Scratch()
+    """Return the first whole message of a channel in some chunks, or in all; None if there is none."""
     for task in islice(container.tasks(frozenset({key})), chunks):
         with suppress(DamagedError):
-            for _, batch in task.load(scratch):
-                checked = batch.checked()
-                if checked.n:
-                    return bytes(next(checked.messages()))
+            for _, batch in task.load():
+                if batch.n:
+                    return bytes(next(batch.messages()))
     return None
 
 
-class _Run:
-    """One decoding of several streams; the target of a stream stands at its index."""
+def _stated(containers: Sequence[Container], stream: Stream) -> int | None:
+    """Return how many messages of a stream the files count; None if a file does not count them."""
+    channels = [(at, channel) for at, one in enumerate(containers) for channel in one.channels]
+    counts = [channel.count for at, channel in channels if (at, channel.key) in stream.decoders]
+    return None if None in counts else sum(count or 0 for count in counts)
 
-    def __init__(
-        self,
-        containers: Sequence[Container],
-        streams: Sequence[Stream],
-        limit: int | None,
-        progress: Progress | None,
-        *,
-        most_chunks: int | None,
-    ) -> None:
-        self.streams = streams
-        totals = [0] * len(streams)
-        self.jobs = list(self._plan(containers, totals, most_chunks))
-        self.targets = []
-        for imu, total in zip((stream.imu for stream in streams), totals, strict=True):
-            axes = tuple(len(vector.axes) for vector in imu.vectors)
-            warm = bool(imu.temperature)
-            self.targets.append(
-                _Target(Columns(total, imu.sensors, temperature=warm, limit=limit, axes=axes))
-            )
-        self.parallel = all(container.parallel for container in containers)
-        self.progress = progress
-        self.done, self.total = 0, sum(task.size for task, _ in self.jobs)
-        self.lock = threading.Lock()
 
-    def _plan(
-        self, containers: Sequence[Container], totals: list[int], most_chunks: int | None
-    ) -> Iterator[tuple[Task, list[_Part]]]:
-        """Yield the tasks, the parts of each with room behind those before; adds up the `totals`."""
-        jobs = 0
-        for at, container in enumerate(containers):
-            keys = frozenset(key for stream in self.streams for other, key in stream.decoders if other == at)
-            before = jobs
-            for task in islice(container.tasks(keys) if keys else (), most_chunks):
-                parts = []
-                for index, stream in enumerate(self.streams):
-                    for key, count in task.counts.items():
-                        if (at, key) in stream.decoders:
-                            parts.append(
-                                _Part(jobs, key, index, stream.decoders[at, key], totals[index], count)
-                            )
-                            totals[index] += count
-                yield task, parts
-                jobs += 1
-            if most_chunks is not None and jobs > before:
-                return
+def _jobs(
+    containers: Sequence[Container], streams: Sequence[Stream], most_chunks: int | None
+) -> Iterator[tuple[int, Task]]:
+    """Yield the tasks to load, each with the number of its container."""
+    for at, container in enumerate(containers):
+        keys = frozenset(key for stream in streams for other, key in stream.decoders if other == at)
+        tasks = list(islice(container.tasks(keys), most_chunks)) if keys else []
+        yield from ((at, task) for task in tasks)
+        if most_chunks is not None and tasks:
+            return
 
-    def go(self) -> list[Decoding]:
-        if sum(target.columns.n for target in self.targets) > _LARGE:
-            keep_freed_memory()
-        threads = min(_MAX_THREADS, allowed_threads(), len(self.jobs)) if self.parallel else 1
-        if threads > 1:
-            self._in_threads(threads)
-        else:
-            scratch = Scratch()
-            for job in self.jobs:
-                self._work(*job, scratch)
-        both = zip(self.targets, self.streams, strict=True)
-        return [target.decoding(stream.decoders.values()) for target, stream in both]
 
-    def _in_threads(self, threads: int) -> None:
-        """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
-        # The first chunk, by which the definition is chosen, is the same however many threads there are.
-        self._work(*self.jobs[0], Scratch())
-        held = threading.local()
-
-        def start() -> None:
-            held.scratch = Scratch()
-
-        with ThreadPoolExecutor(threads, initializer=start) as pool:
-            # An error, or an interrupt of the user, ends all threads after the chunk they are in.
-            deque(pool.map(lambda job: self._work(job[0], job[1], held.scratch), self.jobs[1:]), maxlen=0)
-
-    def _work(self, task: Task, parts: list[_Part], scratch: Scratch) -> None:
-        """Decode one chunk into every stream."""
-        seen: set[int] = set()
+def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterator[R]:
+    """Yield the results of jobs in their order; threads work at most a few jobs ahead."""
+    if threads < 2:
+        yield from map(work, jobs)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[R]] = deque()
         try:
-            for key, batch in task.load(scratch):
-                seen.add(key)
-                for part in parts:
-                    if part.key == key and batch.n:
-                        self._decode(part, batch)
-                    elif part.key == key:
-                        self._lose(part, batch.loss)
-        except DamagedError as error:
-            for part in parts:
-                if part.key not in seen:
-                    self._lose(part, _loss(error, part.most))
-        if self.progress is not None:
-            with self.lock:
-                self.done += task.size
-                self.progress(self.done, self.total)
-
-    def _decode(self, part: _Part, batch: Batch) -> None:
-        decoder, target = part.decoder, self.targets[part.target]
-        lists = isinstance(decoder, ListDecoder)
-        try:
-            with self.lock:
-                decoder.settle(batch)
-            if not lists and batch.n <= part.most and decoder.fast(batch, target.columns, part.first):
-                self._note_filled(target.filled, target.columns, part.first, batch.n)
-                self._lose(part, batch.loss)
-                return
-            checked = batch.checked()
-        except DamagedError as error:
-            self._lose(part, _loss(error, batch.n))
-            return
-        self._lose(part, checked.loss)
-        if isinstance(decoder, ListDecoder):
-            more, losses = decoder.elements(checked, target.columns)
-            for loss in losses:
-                self._lose(part, loss)
-        elif checked.n <= part.most:
-            self._slow(part, checked, (target.columns, part.first), target.filled)
-            return
-        else:
-            # The index counted too few: what it left out goes behind all others.
-            more = target.columns.like(checked.n)
-            spans: list[tuple[int, int]] = []
-            self._slow(part, checked, (more, 0), spans)
-            more.keep_spans(_merged(spans))
-        with self.lock:
-            target.extra.append((part.number, more))
-
-    def _slow(self, part: _Part, batch: Batch, to: tuple[Columns, int], spans: list[tuple[int, int]]) -> None:
-        """Decode message by message where some are damaged: halves, down to the bad ones.
-
-        Adds the samples that were written to the `spans`.
-        """
-        if not batch.n:
-            return
-        columns, first = to
-        try:
-            part.decoder.slow(batch, columns, first)
-        except DamagedError as error:
-            if batch.n == 1 or part.hopeless or error.code in {"encapsulation", "definition"}:
-                self._lose(part, _loss(error, batch.n))
-                return
-            before, half, chosen = len(spans), batch.n // 2, np.arange(batch.n)
-            self._slow(part, batch.part(chosen[:half]), (columns, first), spans)
-            self._slow(part, batch.part(chosen[half:]), (columns, first + half), spans)
-            part.hopeless |= batch.n > 64 and len(spans) == before
-            return
-        self._note_filled(spans, columns, first, batch.n)
-
-    def _note_filled(self, spans: list[tuple[int, int]], columns: Columns, first: int, n: int) -> None:
-        with self.lock:
-            spans.append((first, first + n))
-            columns.wrote(8 * n * len(columns.rows))
-
-    def _lose(self, part: _Part, loss: Loss | None) -> None:
-        if loss is None:
-            return
-        with self.lock:
-            target = self.targets[part.target]
-            target.losses.append((part.number, loss))
-            if len(target.losses) >= 2 * _MAX_LOSSES:
-                # Those of the first chunks stay, whichever thread came first.
-                target.losses = sorted(target.losses, key=itemgetter(0))[:_MAX_LOSSES]
+            for job in jobs:
+                waiting.append(pool.submit(work, job))
+                if len(waiting) > 2 * threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            # An error, or an interrupt by the user, stops each thread after its current job.
+            for future in waiting:
+                future.cancel()
 
 
-def _loss(error: DamagedError, messages: int) -> Loss:
-    return Loss(error.code, str(error), messages)
+def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int, int, list[Block | Loss]]]:
+    """Return the results of a chunk: index of the stream, number of messages, samples and losses."""
+    at, task = job
+    results: list[tuple[int, int, list[Block | Loss]]] = []
+    missing = set(task.keys)
+    try:
+        for key, batch in task.load():
+            missing.discard(key)
+            lost: list[Block | Loss] = [batch.loss] if batch.loss else []
+            results += [
+                (index, batch.n, lost + (_pieces(stream.decoders[at, key], batch) if batch.n else []))
+                for index, stream in enumerate(streams)
+                if (at, key) in stream.decoders
+            ]
+    except DamagedError as error:
+        loss = Loss(error.code, str(error), None)
+        concerned = [any((at, key) in stream.decoders for key in missing) for stream in streams]
+        results += [(index, 0, [loss]) for index, hit in enumerate(concerned) if hit]
+    return results
 
 
-def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Join spans that touch, in order."""
-    merged: list[tuple[int, int]] = []
-    for start, stop in sorted(spans):
-        if merged and merged[-1][1] == start:
-            merged[-1] = (merged[-1][0], stop)
-        else:
-            merged.append((start, stop))
-    return merged
+def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:
+    """Return the samples of messages; if some are damaged, halve the batch down to the damaged ones.
+
+    If all of many are damaged, the type itself is wrong, and the others are not split.
+    """
+    try:
+        return [decoder.decode(batch)]
+    except DamagedError as error:
+        if batch.n == 1 or not split or error.code in {"encapsulation", "definition"}:
+            return [Loss(error.code, str(error), batch.n)]
+    half = batch.n // 2
+    first = _pieces(decoder, batch.part(slice(half)))
+    hopeless = half > _MANY and all(isinstance(piece, Loss) for piece in first)
+    return first + _pieces(decoder, batch.part(slice(half, None)), split=not hopeless)

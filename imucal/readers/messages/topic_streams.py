@@ -1,7 +1,6 @@
 """How to decode a topic; its frame, which of its sensors have data, and the temperature beside it."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import replace
 
 from imucal.errors import DataError, ReadError
@@ -10,14 +9,12 @@ from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
     DefinitionError,
-    Field,
-    built_in,
     definition_of_channel,
     plain_type,
 )
 from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
 from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus
-from imucal.readers.messages.plain import BinaryDecoder, Shape, is_reachable
+from imucal.readers.messages.plain import BinaryDecoder, is_reachable
 from imucal.readers.messages.topics import Choice, Topic
 from imucal.readers.messages.trees import JSON_FIELDS, TreeDecoder, tree_decoder
 from imucal.readers.store import is_constant
@@ -73,28 +70,12 @@ def _decoder(channel: Channel, topic: Topic, sensors: Sequence[Sensor]) -> Binar
     if imu.asked:
         if not is_reachable(imu, fields):
             return tree_decoder(imu, schemas.ros_parser(definition), "ROS")
-        return BinaryDecoder([Shape(fields, imu)], ros1=ros1, exact=definition.assumed)
-    shapes = _shapes(channel, fields, topic, sensors)
-    return BinaryDecoder(shapes, ros1=ros1, exact=definition.assumed)
-
-
-def _shapes(
-    channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: Sequence[Sensor]
-) -> Iterator[Shape]:
-    """Yield the shape of a definition, then that of the standard one, which takes longer to load."""
-    yield _shape(channel, fields, topic, sensors)
-    standard = built_in(channel.type, ros1=channel.encoding == "ros1")
-    if standard is not None:
-        with suppress(ReadError):
-            yield _shape(channel, standard.fields(), topic, sensors)
-
-
-def _shape(channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: Sequence[Sensor]) -> Shape:
+        return BinaryDecoder(fields, imu, ros1=ros1)
     sensor = sensors[0] if len(sensors) == 1 else None
-    imu = find_imus(channel.type, fields, topic.name, sensor).get(topic.part)
-    if imu is None:
+    found = find_imus(channel.type, fields, topic.name, sensor).get(topic.part)
+    if found is None:
         raise ReadError(f"topic {topic.name}: the files define {channel.type} differently")
-    return Shape(fields, _only(imu, sensors))
+    return BinaryDecoder(fields, _only(found, sensors), ros1=ros1)
 
 
 def _only(imu: ImuFields, sensors: Sequence[Sensor]) -> ImuFields:

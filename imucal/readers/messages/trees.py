@@ -17,10 +17,10 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from imucal.arrays import IntArray, blocks
-from imucal.readers.containers import Batch, Loss
+from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
-from imucal.readers.store import Columns
+from imucal.readers.store import Block
 from imucal.recording import Sensor
 
 #: Bytes of a message -> its tree: mappings, lists and numbers, or objects with attributes.
@@ -65,36 +65,31 @@ class TreeDecoder:
         stamp = imu.stamp
         self._stamp = None if stamp is None else [_steps(path) for path in (stamp.sec, stamp.nanosec) if path]
         self._temperature = _steps(imu.temperature) if imu.temperature else None
-        self.notes: list[Loss] = []
-        #: List of which one element is read -> how many it has in the first message.
-        self.lengths: dict[str, int] = {}
+        #: Lists of which one element is read.
+        self._lists = [match[1] for match in map(_ONE.match, imu.wanted) if match]
 
-    def settle(self, batch: Batch) -> None:
-        """Count the elements of lists of which one is read, in the first message; before all others."""
-        lists = [match[1] for match in map(_ONE.match, self.imu.wanted) if match]
-        if not lists or self.lengths:
-            return
+    def lengths(self, message: bytes) -> dict[str, int]:
+        """Return the length of each list of which one element is read; nothing for a damaged message."""
+
+        def count(tree: Any) -> dict[str, int]:  # noqa: ANN401 - any tree
+            return {name: len(_follow(tree, _steps(name))) for name in self._lists}
+
         with suppress(DamagedError):
-            checked = batch.checked()
-            if checked.n:
-                self.lengths = self._parsed(
-                    next(checked.messages()),
-                    lambda tree: {name: len(_follow(tree, _steps(name))) for name in lists},
-                )
+            return self._parsed(message, count) if self._lists else {}
+        return {}
 
-    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
-        """There is no fast way."""
-        del batch, columns, first
-        return False
+    def decode(self, batch: Batch) -> Block:
+        """Return the samples of messages; raises DamagedError if one is damaged or lacks a wanted field."""
+        found = [self._parsed(data, self._samples) for data in batch.messages()]
+        samples = [sample for some in found for sample in some]
+        stamps, values, warmth = zip(*samples, strict=True) if samples else ((), (), ())
+        log = np.repeat(batch.log_ns, [len(some) for some in found])
+        width = sum(len(vector.axes) for vector in self.imu.vectors)
+        axes = np.array(values, np.float64).reshape(len(samples), width).T
+        temperature = [np.array(warmth, np.float64)] if self._temperature else []
+        return [np.array(stamps, np.int64), log, *axes, *temperature]
 
-    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
-        """Decode messages; raises DamagedError where one can't be read, or has not the fields wanted."""
-        samples = [self._parsed(data, self._sample) for data in batch.messages()]
-        part = slice(first, first + batch.n)
-        _write(columns, part, samples)
-        columns.log[part] = batch.log_ns
-
-    def _parsed(self, data: memoryview, take: Callable[[Any], Result]) -> Result:
+    def _parsed(self, data: bytes | memoryview, take: Callable[[Any], Result]) -> Result:
         """Return what is taken from a message; raises DamagedError where that can't be read."""
         try:
             return take(self._parse(bytes(data)))
@@ -103,11 +98,12 @@ class TreeDecoder:
             msg = f"a {self._kind} message has no IMU sample: {type(error).__name__} {error}"
             raise DamagedError(msg) from error
 
-    def _sample(self, tree: Any) -> Sample:  # noqa: ANN401 - any tree
+    def _samples(self, tree: Any) -> list[Sample]:  # noqa: ANN401 - any tree
+        """Return the samples in a message: one, or those of a list."""
         numbers = [number for paths in self._vectors for number in _vector(tree, paths)]
         warmth = _number(_follow(tree, self._temperature)) if self._temperature else math.nan
         # A stamp beyond 64 bits is damage, to be found while the message is still known.
-        return int(np.int64(self._time_of(tree))), numbers, warmth
+        return [(int(np.int64(self._time_of(tree))), numbers, warmth)]
 
     def _time_of(self, tree: Any) -> int:  # noqa: ANN401 - any tree
         """Return the stamp of a message in ns; 0 where there is none."""
@@ -128,25 +124,6 @@ class TreeDecoder:
 
 class ListDecoder(TreeDecoder):
     """Decodes messages of which each element of a list is a sample."""
-
-    def elements(self, batch: Batch, like: Columns) -> tuple[Columns, list[Loss]]:
-        """Return the samples of some messages in columns of their own, and which messages were lost."""
-        samples: list[Sample] = []
-        log: list[int] = []
-        losses = []
-        times = np.broadcast_to(batch.log_ns, batch.n).tolist()
-        for data, log_ns in zip(batch.messages(), times, strict=True):
-            try:
-                found = self._parsed(data, self._samples)
-            except DamagedError as error:
-                losses.append(Loss(error.code, str(error), 1))
-                continue
-            samples += found
-            log += [log_ns] * len(found)
-        columns = like.like(len(samples))
-        columns.log[:] = log
-        _write(columns, slice(0, len(samples)), samples)
-        return columns, losses
 
     def _samples(self, tree: Any) -> list[Sample]:  # noqa: ANN401 - any tree
         """Return the samples in a message."""
@@ -169,19 +146,6 @@ class ListDecoder(TreeDecoder):
 def tree_decoder(imu: ImuFields, parse: Parse = json.loads, kind: str = "JSON") -> TreeDecoder:
     """Return what decodes messages by their trees: a sample each, or one of each element."""
     return (ListDecoder if imu.lists else TreeDecoder)(imu, parse, kind)
-
-
-def _write(columns: Columns, part: slice, samples: Sequence[Sample]) -> None:
-    """Write samples to some rows of the columns."""
-    if not samples:
-        return
-    stamps, values, warmth = zip(*samples, strict=True)
-    columns.stamps[part] = stamps
-    if columns.temperature is not None:
-        columns.temperature[part] = warmth
-    rows = [row for rows in columns.vectors.values() for row in rows]
-    for row, numbers in zip(rows, zip(*values, strict=True), strict=True):
-        row[part] = numbers
 
 
 def _steps(path: str) -> Steps:

@@ -55,13 +55,13 @@ def test_a_chunk_without_imu_messages_is_not_read(
     """Of each three pictures at most one shares a chunk with IMU messages; every sample is there."""
     path = write(tmp_path, with_cameras(ros1=ros1))
     sizes: list[tuple[int, int]] = []
-    into = LogFile.into
+    read_bytes = LogFile.read
 
-    def noted(file: LogFile, position: int, view: memoryview) -> None:
-        sizes.append((position, position + len(view)))
-        into(file, position, view)
+    def noted(file: LogFile, position: int, size: int) -> bytes:
+        sizes.append((position, position + size))
+        return read_bytes(file, position, size)
 
-    with mock.patch.object(LogFile, "into", noted):
+    with mock.patch.object(LogFile, "read", noted):
         recording = read(path)
     assert np.array_equal([series.samples for series in recording.series], TRUTH.all.T)
     read_of = np.zeros(path.stat().st_size, dtype=np.bool_)

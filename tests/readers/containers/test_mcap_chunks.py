@@ -8,14 +8,14 @@ import pytest
 from imucal.readers.containers.container import Batch
 from imucal.readers.containers.mcap import (
     ChunkIndex,
-    ChunkTask,
-    LooseTask,
+    Loose,
     index_count,
-    index_times,
+    index_entries,
+    load_chunk,
     unpack,
     walk_records,
 )
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.files import DamagedError, LogFile
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record
 
 Held = Callable[..., LogFile]
@@ -26,10 +26,7 @@ AT = {1: (0, 66), 2: (35, 101)}
 
 def payloads(batch: Batch) -> list[bytes]:
     """Return what the messages of a batch hold."""
-    whole = batch.checked()
-    sizes = [whole.sizes] * whole.n if isinstance(whole.sizes, int) else whole.sizes.tolist()
-    starts = whole.payload().tolist()
-    return [bytes(whole.buffer[at : at + size]) for at, size in zip(starts, sizes, strict=True)]
+    return [bytes(data) for data in batch.messages()]
 
 
 def loaded(held: Held, raw: bytes, *indexes: tuple[int, tuple[tuple[int, int], ...]]) -> dict[int, Batch]:
@@ -40,24 +37,16 @@ def loaded(held: Held, raw: bytes, *indexes: tuple[int, tuple[tuple[int, int], .
         places[key] = 3 + len(data)
         data += index(key, *entries)
     entry.index_length, entry.indexes = len(data) - entry.length, places
-    task = ChunkTask(held(b"???", data), entry, frozenset({1, 2}))
-    assert task.size == len(data)
-    found = dict(task.load(Scratch()))
-    assert {key: count for key, count in task.counts.items() if key not in found} == {}
-    return found
+    return dict(load_chunk(held(b"???", data), entry, frozenset({1, 2})))
 
 
 def test_a_chunk_gives_the_messages_of_its_index(held: Held) -> None:
     """Those of each channel, and no others; the entries say where they are."""
     found = loaded(held, RECORDS, (1, ((10, 0), (30, 66))), (2, ((20, 35), (40, 101))))
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b"", b""]}
-    assert {key: batch.sizes for key, batch in found.items()} == {1: 4, 2: 0}
+    assert {key: batch.log_ns.tolist() for key, batch in found.items()} == {1: [10, 30], 2: [20, 40]}
     for batch in found.values():
         assert batch.loss is None
-        # Log times stand in the records, fifteen bytes behind their start.
-        assert (batch.log_ns.size, batch.log_at) == (0, 15)
-        # The guard covers opcode, length and channel.
-        assert batch.guards == ((0, bytes(RECORDS[batch.starts[0] :])[:11]),)
 
 
 def test_a_chunk_without_an_index_is_walked(held: Held) -> None:
@@ -75,9 +64,10 @@ def test_one_message_may_be_all_there_is(held: Held) -> None:
 
 
 def test_a_channel_that_the_index_leaves_out_has_no_messages_there(held: Held) -> None:
-    """An empty index is none either."""
+    """An empty index is the same."""
     assert list(loaded(held, RECORDS, (1, ((10, 0), (30, 66))))) == [1]
-    assert list(loaded(held, RECORDS, (1, ((10, 0), (30, 66))), (2, ()))) == [1]
+    found = loaded(held, RECORDS, (1, ((10, 0), (30, 66))), (2, ()))
+    assert {key: batch.n for key, batch in found.items()} == {1: 2, 2: 0}
 
 
 @pytest.mark.parametrize(
@@ -97,8 +87,8 @@ def test_a_channel_that_the_index_leaves_out_has_no_messages_there(held: Held) -
 def test_an_index_that_points_elsewhere_is_walked_around(
     entries: tuple[tuple[int, int], ...], held: Held
 ) -> None:
-    """All messages are there, and it is said; the batch tells so only when each record is checked."""
-    batch = loaded(held, RECORDS, (1, entries))[1].checked()
+    """All messages are there, and the batch reports it."""
+    batch = loaded(held, RECORDS, (1, entries))[1]
     assert payloads(batch) == [b"abcd", b"efgh"]
     assert batch.log_ns.tolist() == [10, 30]
     assert batch.loss is not None
@@ -108,10 +98,10 @@ def test_an_index_that_points_elsewhere_is_walked_around(
     )
 
 
-def test_messages_of_different_sizes_are_whole_though_the_guards_say_no(held: Held) -> None:
-    """Each is checked on its own: nothing is lost, and nothing is said."""
+def test_messages_may_have_different_sizes(held: Held) -> None:
+    """Nothing is lost or reported."""
     raw = message(1, 10, b"abcd") + message(1, 20, b"") + message(1, 30, b"efghi")
-    batch = loaded(held, raw, (1, ((10, 0), (20, 35), (30, 66))))[1].checked()
+    batch = loaded(held, raw, (1, ((10, 0), (20, 35), (30, 66))))[1]
     assert (payloads(batch), batch.loss) == ([b"abcd", b"", b"efghi"], None)
     assert batch.log_ns.tolist() == [10, 20, 30]
 
@@ -121,7 +111,7 @@ def test_a_message_ends_within_its_chunk(length: int, whole: bool, held: Held) -
     """The last may reach to the end and no further; its head alone takes 22 bytes of it."""
     raw = bytearray(message(1, 10, b"abcd") + message(1, 30, b"efgh"))
     struct.pack_into("<Q", raw, 36, length)
-    batch = loaded(held, bytes(raw), (1, ((10, 0), (30, 35))))[1].checked()
+    batch = loaded(held, bytes(raw), (1, ((10, 0), (30, 35))))[1]
     assert payloads(batch) == ([b"abcd", b"efgh"[: length - 22]] if whole else [b"abcd"])
     assert (batch.loss is None) == whole
 
@@ -146,11 +136,11 @@ def test_a_walk_ends_at_the_first_record_that_is_not_whole(
     assert walk_records(raw) == expected
 
 
-def test_the_times_of_an_index(held: Held) -> None:
+def test_the_entries_of_an_index(held: Held) -> None:
     """As it says, whatever the messages say."""
     file = held(b"??", index(9, (5, 0), (7, 1), (6, 2)))
     entry = ChunkIndex(start=0, length=2, compression="", indexes={9: 2})
-    assert index_times(file, entry, 9) == [5, 7, 6]
+    assert index_entries(file, entry, 9).tolist() == [[5, 0], [7, 1], [6, 2]]
 
 
 def _with_u32(data: bytes, at: int, value: int) -> bytes:
@@ -181,13 +171,11 @@ def test_a_damaged_index_counts_nothing(damaged: bytes, held: Held) -> None:
 
 
 def test_a_chunk_with_a_damaged_index_is_walked(held: Held) -> None:
-    """From the start: the counts are those of the walk."""
+    """From the start."""
     data = chunk(RECORDS)
     entry = ChunkIndex(start=0, length=len(data), compression="", index_length=31, indexes={1: len(data)})
-    task = ChunkTask(held(data, index(5, (1, 0))), entry, frozenset({1}))
-    assert task.counts == {1: 2}
-    ((key, batch),) = task.load(Scratch())
-    assert (key, payloads(batch)) == (1, [b"abcd", b"efgh"])
+    found = dict(load_chunk(held(data, index(5, (1, 0))), entry, frozenset({1})))
+    assert payloads(found[1]) == [b"abcd", b"efgh"]
 
 
 @pytest.mark.parametrize(
@@ -199,14 +187,14 @@ def test_a_chunk_with_a_damaged_index_is_walked(held: Held) -> None:
         chunk(RECORDS)[:41] + struct.pack("<Q", len(RECORDS) + 1) + RECORDS,
     ],
 )
-def test_a_damaged_chunk_counts_one_message_so_that_its_loss_is_told(damaged: bytes, held: Held) -> None:
+def test_a_damaged_chunk_is_not_loaded(damaged: bytes, held: Held) -> None:
     """Its head says another kind of record, another length, or data beyond its end."""
     assert bytes(unpack(memoryview(chunk(RECORDS)))) == RECORDS
     with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
         unpack(memoryview(damaged))
     entry = ChunkIndex(start=0, length=len(damaged), compression="")
-    task = ChunkTask(held(damaged), entry, frozenset({1, 2}))
-    assert task.counts == {1: 1, 2: 1}
+    with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
+        list(load_chunk(held(damaged), entry, frozenset({1, 2})))
 
 
 def test_what_is_left_of_a_cut_chunk_is_not_checked() -> None:
@@ -219,15 +207,15 @@ def test_messages_outside_chunks_know_their_times(held: Held) -> None:
     """In the file from a place on, or in bytes; one channel may be taken alone."""
     file = held(b"???", RECORDS)
     starts = {key: list(places) for key, places in AT.items()}
-    assert LooseTask(file, 3).size == 0
+    assert Loose(file, 3).size == 0
     for part in (
-        LooseTask(file, 3, len(RECORDS), starts),
-        LooseTask(file, 3, len(RECORDS), starts, data=RECORDS),
+        Loose(file, 3, len(RECORDS), starts),
+        Loose(file, 3, len(RECORDS), starts, data=RECORDS),
     ):
         assert part.counts == {1: 2, 2: 2}
-        times = {key: batch.log_ns.tolist() for key, batch in part.load(Scratch())}
+        times = {key: batch.log_ns.tolist() for key, batch in part.load()}
         assert times == {1: [10, 30], 2: [20, 40]}
-        assert {key: payloads(batch) for key, batch in part.load(Scratch())} == {
+        assert {key: payloads(batch) for key, batch in part.load()} == {
             1: [b"abcd", b"efgh"],
             2: [b"", b""],
         }

@@ -11,7 +11,7 @@ import pytest
 from imucal.errors import ReadError
 from imucal.readers.containers import mcap
 from imucal.readers.containers.mcap import MAGIC, McapFile
-from imucal.readers.files import LogFile, Scratch
+from imucal.readers.files import LogFile
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema, text
 
 Held = Callable[..., LogFile]
@@ -85,9 +85,9 @@ def test_the_index_says_what_is_in_a_file(held: Held) -> None:
             assert (file.start_ns, file.end_ns) == (10, 40)
             assert (file.compression, file.format, file.parallel) == ("none", "mcap", True)
             tasks = list(file.tasks(frozenset({7})))
-            assert [task.counts for task in tasks] == [{7: 2}, {7: 2}]
-            assert [task.counts for task in file.tasks(frozenset({8, 9}))] == [{8: 1}]
-            loaded = [batch.checked() for task in tasks for _, batch in task.load(Scratch())]
+            assert [task.keys for task in tasks] == [{7}, {7}]
+            assert [task.keys for task in file.tasks(frozenset({8, 9}))] == [{8}]
+            loaded = [batch for task in tasks for _, batch in task.load()]
             assert [time for batch in loaded for time in batch.log_ns.tolist()] == [10, 30, 40, 35]
 
 
@@ -217,5 +217,5 @@ def test_messages_outside_chunks_have_times_too(held: Held) -> None:
             ("/imu", 5, 10, 50),
             ("/gps", 2, 5, 25),
         ]
-        assert [task.counts for task in file.tasks(frozenset({8}))] == [{8: 1}, {8: 1}]
-        assert [task.counts for task in file.tasks(frozenset({9}))] == []
+        assert [task.keys for task in file.tasks(frozenset({8}))] == [{8}, {8}]
+        assert list(file.tasks(frozenset({9}))) == []

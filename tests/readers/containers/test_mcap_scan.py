@@ -8,7 +8,7 @@ import pytest
 from imucal.errors import ReadError
 from imucal.readers.containers import mcap
 from imucal.readers.containers.mcap import MAGIC, Bookkeeping, scan
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.files import DamagedError, LogFile
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema
 
 Held = Callable[..., LogFile]
@@ -140,7 +140,7 @@ def test_what_a_cut_chunk_holds_is_kept(held: Held) -> None:
     assert book.counts == {7: 1, 8: 1}
     (part,) = book.loose
     assert (part.position, part.size) == (START, len(cut))
-    ((_, batch), _) = part.load(Scratch())
+    ((_, batch), _) = part.load()
     assert batch.log_ns.tolist() == [10]
     # Without a whole message there is nothing to load; without a whole head nothing at all.
     assert scanned(held, chunk(channel(9) + MESSAGES)[: 49 + len(channel(9))]).loose == []
@@ -243,7 +243,7 @@ def test_a_file_is_read_a_window_at_a_time(held: Held, monkeypatch: pytest.Monke
     reads: list[tuple[int, int]] = []
     read = LogFile.read
 
-    def noted(file: LogFile, position: int, size: int) -> bytearray:
+    def noted(file: LogFile, position: int, size: int) -> bytes:
         reads.append((position, size))
         return read(file, position, size)
 

@@ -117,15 +117,13 @@ def test_messages_lie_inside_their_chunk() -> None:
             gather(buffer, np.array(places), width)
 
 
-def test_one_size_stands_for_all_that_are_equal() -> None:
+def test_some_messages_of_a_batch() -> None:
     starts, log = np.array([0, 10, 20]), np.array([1, 2, 3])
-    same = Batch.of(b"", starts, np.array([8, 8, 8]), log, header=2)
-    assert (same.sizes, same.header, same.n) == (8, 2, 3)
-    assert Batch.of(b"", starts, starts, log).header == 0
-    npt.assert_array_equal(same.payload(), [2, 12, 22])
-    part = Batch.of(b"", starts, np.array([8, 9, 7]), log, header=2).part(np.array([0, 2]))
-    npt.assert_array_equal(np.stack([part.starts, part.sizes, part.log_ns]), [[0, 20], [8, 7], [1, 3]])
-    assert part.header == 2
+    batch = Batch(bytes(range(40)), starts, np.array([8, 9, 7]), log)
+    for chosen in (np.array([0, 2]), slice(None, None, 2)):
+        part = batch.part(chosen)
+        npt.assert_array_equal(np.stack([part.starts, part.sizes, part.log_ns]), [[0, 20], [8, 7], [1, 3]])
+        assert list(part.messages()) == [bytes(range(8)), bytes(range(20, 27))]
 
 
 METADATA = """rosbag2_bagfile_information:

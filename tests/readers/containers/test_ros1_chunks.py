@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.ros1 import BagChunk, BagChunkTask, unpack, walk
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.containers.ros1 import BagChunk, load_chunk, unpack, walk
+from imucal.readers.files import DamagedError, LogFile
 from tests.readers.containers.ros1_bytes import chunk, connection, index, message, record, stamp
 
 Held = Callable[..., LogFile]
@@ -25,34 +25,23 @@ ELSEWHERE = "an index points to wrong records; all records of its chunk were rea
 
 def payloads(batch: Batch) -> list[bytes]:
     """Return what the messages of a batch hold."""
-    whole = batch.checked()
-    sizes = [whole.sizes] * whole.n if isinstance(whole.sizes, int) else whole.sizes.tolist()
-    starts = whole.payload().tolist()
-    return [bytes(whole.buffer[at : at + size]) for at, size in zip(starts, sizes, strict=True)]
+    return [bytes(data) for data in batch.messages()]
 
 
 def loaded(held: Held, *parts: bytes, indexed: bool = True, cut: bool = False) -> dict[int, Batch]:
     """Return connection -> its messages in a chunk and the index records behind it."""
     data = b"".join(parts)
     about = BagChunk(start=3, size=len(data), counts={1: 2, 2: 1, 3: 5}, indexed=indexed, cut=cut)
-    task = BagChunkTask(held(b"???", data), about, frozenset({1, 2}))
-    assert (task.size, task.counts) == (len(data), {1: 2, 2: 1})
-    return dict(task.load(Scratch()))
+    return dict(load_chunk(held(b"???", data), about, frozenset({1, 2})))
 
 
 def test_a_chunk_gives_the_messages_of_its_index_records(held: Held) -> None:
-    """With their times, and the words that all headers repeat."""
+    """With their times."""
     found = loaded(held, chunk(RAW), ONE, TWO)
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b""]}
     assert found[1].log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
     assert found[2].log_ns.tolist() == [7]
-    for key, batch in found.items():
-        assert batch.loss is None
-        assert batch.guards
-        assert batch.header == len(MESSAGES[0]) - 4
-        assert batch.sizes == (4 if key == 1 else 0)
-        checked = batch.checked()
-        assert (checked.log_ns.tolist(), checked.header) == (batch.log_ns.tolist(), 0)
+    assert {batch.loss for batch in found.values()} == {None}
 
 
 def test_an_index_record_without_entries_lists_no_messages(held: Held) -> None:
@@ -65,14 +54,14 @@ def test_an_index_record_without_entries_lists_no_messages(held: Held) -> None:
 def test_a_connection_may_stand_in_front_of_its_first_message(held: Held) -> None:
     """Recorders let the index point there; the message behind it is meant."""
     found = loaded(held, chunk(RAW), index(1, (SECOND + 5, 0), (2 * SECOND + 6, THIRD)), TWO)
-    assert (payloads(found[1]), found[1].checked().loss) == ([b"abcd", b"efgh"], None)
+    assert (payloads(found[1]), found[1].loss) == ([b"abcd", b"efgh"], None)
 
 
 def test_messages_of_other_sizes_are_each_their_own(held: Held) -> None:
     """Their headers differ, so that each is looked at; nothing is lost, and nothing said."""
     raw = message(1, 5, b"abc") + message(1, 6, b"") + message(1, 7, b"defgh")
     first, second = len(message(1, 5, b"abc")), len(message(1, 5, b"abc") + message(1, 6))
-    batch = loaded(held, chunk(raw), index(1, (5, 0), (6, first), (7, second)))[1].checked()
+    batch = loaded(held, chunk(raw), index(1, (5, 0), (6, first), (7, second)))[1]
     assert (payloads(batch), batch.loss) == ([b"abc", b"", b"defgh"], None)
 
 
@@ -91,7 +80,7 @@ def test_messages_of_other_sizes_are_each_their_own(held: Held) -> None:
 )
 def test_an_index_that_points_elsewhere_is_walked_around(first: int, last: int, held: Held) -> None:
     """Beyond the chunk, into a record, or to messages of another connection."""
-    batch = loaded(held, chunk(RAW), index(1, (0, first), (0, last)), TWO)[1].checked()
+    batch = loaded(held, chunk(RAW), index(1, (0, first), (0, last)), TWO)[1]
     assert payloads(batch) == [b"abcd", b"efgh"]
     assert batch.log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
     assert batch.loss is not None
@@ -103,7 +92,7 @@ def test_only_a_connection_is_passed_over(held: Held) -> None:
     other = record(9, {})
     raw = other + message(1, 5, b"abc") + message(1, 6, b"def")
     entries = index(1, (5, 0), (6, len(other) + len(message(1, 5, b"abc"))))
-    batch = loaded(held, chunk(raw), entries)[1].checked()
+    batch = loaded(held, chunk(raw), entries)[1]
     assert payloads(batch) == [b"abc", b"def"]
     assert batch.loss is not None
 
@@ -134,7 +123,7 @@ def test_a_chunk_without_index_records_is_walked_in_silence(held: Held) -> None:
     found = loaded(held, chunk(RAW), index(1, (0, 0)), indexed=False)
     assert payloads(found[1]) == [b"abcd", b"efgh"]
     assert found[1].loss is None
-    assert (found[1].header, found[1].log_ns.tolist()) == (0, [SECOND + 5, 2 * SECOND + 6])
+    assert found[1].log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
 
 
 def test_what_is_left_of_a_cut_chunk_is_walked(held: Held) -> None:
@@ -158,23 +147,6 @@ def test_chunks_are_unpacked(held: Held) -> None:
         unpack(memoryview(message(1, 2)))
     with pytest.raises(DamagedError, match=r"has a declared size"):
         unpack(memoryview(chunk(RAW, size=len(RAW) + 1)))
-
-
-@pytest.mark.parametrize(
-    ("size", "indexed", "count", "expected"),
-    [(120, True, 10, 10), (120, True, 11, 10), (119, True, 11, 9), (120, False, 200, 120), (120, True, 0, 0)],
-)
-def test_a_count_is_bounded_by_what_a_chunk_can_hold(
-    size: int,
-    indexed: bool,  # noqa: FBT001
-    count: int,
-    expected: int,
-    held: Held,
-) -> None:
-    """An entry of an index has twelve bytes, a message one at least."""
-    about = BagChunk(start=0, size=size, counts={1: count, 2: 5}, indexed=indexed)
-    task = BagChunkTask(held(), about, frozenset({1, 9}))
-    assert task.counts == ({1: expected} if expected else {})
 
 
 @pytest.mark.parametrize("end", [b"", MESSAGES[0][:-1], MESSAGES[0][:3], bytes(8), record(9, {})[:-1]])

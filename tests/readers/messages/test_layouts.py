@@ -1,7 +1,6 @@
-"""Definitions to fields, and which fields of a vector are gathered at once."""
+"""Definitions to fields, and vectors whose numbers lie apart."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +8,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from imucal.readers import read
 from imucal.readers.messages.definitions import DefinitionError, Field, built_in, defined
-from imucal.readers.messages.message_types import Vector
-from imucal.readers.messages.plain import Place, adjacent
-from imucal.recording import Sensor
 from tests.readers.logs import TOPIC, Message, samples, store, write_mcap
 
 _POINTS = "P[] points\nfloat64 x\n===\nMSG: pkg/P\n"
@@ -82,35 +78,6 @@ def test_a_type_is_looked_for_in_its_own_package_first() -> None:
         fields_of("E e\n===\nMSG: any/E\nfloat32 s\n")
     with pytest.raises(DefinitionError, match="type other/F is not defined"):
         fields_of("other/F e\n===\nMSG: pkg/E\nfloat32 s\n")
-
-
-XYZ = Vector(sensor=Sensor.GYROSCOPE, paths=("x", "y", "z"))
-
-
-@pytest.mark.parametrize(
-    ("places", "expected"),
-    [
-        ({"x": (0, "<f8"), "y": (8, "<f8"), "z": (16, "<f8")}, True),
-        ({"x": (4, "<f4"), "y": (8, "<f4"), "z": (12, "<f4")}, True),
-        ({"x": (0, "<f8"), "y": (16, "<f8"), "z": (24, "<f8")}, False),
-        ({"x": (0, "<f8"), "y": (8, "<f8"), "z": (24, "<f8")}, False),
-        ({"x": (0, "<f8"), "y": (8, "<f4"), "z": (16, "<f8")}, False),
-        ({"x": (0, "<f8"), "y": (8, "<f8"), "z": (16, "<f4")}, False),
-        ({"x": ([0, 4], "<f8"), "y": ([8, 12], "<f8"), "z": ([16, 20], "<f8")}, True),
-        ({"x": ([0, 4], "<f8"), "y": ([8, 16], "<f8"), "z": ([16, 24], "<f8")}, False),
-    ],
-)
-def test_which_vectors_lie_side_by_side(places: dict[str, Any], expected: bool) -> None:  # noqa: FBT001
-    """Three numbers of one type, each right behind the one before, in every message."""
-    found = {
-        path: Place(at if isinstance(at, int) else np.array(at), kind) for path, (at, kind) in places.items()
-    }
-    assert adjacent(found, XYZ) is expected
-
-
-def test_an_array_lies_side_by_side() -> None:
-    """It has one path for all three."""
-    assert adjacent({"g": Place(0, "<f4")}, Vector(sensor=Sensor.GYROSCOPE, paths=("g",)))
 
 
 @pytest.mark.parametrize("frames", [("imu",), ("a", "longer")])

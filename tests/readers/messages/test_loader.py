@@ -2,120 +2,89 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from imucal.readers.containers import Batch, Loss
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.containers import Batch, Loss, Task
+from imucal.readers.files import DamagedError
 from imucal.readers.messages import loader
-from imucal.readers.messages.loader import Decoding, Stream, _merged, decode
+from imucal.readers.messages.loader import Decoding, Stream, decode
 from imucal.readers.messages.message_types import ImuFields, Vector
-from imucal.readers.store import Columns
+from imucal.readers.store import Block
 from imucal.recording import Sensor
 
 GYRO = Sensor.GYROSCOPE
 IMU = ImuFields(stamp=None, vectors=(Vector(sensor=GYRO, paths=("g",)),))
 
 
-def batch(values: Sequence[int], loss: Loss | None = None, listed: Sequence[int] | None = None) -> Batch:
-    """Return messages that are but their log times; `listed` is what an index says instead of them."""
+def batch(values: Sequence[int], loss: Loss | None = None) -> Batch:
+    """Return messages that are only their log times."""
     starts = np.arange(len(values))
-    whole = Batch(buffer=b"", starts=starts, header=0, sizes=0, log_ns=np.array(values, dtype=np.int64))
-    checked = Batch(buffer=b"", starts=starts, header=0, sizes=0, log_ns=whole.log_ns, loss=loss)
-    if listed is None:
-        return checked
-    said = np.array(listed, dtype=np.int64)
-    return Batch(
-        buffer=b"", starts=np.arange(said.size), header=0, sizes=0, log_ns=said, check=lambda: checked
-    )
+    return Batch(b"", starts, np.zeros_like(starts), np.array(values, np.int64), loss)
 
 
-@dataclass
-class Task:
-    """A chunk of some batches, or one that can't be read behind them."""
+def task(
+    batches: dict[int, Batch], damage: DamagedError | None = None, keys: Sequence[int] = (), wait_s: float = 0
+) -> Task:
+    """Return a chunk of some batches, or one of more `keys` that can't be read behind them."""
 
-    batches: dict[int, Batch]
-    room: dict[int, int] = field(default_factory=dict)
-    damage: DamagedError | None = None
-    size: int = 10
+    def load() -> Iterator[tuple[int, Batch]]:
+        time.sleep(wait_s)
+        yield from batches.items()
+        if damage:
+            raise damage
 
-    @property
-    def counts(self) -> dict[int, int]:
-        return self.room or {key: item.n for key, item in self.batches.items()}
-
-    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-        assert isinstance(scratch, Scratch)
-        yield from self.batches.items()
-        if self.damage:
-            raise self.damage
+    return Task(10, frozenset([*batches, *keys]), load)
 
 
 class Decoder:
-    """Takes log times for samples; negative ones are damaged, and those of 1000 and more are not alike."""
+    """Returns log times as samples; negative ones are damaged."""
 
     def __init__(self, code: str = "damaged") -> None:
-        self.notes: list[Loss] = []
         self.calls: list[int] = []
         self.code = code
 
-    def settle(self, batch: Batch) -> None:
-        if batch.log_ns[0] == 999:
-            msg = "unsettled"
-            raise DamagedError(msg, code=self.code)
-
-    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
-        if (batch.log_ns < 0).any() or (batch.log_ns >= 1000).any():
-            return False
-        self._write(batch, columns, first)
-        return True
-
-    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
+    def decode(self, batch: Batch) -> Block:
         self.calls.append(batch.n)
         if (batch.log_ns < 0).any():
             msg = "bad"
             raise DamagedError(msg, code=self.code)
-        self._write(batch, columns, first)
-
-    @staticmethod
-    def _write(batch: Batch, columns: Columns, first: int) -> None:
-        part = slice(first, first + batch.n)
-        columns.log[part] = columns.stamps[part] = batch.log_ns
-        columns.vectors[GYRO][:, part] = batch.log_ns
+        return [batch.log_ns] * 5
 
 
-def container(*tasks: Task, compression: str = "none", parallel: bool = False) -> Any:  # noqa: ANN401
-    """Return a container of some tasks."""
+def container(*tasks: Task, parallel: bool = False, counts: Sequence[int] = ()) -> Any:  # noqa: ANN401
+    """Return a container of some tasks, which counts so many messages of each channel, from 1 on."""
 
     def wanted(keys: frozenset[int]) -> Iterator[Task]:
-        return (task for task in tasks if keys & set(task.counts))
+        return (task for task in tasks if keys & task.keys)
 
-    return SimpleNamespace(tasks=wanted, compression=compression, parallel=parallel)
+    channels = [SimpleNamespace(key=key, count=count) for key, count in enumerate(counts, start=1)]
+    return SimpleNamespace(tasks=wanted, parallel=parallel, channels=channels, size=10**6)
 
 
-def run(*tasks: Task, decoder: Decoder | None = None, **options: Any) -> tuple[list[int], Decoding]:  # noqa: ANN401
+def run(*tasks: Task, decoder: Decoder | None = None, count: int = 0) -> tuple[list[int], Decoding]:
     """Return the samples of channel 1 of one container, and the decoding."""
     stream = Stream(IMU, {(0, 1): decoder or Decoder()})
-    (found,) = decode([container(*tasks)], [stream], **options)
-    values = found.columns.vectors[GYRO]
-    assert (values == found.columns.log).all()
+    (found,) = decode([container(*tasks, counts=[count])], [stream])
+    for values in found.columns.vectors[GYRO]:
+        assert (values == found.columns.log).all()
     return found.columns.log.tolist(), found
 
 
 def test_chunks_follow_each_other() -> None:
     """Each has the rows behind those of the chunks before; other channels have none."""
-    values, found = run(Task({1: batch([1, 2]), 2: batch([9])}), Task({2: batch([8])}), Task({1: batch([3])}))
+    values, found = run(task({1: batch([1, 2]), 2: batch([9])}), task({2: batch([8])}), task({1: batch([3])}))
     assert (values, found.losses) == ([1, 2, 3], [])
 
 
 def test_streams_and_files_have_rows_of_their_own() -> None:
     """Two streams of two files: a channel of one is not that of the same number of the other."""
     files = [
-        container(Task({1: batch([1, 2]), 2: batch([5])})),
-        container(Task({1: batch([3]), 2: batch([6, 7])})),
+        container(task({1: batch([1, 2]), 2: batch([5])})),
+        container(task({1: batch([3]), 2: batch([6, 7])})),
     ]
     first = Stream(IMU, {(0, 1): Decoder(), (1, 2): Decoder()})
     second = Stream(IMU, {(0, 2): Decoder(), (1, 1): Decoder()})
@@ -125,10 +94,10 @@ def test_streams_and_files_have_rows_of_their_own() -> None:
 
 def test_threads_change_nothing() -> None:
     """The rows are those of the file, whoever writes them; an error is that of the thread."""
-    tasks = [Task({1: batch([10 * row, 10 * row + 1])}) for row in range(20)]
+    tasks = [task({1: batch([10 * row, 10 * row + 1])}) for row in range(20)]
     seen: list[tuple[int, int]] = []
     (found,) = decode(
-        [container(*tasks, parallel=True, compression="lz4")],
+        [container(*tasks, parallel=True)],
         [Stream(IMU, {(0, 1): Decoder()})],
         progress=lambda done, total: seen.append((done, total)),
     )
@@ -137,21 +106,35 @@ def test_threads_change_nothing() -> None:
 
 
 def test_a_chunk_that_can_not_be_read_loses_its_messages() -> None:
-    """Those of the channels that were not loaded before; their number is told."""
+    """Those of the channels that were not loaded before; the file's own count shows how many."""
     error = DamagedError("gone", code="crc")
-    values, found = run(
-        Task({1: batch([1])}), Task({2: batch([2])}, {1: 3, 2: 1}, error), Task({1: batch([4])})
-    )
+    damaged = task({2: batch([2])}, error, keys=[1])
+    values, found = run(task({1: batch([1])}), damaged, task({1: batch([4, -4])}), count=6)
     assert values == [1, 4]
-    assert found.losses == [Loss(code="crc", text="gone", messages=3)]
-    values, found = run(Task({1: batch([1])}, {}, error))
-    assert (values, found.losses) == ([1], [])
+    assert found.losses == [Loss("crc", "gone", None), Loss("damaged", "bad", 1)]
+    assert found.missing == 3
+    values, found = run(task({1: batch([1])}, error), count=0)
+    assert (values, found.losses, found.missing) == ([1], [], 0)
+
+
+def test_a_file_that_counts_nothing_knows_no_missing_messages() -> None:
+    """Of one channel is enough."""
+    stream = Stream(IMU, {(0, 1): Decoder(), (0, 2): Decoder()})
+    (found,) = decode([container(task({1: batch([1])}), counts=[3, None])], [stream])  # type: ignore[list-item]
+    assert (found.columns.n, found.missing) == (1, None)
+
+
+@pytest.mark.parametrize("count", [0, 1, 10**15])
+def test_a_wrong_count_changes_no_sample(count: int) -> None:
+    """It is a hint: memory is reserved for at most as many messages as the file can contain."""
+    values, _ = run(task({1: batch([1, 2])}), task({1: batch(range(3, 200_000))}), count=count)
+    assert values == list(range(1, 200_000))
 
 
 def test_damaged_messages_are_lost_alone() -> None:
     """Halves, down to the bad ones: each is told on its own."""
     decoder = Decoder()
-    values, found = run(Task({1: batch([1, 2, -3, 4, 5])}), decoder=decoder)
+    values, found = run(task({1: batch([1, 2, -3, 4, 5])}), decoder=decoder)
     assert values == [1, 2, 4, 5]
     assert found.losses == [Loss(code="damaged", text="bad", messages=1)]
     assert decoder.calls == [5, 2, 3, 1, 2]
@@ -161,7 +144,7 @@ def test_damaged_messages_are_lost_alone() -> None:
 def test_a_layout_that_is_not_known_is_lost_as_a_whole(code: str) -> None:
     """Halves of it are not known either."""
     decoder = Decoder(code)
-    values, found = run(Task({1: batch([1, -2, 3])}), decoder=decoder)
+    values, found = run(task({1: batch([1, -2, 3])}), decoder=decoder)
     assert (values, decoder.calls) == ([], [3])
     assert found.losses == [Loss(code=code, text="bad", messages=3)]
 
@@ -172,28 +155,18 @@ def test_when_all_of_many_are_damaged_the_next_are_not_halved(n: int, tried: boo
 
     What one chunk is like says nothing of another, which another thread may have read before.
     """
-    values, found = run(Task({1: batch([-1] * n + [7] + [-1] * (n - 1))}), Task({1: batch([-1, 8])}))
+    values, found = run(task({1: batch([-1] * n + [7] + [-1] * (n - 1))}), task({1: batch([-1, 8])}))
     assert values == ([7, 8] if tried else [8])
     assert sum(loss.messages or 0 for loss in found.losses) == 2 * n + (0 if tried else 1)
 
 
 def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They stand in the order of the chunks, and those of the first are kept; so do messages without room."""
-
-    class Late(Task):
-        def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
-            time.sleep(0.03)
-            return super().load(scratch)
-
-    def damaged(kind: type[Task], row: int) -> Task:
-        return kind({2: batch([row])}, {1: 2, 2: 1}, DamagedError(f"gone {row}", code="crc"))
-
-    def without_room(kind: type[Task], row: int) -> Task:
-        return kind({1: batch([row, row + 1])}, {1: 1})
-
+    """They are in the order of the chunks, and the first ones are kept."""
     # Of two neighbours the first takes longer.
-    tasks = [Task({1: batch([1])}), without_room(Late, 81), without_room(Task, 91)]
-    tasks += [damaged(Task if row % 2 else Late, row) for row in range(8)]
+    tasks = [task({1: batch([1])}), task({1: batch([81, 82])}, wait_s=0.03), task({1: batch([91, 92])})]
+    for row in range(8):
+        error = DamagedError(f"gone {row}", code="crc")
+        tasks.append(task({2: batch([row])}, error, keys=[1], wait_s=0 if row % 2 else 0.03))
     monkeypatch.setattr(loader, "_MAX_LOSSES", 3)
     for threads in (1, 2, 4):
         monkeypatch.setattr(loader, "allowed_threads", lambda threads=threads: threads)
@@ -202,82 +175,34 @@ def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> Non
         assert [loss.text for loss in found.losses] == ["gone 0", "gone 1", "gone 2"]
 
 
-def test_what_an_index_lists_wrongly_is_loaded_record_by_record() -> None:
-    """What was found is told; with fewer messages than listed, the rows between close up."""
+def test_what_a_container_found_is_reported() -> None:
     loss = Loss(code="index", text="walked")
-    values, found = run(Task({1: batch([1, 2], loss, listed=[1, 2000, 3])}, {1: 3}), Task({1: batch([5])}))
+    values, found = run(task({1: batch([1, 2], loss)}), task({1: batch([5])}))
     assert (values, found.losses) == ([1, 2, 5], [loss])
 
 
-def test_what_an_index_leaves_out_comes_behind_all_others() -> None:
-    """There is no space for it in between; messages as many as the room are decoded in it."""
-    values, _ = run(Task({1: batch([1, 2, 3], listed=[1, 2])}, {1: 1}), Task({1: batch([5])}))
-    assert values == [5, 1, 2, 3]
-    values, _ = run(Task({1: batch([1, 2])}, {1: 1}), Task({1: batch([5])}))
-    assert values == [5, 1, 2]
-    values, _ = run(Task({1: batch([1000, 2])}, {1: 2}), Task({1: batch([5])}))
-    assert values == [1000, 2, 5]
-
-
-def test_a_damaged_first_message_is_told() -> None:
-    """Where the definition can't be chosen, and where the records can't be checked."""
-
-    def fail() -> Batch:
-        msg = "unchecked"
-        raise DamagedError(msg, code="index")
-
-    _, found = run(Task({1: batch([999, 1])}))
-    assert found.losses == [Loss(code="damaged", text="unsettled", messages=2)]
-    broken = Batch(
-        buffer=b"", starts=np.arange(3), header=0, sizes=0, log_ns=np.array([1, 2, -1]), check=fail
-    )
-    _, found = run(Task({1: broken}))
-    assert found.losses == [Loss(code="index", text="unchecked", messages=3)]
-
-
 def test_channels_without_messages_are_passed_over() -> None:
-    """An empty batch, or a channel that the counts leave out."""
-    values, found = run(Task({1: batch([])}, {1: 2}), Task({1: batch([3]), 2: batch([4])}, {2: 1, 1: 1}))
+    """An empty batch, or a channel that was not asked for."""
+    values, found = run(task({1: batch([])}), task({1: batch([3]), 2: batch([4])}))
     assert (values, found.losses) == ([3], [])
-    (none,) = decode([container(Task({1: batch([1])}))], [Stream(IMU, {(1, 1): Decoder()})])
+    (none,) = decode([container(task({1: batch([1])}))], [Stream(IMU, {(1, 1): Decoder()})])
     assert none.columns.n == 0
 
 
 def test_a_look_takes_a_few_chunks_of_the_first_file_that_has_some() -> None:
     """All of them without a limit."""
-    empty = container(Task({2: batch([1])}))
-    first = container(*(Task({1: batch([row])}) for row in range(3)))
-    second = container(Task({1: batch([7])}))
+    empty = container(task({2: batch([1])}))
+    first = container(*(task({1: batch([row])}) for row in range(3)))
+    second = container(task({1: batch([7])}))
     for most, expected in ((2, [0, 1]), (5, [0, 1, 2]), (None, [0, 1, 2, 7])):
         stream = Stream(IMU, {(number, 1): Decoder() for number in range(3)})
         (found,) = decode([empty, first, second], [stream], most_chunks=most)
         assert found.columns.log.tolist() == expected
 
 
-def test_notes_of_the_decoders_are_losses_too() -> None:
-    """What they found about the whole channel."""
-    decoder = Decoder()
-    decoder.notes.append(Loss(code="definition", text="another"))
-    _, found = run(Task({1: batch([1])}), decoder=decoder)
-    assert found.losses == decoder.notes
-
-
 def test_only_so_many_losses_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thousand, so that a log of garbage does not fill the memory."""
     assert loader._MAX_LOSSES == 1000
     monkeypatch.setattr(loader, "_MAX_LOSSES", 2)
-    _, found = run(*(Task({1: batch([-1])}) for _ in range(3)))
+    _, found = run(*(task({1: batch([-1])}) for _ in range(3)))
     assert len(found.losses) == 2
-
-
-@pytest.mark.parametrize(
-    ("spans", "merged"),
-    [
-        ([], []),
-        ([(3, 5), (0, 2)], [(0, 2), (3, 5)]),
-        ([(2, 3), (0, 2), (3, 7)], [(0, 7)]),
-        ([(0, 2), (3, 4), (4, 5)], [(0, 2), (3, 5)]),
-    ],
-)
-def test_spans_that_touch_are_one(spans: list[tuple[int, int]], merged: list[tuple[int, int]]) -> None:
-    assert _merged(spans) == merged
