@@ -52,7 +52,7 @@ STAGES = {
     "spectrum": ("imucal/allan/dct.py", "spectrum"),
     "spikes": ("imucal/fitting/robust.py", "clean"),
     "blocks of ordinates": ("imucal/fitting/spectral/blocks.py", "make_blocks"),
-    "two levels, steps, cycles": ("imucal/fitting/spectral/not_noise.py", "find_shapes"),
+    "steps, cycles": ("imucal/fitting/spectral/not_noise.py", "find_shapes"),
     "band and filter": ("imucal/fitting/spectral/band.py", "find_band"),
     "choice of the model": ("imucal/fitting/spectral/selection.py", "choose"),
     "terms that are not in it": ("imucal/fitting/spectral/bounds.py", "hull_estimates"),

@@ -254,13 +254,12 @@ class Disturbance:
 
 
 def find_disturbances(
-    blocks: Sequence[Block], *, steps: bool = True, exact: ExactPlace | None = None
+    blocks: Sequence[Block], *, exact: ExactPlace | None = None
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
     """Return the shapes to take out in addition to the ramp, the strongest first; and the doubtful ones.
 
-    Without `steps` the search skips steps: a level that jumps back and forth has too many. `exact` returns
-    the exact place of a step before its fit: otherwise the next best shape would be a second step that
-    corrects the error of the first.
+    `exact` returns the exact place of a step before its fit: otherwise the next best shape would be a second
+    step that corrects the error of the first.
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
@@ -271,8 +270,7 @@ def find_disturbances(
         names = tuple(name for one in found for name in one.names)
         whitened = Whitened.by(low, base.spectrum, ("R", *names))
         kinds = [*_candidates(whitened, length, found)]
-        if steps:
-            kinds += _step(whitened, max(length / _TELLABLE, 1.0), found, exact)
+        kinds += _step(whitened, max(length / _TELLABLE, 1.0), found, exact)
         candidates = [one for one in kinds if not set(one.names) & set(names)]
         if not candidates:
             break

@@ -1,6 +1,6 @@
-"""What is not noise in an axis, looked for once: lines, steps, cycles, drifts, two levels, a filter.
+"""Find what is not noise in an axis: lines, steps, cycles, drifts, a filter.
 
-A fit by maximum likelihood takes it out; `not_noise` says it where nothing is fitted, or a curve only.
+A fit by maximum likelihood removes it; `not_noise` reports it if nothing, or only a curve, is fitted.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,6 @@ from imucal.fitting.spectral.disturbances import (
 from imucal.fitting.spectral.hump import hump_finding
 from imucal.fitting.spectral.likelihood import richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
-from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 from imucal.screening import amount
@@ -60,22 +59,18 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
 def find_shapes(
     series: AxisSeries, blocks: SeriesBlocks
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...], tuple[Finding, ...]]:
-    """Return what is to be taken out with the fit, what may be, and what to say of it and of two levels."""
+    """Return the shapes that the fit removes, the doubtful ones, and the findings about both."""
     nothing: tuple[Disturbance, ...] = ()
-    say = {"code": "not-checked", "axis": series.name}
-    levels, no_levels = try_side_work(
-        lambda: find_telegraph(series), None, what="No search for two levels", **say
-    )
-    (found, doubtful), no_shapes = try_side_work(
-        lambda: find_disturbances(blocks.blocks, steps=levels is None, exact=exact_places(series)),
+    (found, doubtful), failed = try_side_work(
+        lambda: find_disturbances(blocks.blocks, exact=exact_places(series)),
         (nothing, nothing),
         what="No search for steps and cycles",
-        **say,
+        code="not-checked",
+        axis=series.name,
     )
-    said = telegraph_finding(levels, series)
-    said += disturbance_findings(found, series, blocks.scale, fitted=True)
-    said += doubtful_finding(doubtful, series, blocks.scale)
-    return found, doubtful, said + no_levels + no_shapes
+    findings = disturbance_findings(found, series, blocks.scale, fitted=True)
+    findings += doubtful_finding(doubtful, series, blocks.scale)
+    return found, doubtful, findings + failed
 
 
 def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ...]:
