@@ -5,18 +5,18 @@ from typing import Any
 
 import click
 
+from imucal.atomic import write_configs
 from imucal.calibration.document import Intrinsics, load_intrinsics
 from imucal.calibration.exports import (
     CALIBRATION_TARGETS,
     CalibrationTarget,
     find_calibration_target,
     render_calibration,
-    write_target,
 )
 from imucal.calibration.writer import NOISE_NAME
 from imucal.cli._declared import misuse
 from imucal.cli._printing import echo, say
-from imucal.errors import DataError, WriteError
+from imucal.errors import DataError
 from imucal.report.exports import find_target
 from imucal.report.json_file import load
 from imucal.report.result import Report
@@ -68,14 +68,7 @@ def export_calibration(path: Path, names: tuple[str, ...], out: Path | None, opt
         click.echo(next(iter(texts.values())), nl=False)
         return
     place = (out or Path("imucal-exports")) if several else out or Path()
-    if several:
-        try:
-            place.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise WriteError(
-                f"{place}: can't create this folder: {error.strerror}; choose another"
-            ) from error
-    for target, text in texts.items():
-        echo(str(write_target(target, text, place)))
+    for file in write_configs({each.file_name: text for each, text in texts.items()}, place, folder=several):
+        echo(str(file))
     if noise is None and any(target.noise for target in texts):
         say("The files have no noise numbers: run imucal calibrate with --noise REPORT")

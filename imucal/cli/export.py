@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
+from imucal.atomic import write_configs
 from imucal.calibration.exports import CALIBRATION_TARGETS
 from imucal.calibration.writer import is_calibration
 from imucal.cli._calibration_export import export_calibration, require_noise_targets
@@ -17,7 +18,7 @@ from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import echo, refuse, say
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
-from imucal.errors import DataError, WriteError
+from imucal.errors import DataError
 from imucal.grading import remedy
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
@@ -165,16 +166,16 @@ def command(
         raise DataError(msg)
     options["topic"] = rostopic
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
-    texts = [exports.render(report, name, **options) for name in names]  # so that a refusal leaves no file
+    texts = {exports.TARGETS[name].file_name: exports.render(report, name, **options) for name in names}
     several = len(names) > 1
     if out == Path("-"):
         if several:
             misuse("standard output takes one format; name a folder", "-o")
-        click.echo(texts[0], nl=False)
+        click.echo(next(iter(texts.values())), nl=False)
     else:
-        place = _folder(out or _FOLDER) if several else out or Path()
-        for name in names:
-            echo(str(exports.export(report, name, place, **options)[0]))
+        place = out or (_FOLDER if several else Path())
+        for file in write_configs(texts, place, folder=several):
+            echo(str(file))
     for text in _remarks(report, options["numbers"]):
         say(text)
 
@@ -210,16 +211,6 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
         if not target.is_called(name):
             say(f"{name}: written as {target.name} ({target.title})")
     return tuple(dict.fromkeys(target.name for target in found.values()))
-
-
-def _folder(path: Path) -> Path:
-    """Make a folder for several files."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = "it is a file" if path.is_file() else error.strerror or error
-        raise WriteError(f"{path}: can't create this folder: {reason}; choose another place") from error
-    return path
 
 
 def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
