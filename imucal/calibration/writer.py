@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-from imucal.atomic import OutFolder, has_schema
 from imucal.calibration.document import FILE_NAME, SCHEMA, to_document
 from imucal.calibration.result import Calibration
 from imucal.report import json_file
+from imucal.report.out_folder import OutFolder, has_schema
 from imucal.report.result import Report
 
 __all__ = ["NOISE_NAME", "PAGE_NAME", "check_folder", "is_calibration", "write_calibration"]

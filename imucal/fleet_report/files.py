@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 
 from imucal.arguments import takes
-from imucal.atomic import OutFolder
 from imucal.findings import Finding
 from imucal.fleet_report.pages import beyond_chance, render_fleet_page, verdict
 from imucal.fleet_report.pictures import drawn_as, fleet_pictures
@@ -23,6 +22,7 @@ from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.printable import printable
 from imucal.processes import try_side_work
 from imucal.report.json_file import JsonObject, picked, plain
+from imucal.report.out_folder import OutFolder
 
 SCHEMA = "imucal/fleet/1"
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.arrays import FloatArray
-from imucal.atomic import held_by, home_of, make_folder, replacing
+from imucal.atomic import make_folder, replacing
 from imucal.errors import WriteError
 from imucal.fitting.decomposition import Component, Decomposition
 from imucal.noise.term import Stroke
@@ -22,6 +22,7 @@ from imucal.noise.terms import TERMS
 from imucal.report import figure as drawing
 from imucal.report import numbers
 from imucal.report.json_file import JsonObject, picked
+from imucal.report.out_folder import held_by, home_of
 from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:

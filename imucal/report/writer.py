@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucal.arguments import takes
-from imucal.atomic import OutFolder
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
@@ -19,6 +18,7 @@ from imucal.report.json_file import (
     signal_document,
     to_document,
 )
+from imucal.report.out_folder import OutFolder
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
