@@ -66,8 +66,11 @@ class OutFolder:
         with self._translated():
             ours = self.shared or has_schema(self.path / self.document, self.schema)
             if (held := held_by(self.path)) and not ours:
-                problem = f"contains {held} but no {self.what}"
-                raise WriteError(f"{self.path}: {problem}; nothing was changed; choose another folder")
+                msg = (
+                    f"{self.path}: contains {held} but no {self.what}; nothing was changed; choose another "
+                    "folder"
+                )
+                raise WriteError(msg)
             for name in names:
                 if (file := self.path / name).is_dir():
                     raise WriteError(f"{file}: is a folder, expected a file of {self._results}; move it away")
