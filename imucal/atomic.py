@@ -1,9 +1,9 @@
-"""Writing a file so that it is whole or not there."""
+"""Write a file so that it is complete or unchanged, whatever fails."""
 
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import mkdtemp
@@ -12,6 +12,8 @@ from imucal.errors import WriteError
 
 #: How much of an existing file is searched for the words that make it ours, in bytes.
 _START = 4096
+#: Words in the comment of every config file.
+_OURS = "written by imucal "
 #: A scratch folder older than this, in s, was left by a run that was killed.
 _ABANDONED_S = 3600.0
 
@@ -98,3 +100,29 @@ def sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+def make_folder(path: Path) -> None:
+    """Create a folder unless it exists; a WriteError if that is not possible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "it is a file" if path.is_file() else error.strerror or error
+        raise WriteError(f"{path}: can't be created: {reason}; choose another folder") from error
+
+
+def write_configs(texts: Mapping[str, str], path: Path, *, folder: bool = False) -> tuple[Path, ...]:
+    """Write the texts of config files, by their names; return their paths.
+
+    They go into the folder `path`, which is created if `folder`; a single one may go to the file `path`. If
+    imucal did not write one of the files that would be replaced, nothing is written: a WriteError.
+    """
+    if folder:
+        make_folder(path)
+    files = [path / name if path.is_dir() else path for name in texts]
+    for file in files:
+        _refuse_foreign(file, _OURS)
+    for file, text in zip(files, texts.values(), strict=True):
+        with replacing(file, ours=_OURS) as scratch:
+            scratch.write_text(text, encoding="utf-8", newline="\n")
+    return tuple(files)

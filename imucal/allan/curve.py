@@ -30,7 +30,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
     computed
         Method: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
-        (a table from another tool).
+        (a curve from another tool).
     edf_method
         ``hybrid``, ``model``, ``greenhall``; empty if unknown.
     """

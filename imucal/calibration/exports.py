@@ -18,7 +18,7 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.arrays import FloatArray
-from imucal.atomic import replacing
+from imucal.atomic import write_configs
 from imucal.calibration.document import Intrinsics
 from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
@@ -33,7 +33,7 @@ from imucal.units import G0
 
 __all__ = [
     "CALIBRATION_TARGETS", "CalibrationTarget", "export_calibration", "find_calibration_target",
-    "render_calibration", "write_target",
+    "render_calibration",
 ]  # fmt: skip
 
 #: Topics whose samples a flight stack has corrected already.
@@ -127,15 +127,7 @@ def export_calibration(
     """Write the text of `render_calibration` to a file, or into a folder; return the file."""
     target = find_calibration_target(name)
     text = render_calibration(Intrinsics.of(found), name, noise, **options)
-    return write_target(target, text, path)
-
-
-def write_target(target: CalibrationTarget, text: str, path: Path) -> Path:
-    """Write a program's file to a path or into a folder; return the file."""
-    file = path / target.file_name if path.is_dir() else path
-    with replacing(file, ours="written by imucal ") as scratch:
-        scratch.write_text(text, encoding="utf-8", newline="\n")
-    return file
+    return write_configs({target.file_name: text}, path)[0]
 
 
 def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:

@@ -12,6 +12,7 @@ import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -57,15 +58,12 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Give a command the defaults of the settings file; name the one that a mistyped one is near to."""
+        """Return a command; the error for an unknown one suggests the most similar name."""
         from imucal.remote.addresses import is_url, shown
 
         name = args[0]
         if name in self.table or name.startswith("-") or ctx.resilient_parsing:
-            found = super().resolve_command(ctx, args)
-            if found[1] and not ctx.resilient_parsing:
-                _set_defaults(ctx, name, found[1])
-            return found
+            return super().resolve_command(ctx, args)
         if near := difflib.get_close_matches(name.lower(), self.table, n=1):
             hint = f"did you mean {near[0]!r}?"
         elif Path(name).exists() or is_url(name):
@@ -95,20 +93,6 @@ class LazyGroup(click.Group):
         if ctx.parent is None:
             with formatter.section("Exit codes"):
                 formatter.write_dl([(str(code), meaning) for code, (meaning, _) in EXIT_CODES.items()])
-
-
-def _set_defaults(ctx: click.Context, name: str, command: click.Command) -> None:
-    """Give a command what the settings file says of its options; commands of a group have tables in its."""
-    from imucal.cli._declared import defaults_of, settings_file
-
-    tables: object = ctx.default_map if ctx.parent else None
-    where = f"[{ctx.info_name}."
-    if ctx.parent is None and (found := settings_file()) is not None:
-        where, tables = f"{found[0]}: [", found[1]
-    table = tables.get(name) if isinstance(tables, Mapping) else None
-    if table is not None:
-        whole = table if isinstance(command, click.Group) else defaults_of(command, table, f"{where}{name}]")
-        ctx.default_map = {name: whole}
 
 
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
@@ -149,6 +133,14 @@ _OPTIONS = (
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
+#: Files that contained default options of commands, and the content that shows it.
+_UNREAD = (("imucal.toml", re.compile(b"")), ("pyproject.toml", re.compile(rb"(?m)^\s*\[tool\.imucal[.\]]")))
+_INSTEAD = (
+    "default options in a file are no longer read; remove them, and define an alias in the shell, such as "
+    "alias fit='imucal fit --method gmwm', or a variable in CI"
+)
+
+
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
     if wanted and not ctx.resilient_parsing:
         click.echo(_version_lines())
@@ -175,6 +167,11 @@ def imucal() -> None:
     Start with `imucal fit LOG`: it reads the log, computes the Allan curves, fits every axis
     and writes a report.
     """
+    for name, used in _UNREAD:
+        with suppress(OSError):
+            if used.search(Path(name).read_bytes()):
+                # Also with --quiet: without these options, the results may differ.
+                click.echo(f"warning: {name}: {_INSTEAD}", err=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

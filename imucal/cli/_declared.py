@@ -1,23 +1,13 @@
-"""How a command says what it takes: a function whose keyword arguments have their options for defaults.
-
-Other defaults stand in a file: ``imucal.toml``, or the table ``[tool.imucal]`` of ``pyproject.toml``. It has
-a table a command, keys as the options are called: ``method = "gmwm"`` in ``[fit]`` or ``[tool.imucal.fit]``.
-What is typed goes before what the file says.
-"""
+"""Declare a command: a function whose keyword arguments have their options as defaults."""
 
 import functools
 import inspect
 import re
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
-from pathlib import Path
 from typing import Any, NoReturn
 
 import click
-
-from imucal.errors import SettingError
 
 #: Title in ``--help`` -> names of the parameters below it; all others are below "Options".
 _GROUPS = {
@@ -26,7 +16,7 @@ _GROUPS = {
     "Which samples": "topic skip_s take_s rests time rate_hz columns fields message_definition join strict",
     "Units": "time_unit gyro_unit accel_unit gyro_scale accel_scale",
     "Model": "model level method",
-    "Advanced": "taus edf no_clean criterion weights segments verify bins curve",
+    "Advanced": "taus edf no_clean criterion weights segments verify bins",
 }
 #: Commands that read a report, or a log with the options of `imucal fit`, which their help only mentions.
 _OF_REPORTS = {"export", "check", "drift", "plan", "compare"}
@@ -166,47 +156,3 @@ def is_set(name: str) -> bool:
 def misuse(text: object, *options: str) -> NoReturn:
     """Raise what ends a command with exit code 2: what was typed, for an option or not, can't be meant."""
     raise click.BadParameter(str(text), param_hint=options) if options else click.UsageError(str(text))
-
-
-def settings_file() -> tuple[Path, dict[str, object]] | None:
-    """Return the file of this folder that has defaults, and its tables; None where there is none.
-
-    A SettingError says that it can't be read.
-    """
-    for name, keys in (("imucal.toml", ()), ("pyproject.toml", ("tool", "imucal"))):
-        path = Path(name)
-        if not path.is_file():
-            continue
-        try:
-            found: object = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise SettingError(f"{path}: not valid TOML ({error}); correct it") from error
-        for key in keys:
-            found = found.get(key) if isinstance(found, dict) else None
-        if isinstance(found, dict):
-            return path, found
-    return None
-
-
-def defaults_of(command: click.Command, table: object, where: str) -> dict[str, object]:
-    """Return what a table says of a command, by the names of its parameters.
-
-    A SettingError says that it is no table, or names no option of the command, and suggests the nearest.
-    """
-    if not isinstance(table, Mapping):
-        raise SettingError(f"{where} is {table!r}, expected a table of options")
-    options = {
-        name.lstrip("-"): parameter
-        for parameter in command.params
-        if isinstance(parameter, click.Option)
-        for name in parameter.opts
-        if name.startswith("--")
-    }
-    found: dict[str, object] = {}
-    for key, value in table.items():
-        if key not in options:
-            near = get_close_matches(key, options, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(sorted(options))}"
-            raise SettingError(f"{where}: there is no option {key!r}; {hint}")
-        found[str(options[key].name)] = value if isinstance(value, bool | list) else str(value)
-    return found

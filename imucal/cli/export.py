@@ -9,21 +9,23 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.calibration.exports import CALIBRATION_TARGETS
-from imucal.calibration.writer import is_calibration
-from imucal.cli._calibration_export import export_calibration, require_noise_targets
+from imucal.atomic import write_configs
+from imucal.calibration.document import load_intrinsics
+from imucal.calibration.exports import CALIBRATION_TARGETS, find_calibration_target, render_calibration
+from imucal.calibration.writer import NOISE_NAME, is_calibration
 from imucal.cli._declared import declared, is_set, misuse, option, together
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
 from imucal.cli._printing import echo, refuse, say
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
-from imucal.errors import DataError, WriteError
+from imucal.errors import DataError
 from imucal.grading import remedy
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
 from imucal.report.exports.config_numbers import vague_axes
 from imucal.report.exports.target import name_key
+from imucal.report.json_file import load
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
@@ -150,11 +152,11 @@ def command(
     horizon_s, step_s = options["horizon_s"], options["step_s"]
     if horizon_s is not None and horizon_s <= step_s:
         misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
-    if is_calibration(Path(request.logs[0])):
-        options["topic"] = rostopic
-        export_calibration(Path(request.logs[0]), targets, out, options)
+    options["topic"] = rostopic
+    if is_calibration(path := Path(request.logs[0])):
+        _export_calibration(path, targets, out, options)
         return
-    require_noise_targets(targets, shown_address(request.logs[0]))
+    _require_noise_targets(targets, shown_address(request.logs[0]))
     report = _report(request, value, fleet_model)
     refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
     if (axes := vague_axes(report)) and not is_set("force"):
@@ -163,18 +165,9 @@ def command(
             "was exported; record for longer, or --force"
         )
         raise DataError(msg)
-    options["topic"] = rostopic
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
-    texts = [exports.render(report, name, **options) for name in names]  # so that a refusal leaves no file
-    several = len(names) > 1
-    if out == Path("-"):
-        if several:
-            misuse("standard output takes one format; name a folder", "-o")
-        click.echo(texts[0], nl=False)
-    else:
-        place = _folder(out or _FOLDER) if several else out or Path()
-        for name in names:
-            echo(str(exports.export(report, name, place, **options)[0]))
+    texts = {exports.TARGETS[name].file_name: exports.render(report, name, **options) for name in names}
+    _write(texts, out, several=len(names) > 1)
     for text in _remarks(report, options["numbers"]):
         say(text)
 
@@ -187,6 +180,54 @@ Formats of a calibration, with noise numbers if it was made with --noise:
   {_OF_CALIBRATION}
 
 {command.epilog}"""
+
+
+def _write(texts: dict[str, str], out: Path | None, *, several: bool) -> None:
+    """Write or print the texts of files, by their names."""
+    if out == Path("-"):
+        if several:
+            misuse("standard output takes one format; name a folder", "-o")
+        click.echo(next(iter(texts.values())), nl=False)
+        return
+    for file in write_configs(texts, out or (_FOLDER if several else Path()), folder=several):
+        echo(str(file))
+
+
+def _export_calibration(
+    path: Path, names: tuple[str, ...], out: Path | None, options: dict[str, Any]
+) -> None:
+    """Write the files of a calibration; with ``all``, name the programs that it has no file for."""
+    found, every = load_intrinsics(path), "all" in names
+    folder = path if path.is_dir() else path.parent
+    noise = load(folder / NOISE_NAME) if (folder / NOISE_NAME).exists() else None
+    try:
+        targets = [find_calibration_target(name) for name in (CALIBRATION_TARGETS if every else names)]
+    except ValueError as error:
+        misuse(error, "--to")
+    texts = {}
+    for target in targets:
+        try:
+            texts[target] = render_calibration(found, target.name, noise, **options)
+        except DataError as error:
+            if not every:
+                raise
+            say(f"{target.name} is not written: {error}")
+    _write({target.file_name: text for target, text in texts.items()}, out, several=every or len(texts) > 1)
+    if noise is None and out != Path("-") and any(target.noise for target in texts):
+        say("The files have no noise numbers: run imucal calibrate with --noise REPORT")
+
+
+def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
+    """Raise a usage error for a format that needs a calibration."""
+    for name in names:
+        try:
+            if name != "all":
+                exports.find_target(name)
+        except ValueError:
+            misuse(
+                f"{name} is for a calibration, and {source} is not one; run 'imucal calibrate' on a log",
+                "--to",
+            )
 
 
 def _report(request: LogRequest, value: "FleetValue | None", model: str | None) -> Report:
@@ -210,16 +251,6 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
         if not target.is_called(name):
             say(f"{name}: written as {target.name} ({target.title})")
     return tuple(dict.fromkeys(target.name for target in found.values()))
-
-
-def _folder(path: Path) -> Path:
-    """Make a folder for several files."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = "it is a file" if path.is_file() else error.strerror or error
-        raise WriteError(f"{path}: can't create this folder: {reason}; choose another place") from error
-    return path
 
 
 def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:

@@ -68,7 +68,6 @@ def command(
     ),
     bins: bool = flag("--bins  Add binned spectra to report.json, for pooling logs."),
     as_json: bool = flag("--json  Print report.json on standard output."),
-    curve: bool = flag("--curve  Read LOG as a table of tau and Allan deviations without headings."),
     _force: bool = FORCE,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
@@ -89,27 +88,21 @@ def command(
       imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
       imucal fit drive.mcap --rests
       imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
-      imucal fit curve.csv        (tau and deviations made by another tool)
 
     Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
     analysed or are not noise at rest (with --strict: or a warning was found),
     5 the report can't be written, 130 interrupted.
     """
-    from imucal.cli._curve_fit import fit_curves, is_curve_table
+    from imucal.cli._result_table import summary_table
     from imucal.pipeline import Settings
+    from imucal.report.json_file import dumps, to_document
+    from imucal.report.writer import check_folder, write_report
 
     try:
         reading = request.settings() | ({"rests": True} if rests else {})
         settings = Settings(clean=not no_clean, verify=verify, bins=bins, reading=reading, **choices)
     except ValueError as error:
         misuse(error)
-    if curve or is_curve_table(request):
-        fit_curves(request, settings, as_json=as_json)
-        return
-    from imucal.cli._result_table import summary_table
-    from imucal.report.json_file import dumps, to_document
-    from imucal.report.writer import check_folder, write_report
-
     folder = out or report_folder(request.logs[0])
     replaced = (folder / "report.json").exists()
     if not no_report:

@@ -7,7 +7,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -254,13 +254,9 @@ class LogRequest:
     take_s: float | None
     models: Mapping[Sensor, str] = field(default_factory=dict)
 
-    def local(self) -> AbstractContextManager["LocalLogs"]:
-        """Lend the logs as files of this machine, those by URL with a progress bar where a person watches."""
-        return lent(self.logs)
-
     def read(self) -> Recording:
         """Read the log, with a progress bar where a person watches."""
-        with self.local() as logs:
+        with lent(self.logs) as logs:
             return self._read(logs)
 
     def _read(self, logs: "LocalLogs") -> Recording:
@@ -282,7 +278,7 @@ class LogRequest:
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
-        with self.local() as logs, Checksums(logs.paths) as checksums:
+        with lent(self.logs) as logs, Checksums(logs.paths) as checksums:
             recording = self._read(logs)
             if rests:
                 from imucal.rests import at_rest

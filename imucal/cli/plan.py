@@ -1,10 +1,14 @@
-"""``imucal plan``: how long to record for a wanted precision."""
+"""``imucal plan``: how long to record for a given precision, or the attitudes of a calibration."""
 
 import math
+from collections.abc import Iterator, Mapping
 
 import click
 
-from imucal.cli._calibration_plan import plan_calibration
+from imucal.calibration.known_log import RestsPlan, plan_rests
+from imucal.calibration.noise_source import report_models
+from imucal.calibration.parameters import Parameter
+from imucal.calibration.table import readable
 from imucal.cli._declared import argument, declared, flag, is_set, option
 from imucal.cli._printing import FULL, can_print, echo, picked, print_json, say, width, wrapped
 from imucal.cli._report_input import MODELS, report_or_model
@@ -12,9 +16,13 @@ from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Number, Text
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
+from imucal.report.result import Report
 from imucal.units import DatasheetUnit
+from imucal.units import duration as duration_text
 
-SCHEMA = "imucal/planning/1"
+SCHEMA, REST_SCHEMA = "imucal/planning/1", "imucal/calibration-plan/1"
+#: Kind of a calibration's parameters -> its name in the table.
+_KINDS = {"scale": "scale", "misalignment": "misalignment", "bias": "bias", "g_sensitivity": "g-sensitivity"}
 
 
 def _fraction(text: str) -> float:
@@ -74,7 +82,7 @@ def command(
     """
     report = report_or_model(source, models, rate)
     if rests:
-        plan_calibration(report, rests, rest, latitude, as_json=as_json)
+        _plan_rests(report, rests, rest, latitude, as_json=as_json)
         return
     result = plan(
         report,
@@ -160,3 +168,57 @@ def _unit(sensor: Sensor | None, need: Need) -> DatasheetUnit:
         return DatasheetUnit("s" if need.name.endswith(".T") else "SI", 1.0)
     term = TERMS[need.symbol]
     return term.datasheet_unit(sensor) if is_set("datasheet") else DatasheetUnit(term.unit(sensor), 1.0)
+
+
+def _plan_rests(report: Report, rests: int, rest_s: float, latitude: float | None, *, as_json: bool) -> None:
+    """Print the plan of a log with `rests` rests, as a table or as JSON."""
+    rate = report.axes[0].rate_hz
+    found = plan_rests(report_models(report), rests, rest_s=rest_s, rate_hz=rate, latitude=latitude)
+    if as_json:
+        print_json(_rests_document(found))
+        return
+    text = "\n".join(_rests_lines(found, latitude))
+    echo(text if can_print(text) else text.replace("±", "+-").replace("²", "^2").replace("°", " deg"))
+
+
+def _rests_document(found: RestsPlan) -> dict[str, object]:
+    """Return a plan as JSON values, SI."""
+    sensors = {"accelerometer": found.accelerometer, "gyroscope": found.gyroscope}
+    return {
+        "schema": REST_SCHEMA,
+        **picked(found, "rest_s rate_hz duration_s attitudes"),
+        "half_widths": {
+            sensor: {name: picked(each, "half_width unit status") for name, each in parameters.items()}
+            for sensor, parameters in sensors.items()
+        },
+    }
+
+
+def _rests_lines(found: RestsPlan, latitude: float | None) -> Iterator[str]:
+    count = len(found.attitudes)
+    yield from wrapped(
+        f"{count} rests of {duration_text(found.rest_s)}, {duration_text(found.duration_s)} with the turns"
+    )
+    yield ""
+    yield from wrapped("Expected half-width of the 95 % interval of the worst axis")
+    for name, parameters in (("accelerometer", found.accelerometer), ("gyroscope", found.gyroscope)):
+        for kind, shown in _KINDS.items():
+            if half := _worst(parameters, kind):
+                yield from wrapped(f"{name:<14}{shown:<14}± {half}", indent=2)
+    yield ""
+    yield from wrapped("Attitudes; turning by hand is precise enough")
+    for number, text in enumerate(found.attitudes, start=1):
+        first, *others = wrapped(text, indent=5)
+        yield from (f"{number:>3}{first[3:]}", *others)
+    yield ""
+    yield from wrapped("Nonlinearity and warm-up widen the intervals. Turn in different directions.")
+    if latitude is None:
+        yield from wrapped("Give --latitude: otherwise the uncertainty of gravity limits the scales.")
+
+
+def _worst(parameters: Mapping[str, Parameter], kind: str) -> str:
+    own = [each for name, each in parameters.items() if name.startswith(kind) and each.half_width is not None]
+    if not own:
+        return ""
+    value, unit = readable(max(each.half_width or 0.0 for each in own), own[0].unit)
+    return f"{value:.2g} {unit}"

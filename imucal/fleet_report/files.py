@@ -7,6 +7,7 @@ change that an old reader would misunderstand raises its number.
 import csv
 import io
 import json
+import re
 import unicodedata
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,15 +15,14 @@ from functools import partial
 from pathlib import Path
 
 from imucal.arguments import takes
-from imucal.atomic import alone, replacing
 from imucal.findings import Finding
-from imucal.fleet.store import translated
 from imucal.fleet_report.pages import beyond_chance, render_fleet_page, verdict
 from imucal.fleet_report.pictures import drawn_as, fleet_pictures
 from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.printable import printable
 from imucal.processes import try_side_work
 from imucal.report.json_file import JsonObject, picked, plain
+from imucal.report.out_folder import OutFolder
 
 SCHEMA = "imucal/fleet/1"
 
@@ -151,11 +151,11 @@ def write_fleet(
     html: bool = True,
     tell: Callable[[Finding], None] | None = None,
 ) -> tuple[Path, ...]:
-    """Write what is known of a fleet; return the files, ``fleet.json`` first.
+    """Write the report of a fleet; return the files, ``fleet.json`` first.
 
-    Each file takes its place whole, and ``fleet.json`` is removed first and written last: where it is, all
-    files are of one report. Whoever else writes there waits. A picture or page that can't be drawn is left
-    out, also in the place of an old one, and a finding in ``fleet.json`` says so.
+    Each file is replaced as a whole. ``fleet.json`` is removed first and written last: if it exists, all
+    files belong to one report. Of two writers, one waits. A picture or page that can't be drawn is left
+    out, also if there is an old one, and ``fleet.json`` contains a finding.
 
     Parameters
     ----------
@@ -175,21 +175,14 @@ def write_fleet(
     """
     folder = fleet.folder if out is None else Path(out)
     written, fleet = _drawn(fleet, pictures=pictures, html=html, tell=tell or (lambda _: None))
-    written = {"fleet.csv": fleet_csv(fleet).encode(), **written}
-    whole = folder / "fleet.json"
-    with translated(folder), alone(folder / ".lock"):
-        whole.unlink(missing_ok=True)
-        for name, data in written.items():
-            if data is None:
-                # An old one would be taken for that of the new numbers.
-                (folder / name).unlink(missing_ok=True)
-                continue
-            with replacing(folder / name) as scratch:
-                scratch.write_bytes(data)
-        text = json.dumps(fleet_document(fleet), indent=1, allow_nan=False, ensure_ascii=False)
-        with replacing(whole) as scratch:
-            scratch.write_bytes(f"{text}\n".encode())
-    return whole, *(folder / name for name, data in written.items() if data is not None)
+    text = json.dumps(fleet_document(fleet), indent=1, allow_nan=False, ensure_ascii=False)
+    contents = {"fleet.json": f"{text}\n".encode(), "fleet.csv": fleet_csv(fleet).encode()}
+    contents |= {name: data for name, data in written.items() if data is not None}
+    # An old picture would not match the new numbers.
+    missing = re.compile("|".join(re.escape(name) for name, data in written.items() if data is None))
+    return OutFolder(
+        path=folder, what="fleet report", document="fleet.json", schema=SCHEMA, own=missing, shared=True
+    ).write(contents)
 
 
 def _drawn(

@@ -108,7 +108,7 @@ def filter_numbers(
     """Return the least white noise and walk that cover the spectra of some axes.
 
     The least pair is the covering pair whose Allan variance is nearest to the fits', in the mean logarithm
-    from the step to the horizon. For a fit without a likelihood (``slope``, or of a table of deviations) the
+    from the step to the horizon. For a fit without a likelihood (``slope``, or of an `AllanCurve`) the
     upper limits of its Allan curve are covered.
 
     Parameters

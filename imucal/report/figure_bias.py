@@ -14,7 +14,7 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.arrays import FloatArray
-from imucal.atomic import replacing
+from imucal.atomic import make_folder, replacing
 from imucal.errors import WriteError
 from imucal.fitting.decomposition import Component, Decomposition
 from imucal.noise.term import Stroke
@@ -22,7 +22,7 @@ from imucal.noise.terms import TERMS
 from imucal.report import figure as drawing
 from imucal.report import numbers
 from imucal.report.json_file import JsonObject, picked
-from imucal.report.writer import held_by, home_of
+from imucal.report.out_folder import held_by, home_of
 from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:
@@ -202,11 +202,7 @@ def write_document(document: JsonObject, out: Path) -> Path:
 
 
 def _write(path: Path, content: bytes) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{path.parent}: can't be created: {error.strerror or error}; choose another folder"
-        raise WriteError(msg) from error
+    make_folder(path.parent)
     with replacing(path) as scratch:
         scratch.write_bytes(content)
     return path

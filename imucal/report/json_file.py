@@ -517,10 +517,10 @@ def _pair_entries(report: Report) -> Iterator[JsonObject]:
         for pair in usual_pairs([axis.fit for axis in axes]):
             units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
             names = [axis.name for axis in axes]
-            yield {"sensor": sensor, "axes": names, **pair_document(pair), **units}
+            yield {"sensor": sensor, "axes": names, **_pair_document(pair), **units}
 
 
-def pair_document(pair: FilterNumbers) -> JsonObject:
+def _pair_document(pair: FilterNumbers) -> JsonObject:
     """Return the two numbers for a filter, and what they cost, as JSON values."""
     return _PAIR.write(pair, ratios=[{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios])
 

@@ -1,4 +1,4 @@
-"""What a run leaves on the terminal: one line a folder, one remedy, errors as JSON, defaults from a file."""
+"""What a run leaves on the terminal: one line a folder, one remedy, errors as JSON."""
 
 import json
 from pathlib import Path
@@ -77,29 +77,18 @@ def test_errors_are_json_where_json_was_asked_for(
     ("name", "text"),
     [("imucal.toml", "[adev]\ntaus = '0.1,1'\n"), ("pyproject.toml", "[tool.imucal.adev]\ntaus = '0.1,1'\n")],
 )
-def test_defaults_come_from_a_file(name: str, text: str, tmp_path: Path) -> None:
-    """What is typed goes first."""
+def test_default_options_in_a_file_are_named_and_not_used(name: str, text: str, tmp_path: Path) -> None:
+    """In one line, with --quiet too; what the line suggests works."""
+    (tmp_path / "pyproject.toml").write_text("[tool.imucalibration]\n", encoding="utf-8")
+    expected = run("adev", _SHORT, "-q", cwd=tmp_path)
+    assert "toml" not in expected.stderr
     (tmp_path / name).write_text(text, encoding="utf-8")
-    two = run("adev", _SHORT, "-q", cwd=tmp_path).stdout.splitlines()
-    typed = run("adev", _SHORT, "-q", "--taus", "octave", cwd=tmp_path).stdout.splitlines()
-    assert len(two) == 1 + 6 * 2
-    assert len(typed) > len(two)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[adev]\ntau = '1'\n", "imucal.toml: [adev]: there is no option 'tau'; did you mean taus?"),
-        ("adev = 3\n", "imucal.toml: [adev] is 3, expected a table of options"),
-        ("[adev\n", "imucal.toml: not valid TOML ("),
-    ],
-)
-def test_a_wrong_file_of_defaults_is_named(text: str, said: str, tmp_path: Path) -> None:
-    """Nothing is run with half of it."""
-    (tmp_path / "imucal.toml").write_text(text, encoding="utf-8")
-    done = run("adev", _SHORT, cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert said in done.stderr
+    done = run("adev", _SHORT, "-q", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (expected.returncode, expected.stdout)
+    (line,) = done.stderr.removesuffix(expected.stderr).splitlines()
+    assert line.startswith(f"warning: {name}: default options in a file are no longer read; remove them, ")
+    alias = line.partition("alias fit='imucal ")[2].partition("'")[0]
+    assert run(*alias.split(), _SHORT, "--no-report", "--model", "N", "-q", cwd=tmp_path).returncode == 0
 
 
 def test_a_log_of_seconds_is_good_for_n_only(tmp_path: Path) -> None:

@@ -305,6 +305,9 @@ def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
     assert "run imucal calibrate with --noise REPORT" in one.stderr
     printed = run("export", f"{place}/calibration.json", "--to", "openvins", "-o", "-", "-q", cwd=tmp_path)
     assert printed.stdout == (tmp_path / "imu.yaml").read_text(encoding="utf-8")
+    (tmp_path / "renamed.json").write_bytes((Path(place) / "calibration.json").read_bytes())
+    renamed = run("export", "renamed.json", "--to", "openvins", "-o", "-", "-q", cwd=tmp_path)
+    assert renamed.stdout == printed.stdout
     every = run("export", place, "--to", "all", "-o", "configs", cwd=tmp_path)
     assert every.returncode == 0
     assert len(every.stdout.splitlines()) == len(list((tmp_path / "configs").iterdir())) == 13

@@ -22,19 +22,16 @@ COMMANDS = [
     ("compare", "still-imucal", "other-imucal"),
     ("plan", "still-imucal", "--duration", "3h"),
     ("drift", "still-imucal"),
-    ("fit", "curve.csv"),
 ]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with two reports, a log with a short name, and a curve."""
+    """Return a folder with two reports, a log with a short name."""
     place = tmp_path_factory.mktemp("width")
     write_report(place)
     write_report(place, "other-imucal")
     (place / "log.csv").write_bytes((SAMPLE_LOGS / "with_gaps.csv").read_bytes())
-    rows = "\n".join(f"{t},{0.1 / t**0.5:.6g}" for t in (1, 2, 4, 8, 16, 32, 64))
-    (place / "curve.csv").write_text(f"tau,adev\n{rows}\n", encoding="utf-8")
     return place
 
 

@@ -149,6 +149,33 @@ def test_a_foreign_format_is_named_with_a_way_out(name: str, tmp_path: Path) -> 
         describe(path)
 
 
+@pytest.mark.parametrize(
+    "header", ["tau,adev", "taus;deviation", '"Averaging time [s]"\tadev', "tau(s),gyro_x"]
+)
+def test_a_curve_is_refused_with_a_line_of_python_that_fits_it(header: str, tmp_path: Path) -> None:
+    """Also if the column of deviations has the name of a gyroscope axis, or the table is short."""
+    path = tmp_path / "my curve.csv"
+    mark = next(mark for mark in ",;\t" if mark in header)
+    times = [0.01 * 2**k for k in range(12)]
+    lines = [header, *(f"{t:.10g}{mark}{1e-3 / t**0.5:.10g}" for t in times)]
+    path.write_text("\n".join(lines[:3]), encoding="utf-8")
+    message = refused(path)
+    assert "it is a table of Allan deviations; the fit of such tables was removed from the" in message
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert refused(path) == message
+    shell = shutil.which("bash") or "sh"
+    here = message[message.index("python -c ") :].replace("python", sys.executable, 1)
+    done = subprocess.run([shell, "-c", here], check=True, capture_output=True, text=True)  # noqa: S603
+    assert re.search(r"^ *N +1\.000 \[.*\] ×10⁻³$", done.stdout, re.MULTILINE), done.stdout
+
+
+def test_the_table_of_imucal_adev_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "curves.csv"
+    rows = "".join(f"gyro_x,{t},{t},0.1,0.05,0.2,9\n" for t in (1, 2, 4))
+    path.write_text(f"axis,tau,m,adev,low,high,edf\n{rows}", encoding="utf-8")
+    assert refused(path).endswith("a table of imucal adev; give the log from which it was computed")
+
+
 @pytest.mark.parametrize("write", [write_workbook, write_document])
 def test_a_spreadsheet_is_saved_as_csv(write: Callable[[Path], None], tmp_path: Path) -> None:
     """What the spreadsheet saves is read, with semicolons and decimal commas too."""

@@ -233,6 +233,15 @@ def test_a_file_tuned_by_hand_stays(tmp_path: Path) -> None:
         assert path.read_text() == "tuned by hand"
 
 
+def test_one_file_tuned_by_hand_stops_the_export_of_all(tmp_path: Path) -> None:
+    """Before the first file is written."""
+    last = list(TARGETS.values())[-1].file_name
+    (tmp_path / last).write_text("tuned by hand")
+    with pytest.raises(WriteError, match=f"{re.escape(last)}: exists and was not written by imucal"):
+        export(consumer_report(), "all", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [last]
+
+
 def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     """A missing folder is named, and nothing is left behind."""
     with pytest.raises(WriteError, match=r"imu\.yaml: can't be written: No such file or directory"):

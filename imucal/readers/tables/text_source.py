@@ -23,7 +23,7 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.files import refused
 from imucal.readers.read_options import Progress
-from imucal.readers.ways_out import way_out
+from imucal.readers.ways_out import TEXTS, way_out
 from imucal.recording import LogFileInfo
 
 #: The path that means standard input.
@@ -258,7 +258,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         if self.whole or cells < _WIDE:
             found = "is empty" if self.whole else "has no line end in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
-            way = way_out(self.name, self._start, text=True)
+            way = way_out(self.name, self._start, TEXTS)
             return f"the text {found}; {way or 'expected a table of numbers'}"
         cut = f"cut -d '{mark}' -f 1-7" if mark != "\t" else "cut -f 1-7"
         return (

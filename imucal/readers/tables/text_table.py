@@ -55,7 +55,7 @@ from imucal.readers.tables.tabular import (
     with_more,
 )
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
-from imucal.readers.ways_out import way_out
+from imucal.readers.ways_out import CURVES, TEXTS, way_out
 from imucal.recording import Recording, Sensor, span_ns
 from imucal.resources import column_limit
 from imucal.units import TIME_UNITS_NS, parse_time_unit
@@ -69,13 +69,16 @@ _INERTIAL = re.compile(
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
     """Find the layout of a text: messages of a known dialect, or a table.
 
-    Raises ReadError if it has no rows of numbers, ChoiceError if its header does not fit them.
+    Raises ReadError if it has no rows of numbers or no samples, ChoiceError if its header does not fit them.
     """
+    start = "\n".join(lines).encode()
+    if way := way_out(path, start, CURVES):
+        raise refused(path, way)
     messages = find_messages(lines)
     if messages is not None:
         return messages
     layout = find_layout(lines)
-    way = way_out(path, "\n".join(lines).encode(), text=True)
+    way = way_out(path, start, TEXTS)
     if layout is None or (way and not layout.headers):
         first = next(filter(None, map(str.strip, lines)), "")
         expected = way or "expected a table with a row per sample"

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 from typing import Unpack
 
-from imucal.atomic import replacing
-from imucal.errors import WriteError
+from imucal.atomic import write_configs
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, Choices, Options, Unidentified
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
@@ -28,9 +27,6 @@ _OTHERS = {
     "fastlivo": "FAST-LIVO2 is fast-livo2",
     "msckf": "MSCKF-VIO is msckf-vio, OpenVINS is openvins",
 }
-
-#: Words in the comment of every file.
-_OURS = "written by imucal "
 
 
 def find_target(name: str) -> Target:
@@ -67,27 +63,10 @@ def export(report: Report, target: str, path: Path, **options: Unpack[Options]) 
     written, or that one of the same name wasn't written by imucal, a ValueError that the format or an
     option is unknown.
     """
-    path = Path(path)
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
     choices = Choices(**options)
-    texts = {each: each.render(report, choices) for each in targets}
-    if target == "all":
-        _make_folder(path)
-    files = []
-    for each, text in texts.items():
-        file = path / each.file_name if path.is_dir() else path
-        with replacing(file, ours=_OURS) as scratch:
-            scratch.write_text(text, encoding="utf-8", newline="\n")
-        files.append(file)
-    return tuple(files)
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{path}: can't be created: {error.strerror or error}; choose another place"
-        raise WriteError(msg) from error
+    texts = {each.file_name: each.render(report, choices) for each in targets}
+    return write_configs(texts, Path(path), folder=target == "all")
 
 
 def _is_slip(typed: str, name: str) -> bool:

@@ -1,0 +1,194 @@
+"""Write a folder of results so that it is complete, unchanged, or marked as incomplete."""
+
+import errno
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from imucal.atomic import alone, sweep, sync_folder
+from imucal.errors import WriteError
+
+__all__ = ["OutFolder", "has_schema", "held_by", "home_of"]
+
+#: Name of the scratch folder.
+_SCRATCH = re.compile(r"\.imucal-.*\.tmp")
+#: Name of the incomplete document in the scratch folder.
+_BEGUN = "begun.json"
+#: Number of foreign files that a message names.
+_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutFolder:
+    """A folder of results that is written as a whole; other files in it are kept.
+
+    `write` first writes all files, and forces them to disk, in a scratch folder on the same file system. A
+    new folder then appears in one step. In an existing one, each file is replaced in one step and the
+    document comes last; until then it contains only its schema and the key ``incomplete``. Whatever fails
+    before, Ctrl-C included, changes nothing. Of two writers, one waits.
+
+    Attributes
+    ----------
+    path
+        The folder.
+    what
+        Name of the results in messages, such as ``imucal report``.
+    document
+        Name of the document, which marks the folder as ours.
+    schema
+        Schema of the document, such as ``imucal/report/2``.
+    own
+        Pattern of the names of all files that any version writes; `write` removes those that are obsolete.
+    shared
+        Whether the folder contains other files of imucal too. Then foreign files are accepted, and the
+        document is missing while files are replaced.
+    """
+
+    path: Path
+    what: str
+    document: str
+    schema: str
+    own: re.Pattern[str]
+    shared: bool = False
+
+    @property
+    def _results(self) -> str:
+        return f"the {self.what.removeprefix('imucal ')}"
+
+    def refuse_foreign(self, names: Iterable[str] = ()) -> None:
+        """Raise a WriteError unless the folder is missing, empty or ours, and files may have the names."""
+        with self._translated():
+            ours = self.shared or has_schema(self.path / self.document, self.schema)
+            if (held := held_by(self.path)) and not ours:
+                msg = (
+                    f"{self.path}: contains {held} but no {self.what}; nothing was changed; choose another "
+                    "folder"
+                )
+                raise WriteError(msg)
+            for name in names:
+                if (file := self.path / name).is_dir():
+                    raise WriteError(f"{file}: is a folder, expected a file of {self._results}; move it away")
+
+    def check(self) -> None:
+        """Raise a WriteError if the folder is foreign or can't be written."""
+        self.refuse_foreign()
+        with self._translated():
+            home = home_of(self.path)
+            fine = {errno.ENOTDIR: home.is_dir(), errno.EACCES: os.access(home, os.W_OK | os.X_OK)}
+            if wrong := [code for code in fine if not fine[code]]:
+                raise OSError(wrong[0], os.strerror(wrong[0]))
+
+    def write(self, contents: Mapping[str, bytes]) -> tuple[Path, ...]:
+        """Write files, the document first in `contents`; return their paths.
+
+        A WriteError if that is not possible, or if the folder is foreign.
+        """
+        self.refuse_foreign(contents)
+        with self._translated(), self._scratch() as scratch:
+            for name, content in contents.items():
+                _write(scratch / name, content)
+            sync_folder(scratch)
+            self._publish(scratch, list(contents))
+        return tuple(self.path / name for name in contents)
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Turn an OSError into a WriteError with advice."""
+        try:
+            yield
+        except OSError as error:
+            reason = error.strerror or str(error)
+            advice = {
+                **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space"),
+                **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "choose a folder you may write to"),
+            }.get(error.errno or 0, "choose another folder")
+            problem = f"{self._results} can't be written: {reason}"
+            raise WriteError(f"{self.path}: {problem}; nothing was changed; {advice}") from error
+
+    @contextmanager
+    def _scratch(self) -> Iterator[Path]:
+        """Yield a scratch folder on the same file system; it is removed whatever happens."""
+        home = self.path if self.path.is_dir() else self.path.parent
+        home.mkdir(parents=True, exist_ok=True)
+        sweep(path for path in home.iterdir() if _SCRATCH.fullmatch(path.name))
+        folder = home / f".imucal-{secrets.token_hex(8)}.tmp"
+        # Unlike mkdtemp, mkdir gives the folder the rights that the user's umask allows.
+        folder.mkdir()
+        try:
+            yield folder
+        finally:
+            with suppress(OSError):
+                shutil.rmtree(folder)
+
+    def _publish(self, scratch: Path, names: Sequence[str]) -> None:
+        """Move the complete files to their places, then remove obsolete files."""
+        if not self.path.exists():
+            try:
+                scratch.rename(self.path)
+            except OSError:
+                # Another run may have created it since.
+                if not self.path.is_dir():
+                    raise
+            else:
+                sync_folder(self.path.parent)
+                return
+        moved = 0
+        try:
+            with alone(self.path / ".lock" if self.shared else self.path):
+                self._mark_incomplete(scratch)
+                for moved, name in enumerate((*names[1:], self.document)):  # noqa: B007 - for the message
+                    (scratch / name).replace(self.path / name)
+                for path in self.path.iterdir():
+                    if self.own.fullmatch(path.name) and path.name not in names and path.is_file():
+                        path.unlink()
+        except OSError as error:
+            problem = f"only {moved} of {len(names)} files were replaced: {error.strerror or error}"
+            msg = f"{self.path}: {problem}; {self._results} is incomplete; write it again"
+            raise WriteError(msg) from error
+        sync_folder(self.path)
+
+    def _mark_incomplete(self, scratch: Path) -> None:
+        if self.shared:
+            (self.path / self.document).unlink(missing_ok=True)
+            return
+        text = f"its files were being replaced; write {self._results} again"
+        _write(scratch / _BEGUN, json.dumps({"schema": self.schema, "incomplete": text}).encode())
+        (scratch / _BEGUN).replace(self.path / self.document)
+
+
+def has_schema(path: Path, schema: str) -> bool:
+    """Return whether a file is a JSON document with a schema, of any version."""
+    try:
+        found = json.loads(path.read_bytes()).get("schema")
+    except (OSError, ValueError, AttributeError):
+        return False
+    return isinstance(found, str) and found.rpartition("/")[0] == schema.rpartition("/")[0]
+
+
+def held_by(out: Path) -> str:
+    """Return the first names in a folder; a WriteError if it is a file."""
+    if not os.path.lexists(out):
+        return ""
+    if not out.is_dir():
+        msg = f"{out}: is a file, expected a folder or nothing; move it away or choose another folder"
+        raise WriteError(msg)
+    entries = sorted(path.name for path in out.iterdir() if not _SCRATCH.fullmatch(path.name))
+    return ", ".join(entries[:_NAMED]) + (", …" if len(entries) > _NAMED else "")
+
+
+def home_of(out: Path) -> Path:
+    """Return the path itself if it exists, otherwise the nearest folder above it."""
+    return next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
