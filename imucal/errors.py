@@ -1,8 +1,7 @@
 """The errors that imucal raises on purpose, and the exit codes of the command line.
 
-A message reads *where: what was found, what was expected, what to do*.
-A caller's mistake (an argument out of range) is a `ValueError`; of what people type in notebooks, an
-`ArgumentError`.
+A message has the form *where: what was found, what was expected, what to do*. A caller's mistake (an argument
+out of range) is a `ValueError`; in calls that people type in notebooks, an `ArgumentError`.
 """
 
 from collections.abc import Sequence
@@ -21,15 +20,15 @@ EXIT_CODES = {
     141: ("the reader of standard output closed it", "nothing"),
 }
 
-#: What joins the things that a message asks for.
+#: Separator of the requests in a message.
 ALSO = "; also, "
 
 
 class ImucalError(Exception):
-    """Anything imucal can't do with what it was given."""
+    """Base class of all errors that imucal raises on purpose."""
 
     exit_code: ClassVar[int] = 1
-    #: Whether the results were printed all the same, and say what is wrong with them.
+    #: Whether the results were printed nevertheless, together with the problem.
     told = False
 
 
@@ -40,11 +39,11 @@ class ReadError(ImucalError):
 
 
 class ChoiceError(ReadError):
-    """Which topic, sensor or columns to read is not clear; the message lists the candidates."""
+    """The topic, sensor or columns are ambiguous; the message lists the candidates."""
 
 
 def as_one(where: str, lacking: Sequence[ChoiceError]) -> ChoiceError:
-    """Return errors that begin with `where` as one, which asks for everything at once."""
+    """Join errors whose messages begin with `where` into one with all requests."""
     texts = dict.fromkeys(str(error).removeprefix(f"{where}: ") for error in lacking)
     return lacking[0] if len(texts) == 1 else ChoiceError(f"{where}: {ALSO.join(texts)}")
 
@@ -62,41 +61,41 @@ class WriteError(ImucalError):
 
 
 class UsageError(ImucalError):
-    """What was asked for can't be meant."""
+    """The request makes no sense."""
 
     exit_code = 2
 
 
 class LimitsError(UsageError):
-    """The limits file of a check, or the config that it checks, can't be read or checked."""
+    """The limits file or the config file of a check can't be read or used."""
 
 
 class SettingError(UsageError):
-    """An environment variable that sets imucal up holds what it can't."""
+    """An environment variable of imucal has an invalid value."""
 
 
 class ArgumentError(UsageError, ValueError):
-    """An argument says what can't be meant; the message says what can."""
+    """An argument is invalid; the message lists valid values."""
 
 
 class MissingError(UsageError, KeyError):
-    """There is no axis or term of that name; the message lists those there are."""
+    """There is no axis or term of this name; the message lists the existing ones."""
 
-    # A KeyError would show its message in quotes.
+    # A KeyError would put quotes around its message.
     __str__ = Exception.__str__
 
 
 class ManifestError(UsageError):
-    """The manifest of a fleet can't be read, or says what can't be meant."""
+    """The manifest of a fleet can't be read, or its content is invalid."""
 
 
 class EngineError(ImucalError):
-    """The workers of a fleet can't be reached, or are gone; what they have done is in the store."""
+    """The workers of a fleet can't be reached or ended; their results are in the store."""
 
     exit_code = 5
 
 
 class StoreError(ImucalError):
-    """A file in the folder of a fleet is not as it was written; the message names it."""
+    """A file in the folder of a fleet is damaged; the message contains its name."""
 
     exit_code = 5

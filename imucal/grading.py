@@ -1,7 +1,7 @@
-"""The verdict: is a recording stationary noise, in one sentence; everything that must decide by it asks here.
+"""The verdict, in one sentence, on whether a recording is stationary noise.
 
-The table, the page, report.json, the exit codes and the exports say or follow the same `NoiseVerdict`.
-A finding decides by its level, unless `OTHERWISE` says more of its code; the gravest decides.
+Table, page, report.json, exit codes and exports use the same `NoiseVerdict`. The most severe finding
+determines it, by its level or by an entry in `OTHERWISE`.
 """
 
 import re
@@ -11,16 +11,16 @@ from typing import Literal, TypeAlias
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
-#: good: stationary noise; look: it may be, see the findings first; not-noise: the numbers are wrong.
+#: good: stationary noise; look: read the findings first; not-noise: the numbers are wrong.
 Grade: TypeAlias = Literal["good", "look", "not-noise"]
 
-#: Grades, the gravest last.
+#: Grades, the most severe last.
 GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
 
-#: What a finding says of the numbers, by its level.
+#: Level of a finding -> grade.
 BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
 
-#: Codes and levels for which the level would say too much: what was found is whole, the noise untouched.
+#: Exceptions: these findings do not affect the noise.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("other-vectors", "warning"): "good",
     ("unindexed", "warning"): "good",
@@ -28,34 +28,34 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("not-drawn", "warning"): "good",
 }
 
-#: Codes that, said of the whole log, concern the noise of every axis.
+#: Codes that concern every axis if the finding is about the whole log.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
 #: Codes of a disturbed rest.
 DISTURBED = frozenset({"motion", "touch"})
-#: How the advice of a log with several rests ends.
+#: End of the advice for a log with several rests.
 RESTS = "Fit its rests together with --rests."
 
-#: Codes of doubts about a unit, which say nothing about whether the noise is stationary.
+#: Codes of doubts about a unit: the noise may still be stationary.
 _OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
 _UNIT_OPTION = re.compile(r"--(?P<sensor>gyro|accel)-(?P<kind>unit|scale) (?P<value>[^\s;,]+)")
 
-#: So many reasons are named; the others are counted.
+#: Number of reasons in a sentence; the others are counted.
 _NAMED = 3
 
 
 @frozen
 class NoiseVerdict:
-    """What to think of a recording.
+    """The verdict on a recording.
 
     Attributes
     ----------
     grade
         ``good``, ``look`` or ``not-noise``.
     sentence
-        The same in one sentence, with its reasons.
+        The grade in one sentence, with its reasons.
     axes
-        The axes of whose noise nothing was found that makes their numbers wrong.
+        The axes whose numbers are not wrong.
     """
 
     grade: Grade
@@ -64,22 +64,22 @@ class NoiseVerdict:
 
     @property
     def usable(self) -> bool:
-        """Whether a filter may be given the numbers: they are those of noise at rest."""
+        """Whether a filter may use the numbers: the log is noise at rest."""
         return self.grade != "not-noise"
 
 
 def grade_of(finding: Finding) -> Grade:
-    """Return what one finding says of the numbers."""
+    """Return the grade of one finding."""
     return OTHERWISE.get((finding.code, finding.level), BY_LEVEL[finding.level])
 
 
 def is_motion(finding: Finding) -> bool:
-    """Return whether a finding is that the IMU moved so much that the log is not noise."""
+    """Return whether a finding reports so much motion that the log is not noise."""
     return finding.code in DISTURBED and finding.level == "error"
 
 
 def remedy(findings: Iterable[Finding]) -> str:
-    """Return what to do with a log that is not noise, in a few words for the end of a message."""
+    """Return short advice for a log that is not noise, for the end of a message."""
     moved = [finding for finding in findings if is_motion(finding)]
     if any(finding.advice.endswith(RESTS) for finding in moved):
         return "fit the rests with --rests"
@@ -90,12 +90,12 @@ def remedy(findings: Iterable[Finding]) -> str:
 def unit_option(findings: Iterable[Finding], reading: Mapping[str, object]) -> str:
     """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``; empty if there is none.
 
-    Not returned is an option that was given: `reading` has the settings of the run.
+    An option in `reading`, the settings of the run, is not returned again.
     """
     for finding in findings:
         found = _UNIT_OPTION.search(finding.advice) if finding.code == "unit-suspect" else None
         given = found and reading.get(f"{found['sensor']}_{found['kind']}")
-        # X stands for any scale.
+        # X is any scale.
         if found and given != found["value"] and not (given and found["value"] == "X"):
             return found[0]
     return ""
@@ -108,11 +108,11 @@ def judge_findings(
     errors: Mapping[str, float] | None = None,
     too_short: bool = False,
 ) -> NoiseVerdict:
-    """Return the verdict on a recording, from all findings that are known of the log and its axes.
+    """Return the verdict on a recording, from all findings about the log and its axes.
 
-    `axes` are the names of all, such as ``gyro_x``, those without a result too; `errors` has the relative
-    half-width of the interval of N by axis, where one is known; a record that is `too_short` can't tell B
-    and K.
+    `axes` contains the names of all axes, such as ``gyro_x``, with or without a result. `errors` contains the
+    relative half-width of the interval of N by axis, if known. A record that is `too_short` can't show B and
+    K.
     """
     grave = _grave(findings)
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
@@ -138,7 +138,7 @@ def _grave(findings: Iterable[Finding], without: frozenset[str] = frozenset()) -
 
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
-    """Return the axes about whose noise none of the findings speaks."""
+    """Return the axes that none of the findings concerns."""
     return [
         name
         for name in axes
@@ -147,7 +147,7 @@ def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
 
 
 def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str:
-    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest of the intervals of N."""
+    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest interval of N."""
     if not count:
         return ""
     text = f"{len(sound)} of {count} {'axis is' if count == 1 else 'axes are'} stationary noise"
@@ -161,7 +161,7 @@ def percent(fraction: float) -> str:
 
 
 def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
-    """Return the phrases of some findings with their axes; of many the first ones and a number."""
+    """Return the phrases of findings with their axes; if there are many, the first ones and a count."""
     places: dict[str, list[str]] = {}
     for finding in findings:
         phrase = phrase_of(finding.code)
@@ -185,12 +185,12 @@ def _listed(about: Sequence[str], axes: Sequence[str]) -> str:
 
 
 def _shortest(name: str, about: Sequence[str], axes: Sequence[str]) -> str:
-    """Return the sensor of an axis where all axes of it are meant, else the axis."""
+    """Return the sensor of an axis if all its axes are in `about`, otherwise the axis."""
     sensor = name.partition("_")[0]
     family = {axis for axis in axes if _within(axis, sensor)}
     return sensor if len(family) > 1 and family <= set(about) else name
 
 
 def _within(axis: str, name: str) -> bool:
-    """Return whether an axis is the one of a name, or belongs to the sensor of that name."""
+    """Return whether an axis has a name, or belongs to the sensor of that name."""
     return axis == name or axis.startswith(f"{name}_")

@@ -30,14 +30,14 @@ from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
 from imucal.screening import screen_values, worst_first
 
-#: Samples looked at at once, and so many that they stay in the cache.
+#: Samples from which constant axes are refused early; samples per block, small enough for the cache.
 _BLOCK, _PART = 1 << 20, 1 << 15
-#: Bytes that the analysis of an axis takes for each of its samples and besides, and those that all axes may
-#: take that are worked on at a time unless a number is wanted.
+#: Memory of the analysis of an axis, in bytes per sample and constant; and the limit of all parallel axes
+#: together if the caller gives no number of workers.
 _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
-#: Shorter axes are screened in less time than a process is forked.
+#: Below this number of samples, screening is faster than forking.
 _LONG = 500_000
-#: What every axis needs of modules that are loaded when they are used.
+#: Lazily loaded modules that every axis needs.
 _MODULES = ("scipy.fft", "scipy.special", "imucal.fitting.moments")
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
@@ -45,7 +45,7 @@ _DOCUMENTED = (
     *("max_gm", "clean", "verify", "second_opinion", "segments", "bins"),
 )
 
-#: Fewest measured temperatures that say how an axis follows it.
+#: Minimum number of measured temperatures.
 _FEWEST_DEGREES = 16
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
@@ -54,10 +54,10 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 
 @frozen
 class Settings(FitSettings):
-    """How a recording is characterised; see `imucal.fit` and `imucal.allan_curve`.
+    """Settings of `characterize`; see `imucal.fit` and `imucal.allan_curve`.
 
-    `reading` records how the log was read, as JSON values, so that the run can be repeated; with `bins`
-    report.json holds the bins of each fit, which `imucal.pool` needs.
+    `reading` contains the options of reading the log as JSON values, so that the run can be repeated. With
+    `bins`, report.json contains the bins of each fit, which `imucal.pool` needs.
     """
 
     taus: str = "octave"
@@ -84,37 +84,36 @@ def characterize(
 ) -> Report:
     """Screen a recording and fit a noise model to every axis.
 
-    An axis that can't be analysed is left out and named in a finding. If the IMU was moved, no model is
-    searched for: the slopes of the curve are read.
+    An axis that can't be analysed is left out and reported in a finding. If the IMU was moved, there is no
+    search for a model: the slopes of the curve are read.
 
     Parameters
     ----------
     recording
-        What was measured.
+        The samples.
     settings
-        How; by default `Settings()`.
+        By default `Settings()`.
     progress
-        Called with the number of axes done, of all, and the name of the next.
+        Called with the number of finished axes, the number of all axes, and the name of the next one.
     workers
-        Most axes at a time, each in a forked child process, at least 1; by default as many as this process
-        has processors (see ``IMUCAL_THREADS``), and 300 MB hold beside the samples. Fewer where so many
-        would take more memory than one step may (see ``IMUCAL_MEMORY``); one after the other where processes
-        can't be forked safely: not on Linux, beside other threads of the program, inside a process of other
-        parallel work, under a debugger.
-        The result is the same for any number.
+        Maximum number of axes at a time, each in a forked child process; at least 1. By default the number
+        of processors (see ``IMUCAL_THREADS``), as far as 300 MB in addition to the samples suffice. Fewer if
+        they would exceed the memory of one step (see ``IMUCAL_MEMORY``); 1 if processes can't be forked
+        safely: not on Linux, with other threads, inside a child of other parallel work, under a debugger.
+        The result does not depend on it.
 
     Raises
     ------
     DataError
         If no axis can be analysed.
     ValueError
-        If a setting is not known, or `workers` is less than 1.
+        If a setting is unknown, or `workers` is less than 1.
     """
     settings = settings or Settings()
     workers = _workers(recording, workers)
-    # Once, by the process that others are forked from.
+    # Import once, before forking.
     list(map(import_module, _MODULES))
-    # What is not noise, a fit by maximum likelihood finds and says itself.
+    # A fit by maximum likelihood reports disturbances itself.
     look = screen_values if settings.method == "mle" else screen
     long = max((series.n for series in recording.series), default=0) >= _LONG
     findings = recording.findings + look(recording, workers=workers if long else 1)
@@ -148,7 +147,7 @@ def characterize(
 
 
 def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
-    """Return the settings for the fits: a search for the best model of motion takes long and helps nobody."""
+    """Return the settings for the fits; if the IMU moved, without the slow search for a model."""
     return replace(settings, method="slope", model="auto") if _moved(findings) else settings
 
 
@@ -166,7 +165,7 @@ def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]
 def _of_no_result(
     findings: Sequence[Finding], axes: Sequence[AxisReport], failures: Sequence[Finding]
 ) -> Iterator[Finding]:
-    """Yield the findings of no axis's result; a failure says what `no-data` says, and more."""
+    """Yield the findings that belong to no result; a failure replaces the `no-data` of its axis."""
     fitted, failed = {axis.name for axis in axes}, {failure.axis for failure in failures}
     for finding in findings:
         if finding.axis not in fitted and (finding.code != "no-data" or finding.axis not in failed):
@@ -175,14 +174,14 @@ def _of_no_result(
 
 @takes('imucal.screen(imucal.read("log.mcap"))', recording=Recording)
 def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
-    """Return what speaks against trusting a recording, worst first; empty for a good one.
+    """Return the problems of a recording, worst first; empty for a good one.
 
     Codes: ``absurd-rate``, ``fast-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``,
     ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``,
-    ``no-gravity``, ``motion``, ``touch``, and of an IMU at rest ``step``, ``cycle``, ``warm-up``,
-    ``temperature``, ``tone``, ``roll-off``. The last are what a fit by maximum likelihood
-    takes out, and says of itself. What reading the log has said already is not said again. So many axes
-    as `workers` are worked on at a time; the findings are the same for any number.
+    ``no-gravity``, ``motion``, ``touch``, and for an IMU at rest ``step``, ``cycle``, ``warm-up``,
+    ``temperature``, ``tone``, ``roll-off``, which a fit by maximum likelihood removes and reports itself.
+    Findings of the reader are not repeated. Up to `workers` axes are screened at a time; the findings do not
+    depend on it.
     """
     findings = screen_values(recording, workers=workers)
     if _moved(findings):
@@ -204,7 +203,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
-    """Return how many axes to work on at a time: as wanted or as there are processors, and memory holds."""
+    """Return the number of axes at a time: as requested or one per processor, limited by memory."""
     if wanted is not None and wanted < 1:
         raise ArgumentError(f"workers must be at least 1, got {wanted}")
     largest = max((series.n for series in recording.series), default=0)
@@ -213,7 +212,7 @@ def _workers(recording: Recording, wanted: int | None) -> int:
 
 
 def _reasons(failures: list[Finding]) -> str:
-    """Return why axes could not be analysed; those with the same reason stand together."""
+    """Return why axes could not be analysed; axes with the same reason are listed together."""
     axes: dict[str, list[str]] = {}
     for failure in failures:
         name = failure.axis or ""
@@ -227,26 +226,26 @@ def _characterize_axis(
     finite = series.finite()
     if not finite.n:
         raise DataError(f"{series.name}: no finite samples among {series.n}")
-    # The fit says so of a short one, for which it needs no time and no memory.
+    # The fit itself refuses a short constant axis; this saves time and memory for a long one.
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)
     at_samples = _temperature_at(finite, temperature)
     with shared_transform(finite.samples):
         curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
         density = spectrum(finite)
-        # The fit takes the transform for its own.
+        # The fit reuses this transform.
         result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
         opinions: tuple[Finding, ...] = ()
         if settings.second_opinion and settings.method == "mle" and result.model.terms:
             opinions = _opinions(finite, result, at_samples)
     findings = [f for f in screened if f.axis == series.name]
     if not _moved(screened):
-        # Of motion the screening reports all that helps.
+        # If the IMU moved, only the findings of the screening are useful.
         found = (*_of_fit(result, finite, density), *opinions)
         findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     overview = Overview.of(finite)
-    # What lies in a temporary file need not stay in memory: nobody looks at this axis any more.
+    # The samples are no longer needed; those in a temporary file can leave the memory.
     release(series.samples)
     return AxisReport(
         sensor=series.sensor,
@@ -265,7 +264,7 @@ def _characterize_axis(
 
 
 def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Finding, ...]:
-    """Return the fit's findings, and what the length of the record and the curve leave open."""
+    """Return the findings of the fit, of the record's length and of the curve's ambiguity."""
     return (
         *result.findings,
         *findings_or_why_not(
@@ -282,9 +281,9 @@ def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Fi
 
 
 def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None) -> tuple[Finding, ...]:
-    """Return where a fit of the curve disagrees, and whether one half of the record predicts the other.
+    """Return disagreements of a fit of the curve, and of a prediction of one half from the other.
 
-    That either can't be told costs no axis its result.
+    If a check fails, the axis keeps its result.
     """
     if any(finding.code == "spikes" for finding in first.findings):
         series = clean(series)[0]
@@ -302,14 +301,14 @@ def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | Non
 
 
 def _moments(samples: FloatArray) -> tuple[float, float]:
-    """Return mean and standard deviation without a copy of the samples, which may lie in a mapped file."""
+    """Return mean and standard deviation without a copy of the samples, which may be in a mapped file."""
     mean = float(np.mean(samples))
     parts = (samples[start : start + _PART] - mean for start in range(0, samples.size, _PART))
     return mean, float(np.sqrt(sum(float(np.sum(part * part)) for part in parts) / samples.size))
 
 
 def _temperature_at(series: AxisSeries, temperature: Temperature | None) -> FloatArray | None:
-    """Return the temperature at each sample, by straight lines where it was measured at other times."""
+    """Return the temperature at each sample, interpolated linearly; None if it is hardly known."""
     if temperature is None:
         return None
     known, clock = np.isfinite(temperature.samples), temperature.clock

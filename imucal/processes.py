@@ -1,13 +1,13 @@
-"""Work apart from this process: in a child that answers questions, in forked children, or as side work.
+"""Work in other processes: a child that answers questions, forked children; and optional work that may fail.
 
-A `ChildProcess` is bounded in time and memory: what may hang, take all memory or end its process does so
-there, and the caller gets an answer that says so.
+A `ChildProcess` has limits of time and memory. Code that may hang, use all memory or crash runs there, and
+the caller gets an answer with the outcome.
 
-`side_by_side` works on several things at a time, with results as if done one after the other. Threads would
-fight over the interpreter's lock, which is held half of the time; a child that is forked has everything its
-parent has without a copy, and sends back its result.
+`side_by_side` runs a function on several items at a time; results are the same as one after the other.
+Threads would wait for the interpreter's lock, which is held half of the time. A forked child sees the data of
+its parent without a copy and sends back its result.
 
-Side work only judges or draws a result: where it fails, the result stays and a finding says so.
+Side work only judges or draws a result: if it fails, the result is kept and a finding reports the failure.
 """
 
 import ctypes
@@ -41,26 +41,26 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from multiprocessing.context import ForkProcess
 
-#: done: it answered; failed: it raised; late: it took too long; ended: its process did, or was ended.
+#: done: it answered; failed: it raised; late: it took too long; ended: its process crashed or was killed.
 Outcome: TypeAlias = Literal["done", "failed", "late", "ended"]
-#: What a limit of memory counts: all addresses, or what a process has written or may write of its own.
+#: Memory that is limited: the whole address space, or private writable memory.
 Counted: TypeAlias = Literal["addresses", "data"]
 
 _LENGTH = struct.Struct("<Q")
 _START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve; serve()"
-#: Seconds between looks at whether the parent is still there.
+#: Seconds between checks that the parent is alive.
 _LOOK_S = 1.0
-#: Of what a child wrote on standard error before it ended, so many bytes are read.
+#: Number of bytes of a child's standard error that are kept.
 _WORDS = 2000
-#: The thread of `imucal.readers.checksums`.
+#: Name of the thread of `imucal.readers.checksums`.
 CHECKSUMS = "imucal checksums"
-#: Threads that hold no lock a child needs: ours, by its name, and that of rich's progress bars, by its class.
+#: Threads without locks that a child needs: ours by its name, and the class of rich's progress bars.
 _HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
-#: Which warnings of children have been shown, as Python keeps it for each module.
+#: Registry of the warnings of children that were shown, as Python has for each module.
 _SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
-#: What Python 3.12 and later say of a fork beside threads, also those of libraries.
+#: Warning of Python 3.12 and later about a fork in a process with threads.
 _FORK_WARNING = r".*multi-threaded, use of fork"
-#: How calculations end on data that they were not made for.
+#: Errors of calculations on unsuitable data.
 _NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
 
 T = TypeVar("T")
@@ -69,9 +69,9 @@ R = TypeVar("R")
 
 @frozen
 class Answer:
-    """How a question ended: with the `value` that the function returned, where it is done.
+    """The outcome of a question, and the `value` that the function returned if it is done.
 
-    `words` are the error's type and text, where it failed, or what the child wrote last, where it ended;
+    `words` contains the type and text of the error if it failed, or the last output of a child that ended;
     `code` is then its exit code, negative for a signal, as `subprocess.Popen.returncode`.
     """
 
@@ -82,15 +82,14 @@ class Answer:
 
 
 class ChildClosedError(Exception):
-    """A question was put to a child that was closed: nobody waits for its answer."""
+    """The child was closed before it answered."""
 
 
 class ChildProcess:
     """A process that answers one question at a time.
 
-    It has the variables of `environment` besides those of this process, where None takes one away; its
-    limit of memory counts what `counted` says; it works in `folder`, or in this process's where that is
-    None.
+    `environment` adds variables to the environment of this process; None removes one. `counted` is the kind
+    of memory that is limited. The child works in `folder`, or in the current folder if None.
     """
 
     def __init__(
@@ -107,11 +106,10 @@ class ChildProcess:
         self._closed = False
 
     def ask(self, function: Callable[..., object], *args: object, seconds: float, memory: int) -> Answer:
-        """Call a function of a module in the child; all can be pickled.
+        """Call a function of a module in the child; function, arguments and result are pickled.
 
-        It is ended after so many seconds, and may take so many bytes of memory, where the operating system
-        can limit it. An OSError says that the child can't be started, a ChildClosedError that it was
-        closed, before or meanwhile.
+        The child is killed after `seconds`, and may use `memory` bytes if the operating system has limits.
+        Raises OSError if the child can't be started, and ChildClosedError if it was closed.
         """
         question = pickle.dumps((self._counted, memory, function, args))
         with self._lock:
@@ -123,7 +121,7 @@ class ChildProcess:
                 process.kill()
 
             timer = threading.Timer(seconds, end)
-            # An interrupt may come while it starts: this process must not wait for it at its end.
+            # After an interrupt during the start, this process must not wait for the timer.
             timer.daemon = True
             try:
                 timer.start()
@@ -132,7 +130,7 @@ class ChildProcess:
             except OSError:
                 answer = None
             except BaseException:
-                # Interrupted: what the child answers now nobody waits for.
+                # Interrupted: the answer is no longer needed.
                 self.end()
                 raise
             finally:
@@ -158,13 +156,13 @@ class ChildProcess:
                 env={k: v for k, v in {**os.environ, **self._environment}.items() if v is not None},
                 cwd=self._folder,
             )
-            # It may have been closed while it started.
+            # Another thread may have closed it during the start.
             if self._closed:
                 self._process.kill()
         return self._process
 
     def close(self) -> None:
-        """Have no more questions answered, nor the one in hand, which another thread may wait for."""
+        """Kill the child, also while another thread waits for its answer; later questions are refused."""
         self._closed = True
         if (process := self._process) is not None:
             process.kill()
@@ -174,10 +172,10 @@ class ChildProcess:
             raise ChildClosedError
 
     def end(self) -> str:
-        """End the process, if there is one; return what it wrote last on standard error."""
+        """Kill the process, if there is one; return the end of its standard error."""
         if self._process is not None:
             self._process.kill()
-            # Closes the pipes and takes the exit code.
+            # Close the pipes and fetch the exit code.
             self._process.communicate()
             self._process = None
         if self._said is None:
@@ -190,25 +188,24 @@ class ChildProcess:
 
 
 def own_path() -> list[str]:
-    """Return the folders of modules that nobody else could have put one into.
+    """Return the entries of `sys.path` that other users can't write to.
 
-    A folder that all users share, or one of somebody else's in such a folder, is left out: what stands there
-    under the name of a package would run with this user's rights. What the interpreter itself and this
-    package are in stays.
+    A module in a shared folder would run with the rights of this user. The folders of the interpreter and of
+    this package are always included.
     """
     package = str(Path(__file__).parents[1])
     return [folder for folder in sys.path if folder == package or _is_private(Path(folder))]
 
 
 def _is_private(folder: Path) -> bool:
-    """Return whether all who may put files into a folder, or another folder in its place, are trusted."""
+    """Return whether only trusted users can write to a folder or replace it."""
     if not hasattr(os, "getuid") or any(map(folder.is_relative_to, (sys.prefix, sys.base_prefix))):
         return True
     folder = folder.resolve()
     try:
         infos = [place.stat() for place in (folder, *folder.parents)]
     except OSError:
-        # It may be made by anybody yet.
+        # It does not exist: anybody may create it.
         return False
     for own, above in itertools.pairwise(infos):
         kept = above.st_mode & stat.S_ISVTX and own.st_uid in {0, os.getuid()}
@@ -218,12 +215,12 @@ def _is_private(folder: Path) -> bool:
 
 
 def serve() -> None:
-    """Answer questions on standard input until it ends: the child's side."""
-    # An interrupt is the parent's to handle: it ends the child.
+    """Answer questions on standard input until it ends; runs in the child."""
+    # The parent handles an interrupt: it kills the child.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=leave_with, args=(os.getppid(),), daemon=True).start()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    # What the packages print is nobody's.
+    # Discard the output of libraries.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     while (question := _receive(sys.stdin.buffer)) is not None:
         try:
@@ -237,7 +234,7 @@ def serve() -> None:
 
 
 def leave_with(parent: int) -> None:
-    """End this process, whatever it does, once its parent has ended."""
+    """End this process when its parent has ended."""
     while os.getppid() == parent:
         time.sleep(_LOOK_S)
     os._exit(1)
@@ -249,7 +246,7 @@ def _limit_memory(counted: Counted, size: int) -> None:
     except ImportError:
         return
     kind = resource.RLIMIT_AS if counted == "addresses" else resource.RLIMIT_DATA
-    # A batch scheduler's own limit (`ulimit -v`) can't be raised.
+    # The hard limit of a batch scheduler (`ulimit -v`) can't be raised.
     hard = resource.getrlimit(kind)[1]
     resource.setrlimit(kind, (size if hard == resource.RLIM_INFINITY else min(size, hard), hard))
 
@@ -261,7 +258,7 @@ def _send(stream: BinaryIO, data: bytes) -> None:
 
 
 def _receive(stream: BinaryIO) -> bytes | None:
-    """Return the next message; None where the stream has ended."""
+    """Return the next message; None at the end of the stream."""
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None
@@ -271,10 +268,11 @@ def _receive(stream: BinaryIO) -> bytes | None:
 
 
 def may_fork() -> bool:
-    """Whether child processes may be forked here.
+    """Return whether this process can fork safely.
 
-    Not elsewhere than on Linux, where libraries do not bear it; in a child of `multiprocessing`; beside other
-    threads of Python, whose locks a child would find locked for ever; under a debugger or a profiler.
+    It can't on other systems than Linux, whose libraries do not support it; in a child of `multiprocessing`;
+    with other Python threads, because their locks would stay locked in the child; under a debugger or a
+    profiler.
     """
     if not sys.platform.startswith("linux") or sys.gettrace() or sys.getprofile():
         return False
@@ -293,13 +291,12 @@ def side_by_side(
     workers: int,
     done: Callable[[int, T | None], None] | None = None,
 ) -> list[R]:
-    """Return what `work` makes of each item, in their order.
+    """Return `work(item)` for each item, in their order.
 
-    Items are begun in their order, each in one of at most `workers` forked processes, or here one by one
-    where none may be forked. Where one fails, or its process is killed, no other is begun there; that one
-    and what is left are done here one by one, so that an error is raised as if all had been. No process
-    outlives the call, nor this process. `done` is called with the number of items done and the first that
-    is not done, None when all are.
+    At most `workers` forked processes work at a time; if forking is not safe, this process does all items. If
+    an item fails or its process is killed, no further item is started there. This process then does that item
+    and the remaining ones, so an error is raised as in a loop. No child outlives the call. `done` is called
+    with the number of finished items and the first unfinished item, or None.
     """
     found: dict[int, R] = {}
 
@@ -318,10 +315,9 @@ def side_by_side(
 
 
 def trim_memory() -> None:
-    """Hand memory that was freed back to the system, where the C library keeps it (glibc).
+    """Return freed memory to the system if the C library is glibc.
 
-    What stands free among what is in use counts as this process's, and again as each child's that writes
-    to it.
+    Otherwise freed pages count for this process, and again for each child that writes to them.
     """
     if sys.platform.startswith("linux"):
         with suppress(AttributeError, OSError):
@@ -331,7 +327,7 @@ def trim_memory() -> None:
 def _in_children(
     work: Callable[[T], R], items: Sequence[T], workers: int, found: dict[int, R], tell: Callable[[], None]
 ) -> None:
-    """Add the results of children to `found`, until all are there or one could not be made."""
+    """Add the results of children to `found`, until all are there or one fails."""
     processes: list[ForkProcess] = []
     in_hand: dict[Connection, int] = {}
     trim_memory()
@@ -353,7 +349,7 @@ def _in_children(
             if len(found) == len(items):
                 return
     finally:
-        # They have nothing to tidy up.
+        # Children have nothing to clean up.
         for process in processes:
             process.kill()
         for process in processes:
@@ -361,9 +357,9 @@ def _in_children(
 
 
 def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
-    """Add a child to `processes` and return its pipe; None where the system gives no more."""
+    """Add a child to `processes` and return its pipe; None if the system refuses a further process."""
     context = multiprocessing.get_context("fork")
-    # An interrupt waits until the child is known; the child never gets it, its parent ends it.
+    # Block interrupts until the child is in the list. The child never gets one: its parent kills it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         ours, theirs = context.Pipe()
@@ -380,14 +376,14 @@ def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProc
 
 
 def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
-    """Hand out an item; that a child is gone is seen when its result is read."""
+    """Send the index of an item to a child; if the child is gone, reading its result will show it."""
     in_hand[pipe] = index
     with suppress(OSError):
         pipe.send_bytes(b"%d" % index)
 
 
 class _Sender(pickle.Pickler):
-    """Packs a result; the item that it is of is named in it, not sent: the parent has it."""
+    """Pickles a result without the item: the parent has it."""
 
     item: object
 
@@ -396,7 +392,7 @@ class _Sender(pickle.Pickler):
 
 
 class _Receiver(pickle.Unpickler):
-    """Unpacks what a `_Sender` has packed."""
+    """Unpickles a result of `_Sender` and inserts the item."""
 
     item: object
 
@@ -405,7 +401,7 @@ class _Receiver(pickle.Unpickler):
 
 
 def _received(pipe: Connection, index: int, items: Sequence[T], found: dict[int, R]) -> bool:
-    """Add a child's result to `found`, and show its warnings; False where it has ended without one."""
+    """Add a child's result to `found` and show its warnings; False if it ended without a result."""
     try:
         receiver = _Receiver(io.BytesIO(pipe.recv_bytes()))
     except (EOFError, OSError):
@@ -418,14 +414,14 @@ def _received(pipe: Connection, index: int, items: Sequence[T], found: dict[int,
 
 
 def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent: int) -> None:
-    """Send the result and the warnings of each item that is asked for: the child's side.
+    """Send the result and the warnings of each requested item; runs in the child.
 
-    Whatever fails ends the child without a word: its parent does the same again, and says it.
+    An error ends the child silently: its parent repeats the work and raises the error.
     """
     try:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
-        # What is there stays: the collector would write to its pages, which parent and child share.
+        # Exclude existing objects from garbage collection, which would write to pages shared with the parent.
         gc.freeze()
         while True:
             index = int(pipe.recv_bytes())
@@ -438,18 +434,18 @@ def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent:
             sender.dump((result, said))
             pipe.send_bytes(packed.getbuffer())
     finally:
-        # At once: nothing that stands in buffers of the parent's is written twice.
+        # Exit at once, so that the parent's buffers are not written twice.
         os._exit(1)
 
 
 def try_side_work(
     make: Callable[[], T], otherwise: R, *, what: str, code: str, axis: str | None = None
 ) -> tuple[T | R, tuple[Finding, ...]]:
-    """Return what `make` gives and no finding; or `otherwise` and the finding that it could not.
+    """Return the result of `make` and no finding; or `otherwise` and a finding with the reason.
 
-    That it can't judge some data, as a DataError or a failed calculation says, is a finding. A fault of the
-    program is one too, so that it costs nobody hours of data; with IMUCAL_DEBUG set it is raised instead.
-    Its sentence begins with `what`, such as ``The fit of the Allan curve failed``.
+    A DataError and a failed calculation become a finding. So does a bug, so that it does not cost hours of
+    data; with IMUCAL_DEBUG it is raised. The text of the finding begins with `what`, such as ``The fit of the
+    Allan curve failed``.
     """
     try:
         return make(), ()
@@ -467,13 +463,13 @@ def try_side_work(
 def findings_or_why_not(
     judge: Callable[[], tuple[Finding, ...]], *, what: str, code: str, axis: str | None = None
 ) -> tuple[Finding, ...]:
-    """Return the findings of a judge, or the one that it could not judge."""
+    """Return the findings of `judge`, or a finding with the reason why it failed."""
     found, failed = try_side_work(judge, (), what=what, code=code, axis=axis)
     return found + failed
 
 
 def faults_are_raised() -> bool:
-    """Whether faults of the program are raised: IMUCAL_DEBUG is set."""
+    """Return whether bugs are raised: IMUCAL_DEBUG is set."""
     return bool(os.environ.get("IMUCAL_DEBUG"))
 
 

@@ -1,7 +1,7 @@
-"""What may be taken of the machine: memory and threads, as there are, as a container limits them, or as set.
+"""Limits of memory and threads: from the machine, its container, or environment variables.
 
-``IMUCAL_MEMORY`` is the memory that one step may take (``500M``, ``2G``), ``IMUCAL_THREADS`` the number of
-threads, also those of the libraries beneath.
+``IMUCAL_MEMORY`` limits the memory of one step (``500M``, ``2G``), ``IMUCAL_THREADS`` the number of threads,
+including the threads of libraries.
 """
 
 import os
@@ -13,24 +13,24 @@ from imucal.errors import SettingError
 
 MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
 
-#: Memory that one step may take, in bytes, where the machine does not say how much it has.
+#: Memory of one step, in bytes, if the machine's memory is unknown.
 _UNKNOWN = 2_000_000_000
-#: Bytes of samples that are held at most without being asked.
+#: Default limit of samples in memory, in bytes.
 _COLUMNS = 500_000_000
-#: The share of the memory that one step may take.
+#: One step may use the memory divided by this.
 _SHARE = 4
 _SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
 _PREFIXES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
-#: What the libraries of matrices read when they are loaded, and all libraries beneath.
+#: Variables that the matrix libraries read when they are loaded, and those of all libraries.
 MATRICES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES)
 
 
 def memory_limit() -> int:
-    """Return how many bytes one step may take: ``IMUCAL_MEMORY``, or a quarter of the memory there is.
+    """Return the memory of one step in bytes: ``IMUCAL_MEMORY``, or a quarter of the available memory.
 
-    There is what the machine has, or what its control group (a container, a job) may take if that is less.
-    A SettingError says that ``IMUCAL_MEMORY`` is no size.
+    The available memory is the machine's, or the limit of its control group (a container, a job) if that is
+    smaller. Raises SettingError if ``IMUCAL_MEMORY`` is not a size.
     """
     size = size_setting(MEMORY)
     if size is not None:
@@ -40,9 +40,9 @@ def memory_limit() -> int:
 
 
 def size_setting(name: str, *, least: int = 1) -> int | None:
-    """Return the bytes that an environment variable says, such as ``500M``; None where it is not set.
+    """Return the size in an environment variable, such as ``500M``, in bytes; None if it is not set.
 
-    A SettingError says that it is no size, or less than `least`.
+    Raises SettingError if it is not a size, or less than `least`.
     """
     text = os.environ.get(name, "").strip()
     if not text:
@@ -54,14 +54,14 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
 
 
 def memory_there_is() -> int | None:
-    """Return how many bytes of memory the machine has, or its control group may take if that is less."""
+    """Return the memory of the machine in bytes, or the limit of its control group if that is smaller."""
     return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
 
 
 def parse_size(text: str, *, least: int = 1) -> int:
-    """Return the bytes of a size such as ``500M`` or ``2GB``; a K is 1024.
+    """Return a size such as ``500M`` or ``2GB`` in bytes; a K is 1024.
 
-    A ValueError, of none or one less than `least`, says what is expected.
+    Raises ValueError if the text is not a size, or the size is less than `least`.
     """
     match = _SIZE.fullmatch(text.strip())
     size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else -1
@@ -71,20 +71,20 @@ def parse_size(text: str, *, least: int = 1) -> int:
 
 
 def column_limit() -> int:
-    """Return how many bytes of samples may be held before a temporary file takes them.
+    """Return the limit of samples in memory, in bytes; the rest goes to a temporary file.
 
-    It is ``IMUCAL_MEMORY`` where that is set, a SettingError where it is no size; else half a gigabyte, or
-    what one step may take if less.
+    It is ``IMUCAL_MEMORY`` if set, otherwise 500 MB or the memory of one step, whichever is less. Raises
+    SettingError if ``IMUCAL_MEMORY`` is not a size.
     """
     limit = memory_limit()
     return limit if os.environ.get(MEMORY, "").strip() else min(limit, _COLUMNS)
 
 
 def threads() -> int:
-    """Return how many threads may work: ``IMUCAL_THREADS``, or the processors that this process may use.
+    """Return the number of threads: ``IMUCAL_THREADS``, or the number of processors of this process.
 
-    Those are the ones it may run on, or as many as its control group (a container) has time of, if fewer. A
-    SettingError says that ``IMUCAL_THREADS`` is no positive number.
+    A control group (a container) may allow fewer processors. Raises SettingError if ``IMUCAL_THREADS`` is not
+    a positive integer.
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
@@ -96,7 +96,7 @@ def threads() -> int:
 
 
 def limit_pools() -> None:
-    """Let the libraries beneath start no more threads than ``IMUCAL_THREADS``; before they are loaded."""
+    """Limit the threads of libraries to ``IMUCAL_THREADS``; call this before they are loaded."""
     text = os.environ.get(THREADS, "").strip()
     if text.isascii() and text.isdigit() and int(text):
         for name in POOLS:
@@ -104,9 +104,9 @@ def limit_pools() -> None:
 
 
 def single_matrix_thread() -> None:
-    """Let one thread multiply matrices, unless something else is set; before NumPy is loaded.
+    """Use one thread for matrices, unless a variable is set; call this before NumPy is loaded.
 
-    They are small here, and threads that wait for each other in a loop take a third more processor time.
+    Matrices are small here, and threads that wait for each other need a third more processor time.
     """
     for name in MATRICES:
         os.environ.setdefault(name, "1")
@@ -133,11 +133,11 @@ def control_group_limits(
 def control_group_processors(
     groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
 ) -> list[int]:
-    """Return how many processors' time this process's control group and those above it have, rounded up.
+    """Return the processors that this process's control group and those above it allow, rounded up.
 
     Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
     """
-    # The quota of a group without one is "max", or -1.
+    # Without a limit the quota is "max", or -1.
     found = _numbers(groups, root, "cpu", ["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"])
     return [-(-numbers[0] // numbers[1]) for numbers in found if len(numbers) == 2]
 
@@ -145,10 +145,10 @@ def control_group_processors(
 def _numbers(
     groups: Path, root: Path, controller: str, unified: list[str], own: list[str]
 ) -> Iterator[list[int]]:
-    """Yield the numbers in files of a process's groups and those above, where all of them limit something.
+    """Yield the numbers in the files of a process's groups and those above, if all of them are limits.
 
-    A line of `groups` is such as ``4:memory:/docker/1f``; or ``0::/user.slice`` where all controllers have
-    the same groups, and the files are the `unified` ones instead of the controller's own.
+    A line of `groups` is, for example, ``4:memory:/docker/1f``. With ``0::/user.slice`` all controllers share
+    their groups, and the files are the `unified` ones instead of the controller's own.
     """
     for line in _text(groups).splitlines():
         _, controllers, path = (*line.split(":", 2), "", "")[:3]
@@ -163,7 +163,7 @@ def _numbers(
 
 
 def _text(file: Path) -> str:
-    """Return the text of a file; none where there is no such file."""
+    """Return the text of a file; empty if it does not exist."""
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, ValueError):

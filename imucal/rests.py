@@ -1,12 +1,12 @@
-"""at_rest: a drive -> the recording of its rests alone, from which one fit learns more than from the longest.
+"""at_rest: a drive -> a recording of its rests, whose joint fit is more precise than the longest rest's.
 
-Between rests an IMU is turned, and its bias may differ from one to the next by what gravity, the earth's
-rotation and a change of supply do to it. So each rest is put on the level of the longest, and stands for
-itself: a fit multiplies the likelihoods of the rests, whose means are free in it, and no difference of the
-Allan variance spans two. What the levels say of the slow noise is given up.
+The mean of an axis differs between rests because of gravity, the earth's rotation and changes of the supply.
+So each rest is shifted to the level of the longest. The fit multiplies the likelihoods of the rests, each
+with a free mean, and no difference of the Allan variance spans two rests. The differences between their means
+are not used.
 
-A screening takes a log to be mostly at rest; a drive is mostly not. So the yardstick of what is quiet is the
-quietest stretch of each axis, and then all windows that are about as quiet.
+A screening assumes that a log is mostly at rest, which is wrong for a drive. Here the reference is the
+quietest stretch of each axis, then all windows that are about as quiet.
 """
 
 import math
@@ -27,24 +27,24 @@ from imucal.screening.windows import Profile, Windows, profile, quietest, time
 
 __all__ = ["at_rest"]
 
-#: A shorter rest is not used, in s; nor one of fewer samples.
+#: Minimum length of a rest, in s and in samples.
 _SHORTEST_S, _FEWEST = 20.0, 128
-#: Left out on both sides of a motion, in s, and in samples: a car rocks on its springs for a while, and a fit
-#: takes a shorter gap for one of lost samples.
+#: Time omitted on both sides of a motion, in s and in samples: a car rocks on its springs for a while, and
+#: the fit treats shorter gaps as lost samples.
 _CLEAR_S, _CLEAR = 2.0, 33
-#: Most rests that are used, the longest: a fit keeps so many blocks apart.
+#: Largest number of rests, the longest ones: the fit has at most this many blocks.
 _MOST = 48
-#: Length of the quietest stretch, in s; windows of less than so many times its variance are quiet.
+#: Length of the quietest stretch, in s; a window is quiet below this multiple of its variance.
 _STRETCH_S, _QUIET = 10.0, 4.0
-#: A rest whose noise has so many times the power of the quietest rest's is shaken, as by an engine.
+#: A rest is shaken, for example by an engine, above this multiple of the quietest rest's noise power.
 _SHAKEN = 1.5
-#: A gyroscope whose mean is so far from that of the other rests is turned steadily, in rad/s.
+#: A gyroscope turns steadily if its mean differs this much from the other rests, in rad/s.
 _TURNED = math.radians(1.0)
 
 
 @frozen
 class _Stretch:
-    """Nothing moved from start to end, in s; `why` it is not used all the same, or an empty text."""
+    """A time without motion, from start to end in s; `why` it is not used, or an empty text."""
 
     start_s: float
     end_s: float
@@ -57,16 +57,16 @@ class _Stretch:
 
 @takes('imucal.at_rest(imucal.read("drive.mcap"))', recording=Recording)
 def at_rest(recording: Recording) -> Recording:
-    """Return the rests of a recording, with gaps where it was moved; a finding says which they are.
+    """Return the rests of a recording, with gaps between them; a finding lists them.
 
-    `imucal.characterize` fits them together. A rest lasts at least 20 s, two seconds clear of what moves or
-    shakes the IMU. It is not used where its noise is louder than that of the quietest rest, as it is while an
-    engine runs, or where the gyroscope turns steadily; and of more than 48 rests the longest are.
+    `imucal.characterize` fits them together. A rest lasts at least 20 s and begins and ends two seconds away
+    from any motion. A rest is not used if it has more noise than the quietest one, for example from a running
+    engine, or if the gyroscope turns steadily. At most 48 rests are used, the longest ones.
 
     Raises
     ------
     DataError
-        If the recording holds no rest.
+        If the recording contains no rest.
     """
     profiles = [one for one in (profile(series, _quiet) for series in recording.series) if one.windows.size]
     stretches = _judged(profiles, _stretches(profiles)) if profiles else []
@@ -89,14 +89,14 @@ def at_rest(recording: Recording) -> Recording:
 
 
 def _quiet(windows: Windows) -> Windows:
-    """Return the windows of an axis that are about as quiet as its quietest stretch; constant ones aside."""
+    """Return the non-constant windows of an axis that are about as quiet as its quietest stretch."""
     count = max(8, round(_STRETCH_S / windows.length_s))
     limit = _QUIET * quietest(windows.variance, count)
     return windows.take((windows.variance > 0) & (windows.variance < limit))
 
 
 def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
-    """Return when no axis is moved, in order of time; a gap of the log that parts a fit's blocks ends one."""
+    """Return the times without motion of any axis, in order; a gap between blocks of a fit ends one."""
     moved = [(one.start_s, one.end_s) for one in disturbances_of(profiles)]
     tau0 = max(p.series.tau0 for p in profiles)
     clear = max(_CLEAR_S, _CLEAR * tau0)
@@ -112,7 +112,7 @@ def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
 
 
 def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[_Stretch]:
-    """Return the stretches with why those are not used that are shaken, turned, or too many."""
+    """Return the stretches, with a reason for those that are shaken, turned, or too many."""
     long = [one for one in stretches if not one.why]
     if not long:
         return list(stretches)
@@ -133,9 +133,10 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
 
 
 def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArray, FloatArray]:
-    """Return the usual variance of an axis in each stretch, and its mean; NaN where it has no window there.
+    """Return the median variance and the mean of an axis in each stretch; NaN if it has no window there.
 
-    Of a coarse axis the variance depends on where between two steps its level lies: a step's square is added.
+    The variance of a coarse axis depends on where its level is between two steps, so the square of a step is
+    added.
     """
     found = np.full((2, len(stretches)), np.nan)
     for column, one in zip(found.T, stretches, strict=True):
@@ -146,9 +147,9 @@ def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArr
 
 
 def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[int, Clock]) -> AxisSeries:
-    """Return the samples of some spans of time, in s from the first sample, all on the longest one's level.
+    """Return the samples in spans of time (in s from the first sample), shifted to the level of the longest.
 
-    Axes that shared a clock share what is left of it, which is kept in `clocks`: one clock is one object.
+    `clocks` contains the shortened clocks: axes that share a clock still share one.
     """
     places = [(series.clock.index_at(start), series.clock.index_at(end)) for start, end in spans]
     keep = np.zeros(series.n, dtype=bool)
@@ -164,7 +165,7 @@ def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[
     return replace(series, samples=samples[keep], clock=clock)
 
 
-#: Why a stretch is not used -> what the finding says of such.
+#: Reason why a stretch is not used -> its text in the finding.
 _WORDS = {
     "short": f"shorter than {_SHORTEST_S:g} s",
     "shaken": "with more noise than the quietest, as from a running engine",
@@ -174,7 +175,7 @@ _WORDS = {
 
 
 def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration: float) -> Finding:
-    """Return the note on which rests are used, and what is not and why."""
+    """Return the finding that lists the used rests, and the omitted parts with their reasons."""
     total = sum(one.length_s for one in rests)
     begins = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
     moving = duration - sum(one.length_s for one in stretches)
