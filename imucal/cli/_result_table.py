@@ -7,9 +7,8 @@ from dataclasses import replace
 from itertools import zip_longest
 
 from imucal.cli._printing import FULL, can_print
-from imucal.noise.terms import TERMS
 from imucal.report.result import AxisReport, Report
-from imucal.report.view import Row, view
+from imucal.report.view import Row, View, ordered_keys, views
 from imucal.units import duration, pretty
 
 #: Two columns and the space between them make 80; a narrower table has one column after the other.
@@ -32,9 +31,11 @@ def summary_table(
     """
     plain, verdict = not can_print("√²³µ", encoding), report.verdict
     usable = [axis for axis in report.axes if forced or axis.name in verdict.axes]
+    part = replace(report, axes=tuple(usable))
+    seen = views(part)
     sensors = [
-        _blocks(axes, datasheet=datasheet, plain=plain)
-        for axes in replace(report, axes=tuple(usable)).by_sensor.values()
+        _blocks(each, axes, datasheet=datasheet, plain=plain)
+        for each, axes in zip(seen, part.by_sensor.values(), strict=True)
     ]
     sentence = verdict.sentence
     lines = _wrapped(sentence.replace("±", "+-") if plain else sentence, columns)
@@ -42,7 +43,7 @@ def summary_table(
         return "\n".join(lines)
     lines.append("")
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
-        lines += _beside_each_other(beside)
+        lines += _beside_each_other(beside, ["", *ordered_keys(seen)])
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
     legend = f"[low, high]: {shown} interval; < high: not detected, upper bound"
@@ -50,10 +51,12 @@ def summary_table(
     return "\n".join(lines)
 
 
-def _beside_each_other(sensors: Sequence[dict[str, _Block]]) -> list[str]:
+def _beside_each_other(sensors: Sequence[dict[str, _Block]], keys: Sequence[str]) -> list[str]:
     """Return the blocks of sensors in columns, those of one key side by side, an empty line below each."""
     lines = []
-    for key in _order(sensors):
+    for key in keys:
+        if not any(key in sensor for sensor in sensors):
+            continue
         rows = zip_longest(*(sensor.get(key, []) for sensor in sensors), fillvalue="")
         lines += [(" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip() for row in rows]
         lines.append("")
@@ -66,20 +69,8 @@ def _wrapped(text: str, columns: int) -> list[str]:
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, columns)]
 
 
-def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
-    """Return the keys of all blocks: the heading, the terms by rising slope, other rows, the minimum."""
-    keys = dict.fromkeys(key for column in columns for key in column)
-    first = [
-        "",
-        *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T")),
-    ]
-    others = [key for key in keys if key not in {*first, "minimum"}]
-    return [*(key for key in first if key in keys), *others, "minimum"]
-
-
-def _blocks(axes: Sequence[AxisReport], *, datasheet: bool, plain: bool) -> dict[str, _Block]:
+def _blocks(seen: View, axes: Sequence[AxisReport], *, datasheet: bool, plain: bool) -> dict[str, _Block]:
     """Return each block of a sensor's column by its key, in data-sheet units or in SI."""
-    seen = view({axis.axis: axis.fit for axis in axes})
     rows = {row.key: _block(row, seen.names, datasheet=datasheet, plain=plain) for row in seen.rows}
     return {"": _heading(axes), **rows}
 

@@ -124,7 +124,7 @@ def _tables(value: Displayed) -> dict[str, Any]:
         case NoiseFit():
             return {"caption": caption, "views": [view({"": value})]}
         case AxisReport():
-            return {"caption": caption, "views": [view({value.axis: value.fit})]}
+            return {"caption": caption, "views": [view({value.axis: value})]}
         case Report():
             return {"caption": value.verdict.sentence, "views": views(value)}
     raise TypeError(type(value).__name__)
@@ -152,7 +152,7 @@ def frame_of(value: Displayed) -> "pl.DataFrame":
         case NoiseFit():
             return _frame([view({"": value})]).drop("axis")
         case AxisReport():
-            return _frame([view({value.axis: value.fit})])
+            return _frame([view({value.axis: value})])
         case Report():
             return _frame(views(value))
     raise TypeError(type(value).__name__)

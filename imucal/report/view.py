@@ -1,10 +1,12 @@
-"""One view of results: rows of terms with a cell for each axis, in data-sheet units and in SI.
+"""One view of results: ordered rows with a cell for each axis, in data-sheet units and in SI.
 
-The table on the terminal, the page, notebooks, data frames and the texts of pictures all draw these rows;
-none of them looks for terms, bounds or alternatives itself.
+The terminal, the page, notebooks, data frames and pictures all show these rows. To add a row, add a function
+to `ROWS`.
 """
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.frozen import frozen
@@ -12,16 +14,19 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity, SheetUnits, sheet_units
-from imucal.report.result import Report
+from imucal.report.result import AxisReport, Report
 
-__all__ = ["Cell", "Column", "Row", "Shown", "View", "view", "views"]
+__all__ = ["ROWS", "Cell", "Column", "Row", "Shown", "Subject", "View", "ordered_keys", "view", "views"]
+
+#: A column of a view: an axis of a report, or a fit without one.
+Subject: TypeAlias = AxisReport | NoiseFit
 
 
 @frozen
 class Cell:
-    """A quantity of one axis in data-sheet units and in SI; a bound where its value is None.
+    """A quantity of one axis in data-sheet units and in SI; a bound if its value is None.
 
-    `note` is a remark on it: another term that may stand in its place, or where on the curve it lies.
+    `note` is a remark: another term that fits as well, or the averaging time of the minimum.
     """
 
     sheet: Quantity
@@ -44,7 +49,7 @@ class Shown:
 
 @frozen
 class Column:
-    """A row in one convention: all values are to be multiplied by ``10**exponent`` of the unit."""
+    """A row in one convention; the values are multiples of ``10**exponent`` units."""
 
     unit: str
     exponent: int
@@ -53,19 +58,21 @@ class Column:
 
 @frozen
 class Row:
-    """A quantity on every axis of a view, with a cell for each; None where an axis has no such term.
+    """A quantity on every axis of a view, one cell each; None if an axis does not have it.
 
-    `key`, `symbol` and `name` are such as ``GM1``, ``GM`` and ``Gauss-Markov``; its correlation time has
-    the key ``GM1 T``, the lowest point of the curve the key ``minimum``, both without a symbol.
+    `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``. The correlation time
+    has the key ``GM1 T``, the lowest point of the curve the key ``minimum``, both without a symbol. Rows are
+    sorted by `place`: terms by rising slope (the index in `TERMS`), then other rows, the minimum last.
     """
 
     key: str
     symbol: str
     name: str
     cells: tuple[Cell | None, ...]
+    place: float = len(TERMS)
 
     def column(self, *, datasheet: bool) -> Column:
-        """Return the texts, which share one power of ten, in data-sheet units or in SI."""
+        """Return the texts in data-sheet units or in SI; they share one power of ten."""
         cells = [(cell.sheet if datasheet else cell.si, cell.note) if cell else None for cell in self.cells]
         quantities = [cell[0] for cell in cells if cell]
         exponent = numbers.engineering_exponent(quantities)
@@ -88,9 +95,9 @@ def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
 
 @frozen
 class View:
-    """The fits of one sensor as rows: its terms by rising slope, then the lowest point of the curve.
+    """The results of one sensor as rows.
 
-    `names` are what the columns are called, such as x, y and z; `sensor` is None where nobody knows it.
+    `names` are the names of the columns, such as x, y and z; `sensor` is None if it is unknown.
     """
 
     sensor: Sensor | None
@@ -102,22 +109,41 @@ class View:
 
 def views(report: Report) -> tuple[View, ...]:
     """Return the view of each sensor that has axes, the gyroscope first."""
-    return tuple(view({axis.axis: axis.fit for axis in axes}) for axes in report.by_sensor.values())
+    return tuple(view({axis.axis: axis for axis in axes}) for axes in report.by_sensor.values())
 
 
-def view(fits: Mapping[str, NoiseFit]) -> View:
-    """Return fits of one sensor, by the names of their columns, as rows; there is at least one."""
-    found = tuple(fits.values())
-    units = sheet_units(found)
+def view(subjects: Mapping[str, Subject]) -> View:
+    """Return the view of at least one axis or fit of a sensor, by the names of their columns."""
+    found = tuple(subjects.values())
+    fits = tuple(map(_fit_of, found))
+    units = sheet_units(fits)
+    rows = [row for make in ROWS for row in make(found, units)]
     return View(
-        sensor=found[0].sensor, names=tuple(fits), fits=found, units=units, rows=tuple(_rows(found, units))
+        sensor=fits[0].sensor,
+        names=tuple(subjects),
+        fits=fits,
+        units=units,
+        rows=tuple(sorted(rows, key=lambda row: row.place)),
     )
 
 
-def _rows(fits: tuple[NoiseFit, ...], units: SheetUnits) -> Iterator[Row]:
+def ordered_keys(seen: Sequence[View]) -> list[str]:
+    """Return the keys of the rows of several views in the order of the rows, each key once."""
+    places = {row.key: row.place for each in seen for row in each.rows}
+    return sorted(places, key=lambda key: (places[key], key))
+
+
+def _fit_of(subject: Subject) -> NoiseFit:
+    return subject.fit if isinstance(subject, AxisReport) else subject
+
+
+def _terms(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
+    """Yield the rows of the terms, each Gauss-Markov term with its correlation time."""
+    fits = tuple(map(_fit_of, subjects))
     sensor = fits[0].sensor
     symbols = {estimate.key: estimate.symbol for fit in fits for estimate in fit.estimates}
-    for key in sorted(symbols, key=lambda key: list(TERMS).index(symbols[key])):
+    for key in sorted(symbols):
+        place = list(TERMS).index(symbols[key])
         found = [next((e for e in fit.estimates if e.key == key), None) for fit in fits]
         cells = (
             Cell(sheet=units.estimate(e, sensor), si=numbers.si(e, sensor), note=numbers.alternatives(e))
@@ -126,19 +152,23 @@ def _rows(fits: tuple[NoiseFit, ...], units: SheetUnits) -> Iterator[Row]:
             for e in found
         )
         name = numbers.term_name(symbols[key], sensor)
-        yield Row(key=key, symbol=symbols[key], name=name, cells=tuple(cells))
+        yield Row(key=key, symbol=symbols[key], name=name, cells=tuple(cells), place=place)
         times = tuple(_time(estimate) for estimate in found)
         if any(times):
-            yield Row(key=f"{key} T", symbol="", name="correlation time", cells=times)
-    lowest = tuple(
+            yield Row(key=f"{key} T", symbol="", name="correlation time", cells=times, place=place)
+
+
+def _minimum(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
+    """Yield the row of the lowest point of the curve."""
+    cells = tuple(
         Cell(
             sheet=units.minimum(fit),
             si=numbers.minimum(fit),
             note=f"at {numbers.seconds(fit.curve.minimum[1])}",
         )
-        for fit in fits
+        for fit in map(_fit_of, subjects)
     )
-    yield Row(key="minimum", symbol="", name="of the curve", cells=lowest)
+    yield Row(key="minimum", symbol="", name="of the curve", cells=cells, place=math.inf)
 
 
 def _time(estimate: Estimate | None) -> Cell | None:
@@ -146,3 +176,7 @@ def _time(estimate: Estimate | None) -> Cell | None:
         return None
     time = numbers.correlation_time(estimate.correlation_time)
     return Cell(sheet=time, si=time)
+
+
+#: Functions that yield rows of some axes or fits, given the units of the sheet.
+ROWS: list[Callable[[Sequence[Subject], SheetUnits], Iterator[Row]]] = [_terms, _minimum]

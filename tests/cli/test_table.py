@@ -1,16 +1,13 @@
 """The table on the terminal: 80 columns, every number with its interval, right when piped."""
 
 import textwrap
-from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
 
 from imucal.cli._result_table import summary_table
 from imucal.findings import Finding
-from imucal.fitting import NoiseFit
 from imucal.report.result import Report
-from imucal.report.view import View, view
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
 
@@ -78,20 +75,6 @@ def test_gauss_markov_terms_have_their_correlation_time() -> None:
     assert (
         "GM1  Gauss-Markov  deg/h\nz  8.3  [7.7, 8.9]\n\nGM1  correlation time  s\nz  90  [73, 111]" in text
     )
-
-
-def test_a_row_that_is_added_to_the_view_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Above the minimum, whatever its key."""
-
-    def more(fits: Mapping[str, NoiseFit]) -> View:
-        seen = view(fits)
-        row = replace(seen.rows[0], key="floor", symbol="", name="floor at 10 s")
-        return replace(seen, rows=(*seen.rows, row))
-
-    monkeypatch.setattr("imucal.cli._result_table.view", more)
-    text = summary_table(consumer_report(), datasheet=True, encoding="utf-8")
-    assert "floor at 10 s" in text
-    assert text.index("floor at 10 s") < text.index("minimum")
 
 
 def test_a_heading_keeps_numbers_with_their_units() -> None:

@@ -1,5 +1,6 @@
 """The one view: every term of every axis is in the rows, and whatever draws them draws every report."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -10,10 +11,12 @@ from lxml import html
 from imucal.cli._result_table import summary_table
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Axis, Sensor
-from imucal.report.figure import Drawings
+from imucal.report.figure import Drawings, sensor_figure
 from imucal.report.html_page import render_page
-from imucal.report.result import Report
-from imucal.report.view import view, views
+from imucal.report.notebook import frame_of, html_of
+from imucal.report.numbers import Quantity, SheetUnits
+from imucal.report.result import AxisReport, Report
+from imucal.report.view import ROWS, Cell, Row, Subject, view, views
 from tests.report.random_reports import STATES, axis_of, random_report, report_of
 from tests.report.synthetic import consumer_report
 
@@ -79,3 +82,33 @@ def test_a_fit_of_an_unknown_sensor_has_a_view() -> None:
     seen = view({"curve": fit})
     assert {cell.si.unit for row in seen.rows for cell in row.cells if cell} == {""}
     assert seen.rows[0].columns[0].texts == seen.rows[0].columns[1].texts
+
+
+def test_a_new_row_is_shown_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row of means, above the minimum: on the terminal, page and picture, in the notebook and the frame."""
+
+    def means(subjects: Sequence[Subject], _: SheetUnits) -> Iterator[Row]:
+        quantities = [
+            Quantity(value=7.25, low=7.0, high=7.5, unit=one.unit)
+            for one in subjects
+            if isinstance(one, AxisReport)
+        ]
+        if quantities:
+            cells = tuple(Cell(sheet=one, si=one) for one in quantities)
+            yield Row(key="mean", symbol="", name="of the samples", cells=cells)
+
+    monkeypatch.setattr("imucal.report.view.ROWS", [means, *ROWS])
+    report = consumer_report()
+    axis, keys = report.axes[0], [row.key for row in views(report)[0].rows]
+    assert keys[-2:] == ["mean", "minimum"]
+    printed = summary_table(report, datasheet=True, forced=True, encoding="utf-8")
+    assert printed.index("mean  of the samples") < printed.index("minimum of the curve")
+    page = _page(report)
+    assert page.xpath("//table[@class='summary']//th[b = 'mean']")
+    for value in (report, axis):
+        assert "<b>mean</b>" in html_of(value)
+        assert "mean" in frame_of(value)["term"].to_list()
+    assert 7.25 in frame_of(axis)["value"].to_list()
+    texts = [text.get_text() for text in sensor_figure(report, axis.sensor).texts]
+    assert "mean" in texts
+    assert any(text.startswith("7.25 [7.00, 7.50]") for text in texts), texts
