@@ -12,8 +12,10 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+import imucal
 from imucal.errors import ReadError
 from imucal.findings import Finding
+from imucal.recording import LogFileInfo, Source
 from imucal.report.json_file import (
     axis_document,
     dumps,
@@ -56,6 +58,59 @@ def test_schema_refuses_what_is_wrong(place: tuple[Any, ...], value: object) -> 
     _set(document, place, value)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.Draft202012Validator(schema()).validate(document)
+
+
+def _strict(part: object) -> Any:  # noqa: ANN401 - JSON
+    """Return a schema that allows no other keys in objects whose keys it lists."""
+    if isinstance(part, list):
+        return [_strict(one) for one in part]
+    if not isinstance(part, dict):
+        return part
+    found = {key: _strict(value) for key, value in part.items()}
+    if isinstance(part.get("properties"), dict) and "type" in part:
+        # Keys of the alternatives in `oneOf` count too.
+        found["unevaluatedProperties"] = False
+    return found
+
+
+def _names(value: object) -> set[str]:
+    """Return all keys in a document."""
+    if isinstance(value, list):
+        return {name for one in value for name in _names(one)}
+    return set(value).union(*map(_names, value.values())) if isinstance(value, dict) else set()
+
+
+def _listed(part: object) -> set[str]:
+    """Return all keys that a schema lists."""
+    if isinstance(part, list):
+        return {name for one in part for name in _listed(one)}
+    if not isinstance(part, dict):
+        return set()
+    own = part.get("properties")
+    return (set(own) if isinstance(own, dict) else set()).union(*map(_listed, part.values()))
+
+
+def _fitted_report() -> Report:
+    """Return the report of a fit with bins, segments, a file behind a URL and its range."""
+    samples = imucal.NoiseModel.parse("N=1e-4 + K=1e-5").simulate(
+        40_000, rate_hz=50.0, rng=np.random.default_rng(5)
+    )
+    series = imucal.AxisSeries.from_samples(samples, rate_hz=50.0)
+    file = LogFileInfo(path="s3://bucket/log.csv", size_bytes=5, blake2b="ab" * 64, etag="cd")
+    source = Source(path="log.csv", format="csv", files=(file,))
+    settings = imucal.Settings(model="N + K", bins=True)
+    return imucal.characterize(imucal.Recording(source=source, series=(series,)), settings)
+
+
+def test_the_writer_and_the_schema_have_the_same_keys() -> None:
+    """No key is written that the schema does not list, and the other way round; docs/json.md shows them."""
+    documents = [to_document(make()) for make in (consumer_report, small_report, _fitted_report)]
+    strict = jsonschema.Draft202012Validator(_strict(schema()))
+    for document in documents:
+        strict.validate(document)
+        with pytest.raises(jsonschema.ValidationError):
+            strict.validate({**document, "more": 1})
+    assert _listed(schema()) - set().union(*map(_names, documents)) == set()
 
 
 def test_document_is_the_golden_one(*, update_golden: bool) -> None:
