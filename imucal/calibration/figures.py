@@ -11,6 +11,25 @@ from imucal.arrays import FloatArray
 from imucal.calibration.result import Calibration
 from imucal.calibration.table import headline
 from imucal.report import figure as drawing
+from imucal.report.figure_style import (
+    AXES,
+    FADED,
+    FRAME,
+    GRID,
+    INK,
+    LABEL_SIZE,
+    LABEL_STYLE,
+    LEFT_OUT,
+    LEGEND_SIZE,
+    LEGEND_STYLE,
+    MODEL,
+    Style,
+    limits,
+    new_figure,
+    quiet_frame,
+    write_foot,
+    write_head,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +42,7 @@ _WIDTH, _HEIGHT, _HEAD, _FOOT = 10.0, 4.3, 0.8, 0.8
 #: Half-width of a 95 % interval in deviations.
 _Z95 = 1.959964
 #: Colours of values before and after the calibration, and of unused ones.
-_BEFORE, _AFTER, _UNUSED = drawing.FADED, drawing.MODEL.light, drawing.LEFT_OUT
+_BEFORE, _AFTER, _UNUSED = FADED, MODEL.light, LEFT_OUT
 
 
 def picture(found: Calibration, name: str) -> bytes:
@@ -44,18 +63,18 @@ def rests_figure(found: Calibration) -> "Figure":
     places = [(0.075, 0.9)] if counts else [(0.075, 0.4), (0.575, 0.4)]
     for k, (left, width) in enumerate(places):
         axes = _axes(figure, left, width, "time (min)", "|f| - g (mm/s²)")
-        axes.axhline(0.0, color=drawing.FRAME, linewidth=1.0)
+        axes.axhline(0.0, color=FRAME, linewidth=1.0)
         first = k == 0 and not counts
         values, colour = (before, _BEFORE) if first else (after, _AFTER)
-        axes.set_title("before" if first else "after", fontsize=drawing.LABEL_SIZE, color=drawing.INK)
+        axes.set_title("before" if first else "after", fontsize=LABEL_SIZE, color=INK)
         bars = np.zeros_like(half) if first else half
         axes.errorbar(
             time[used], values[used], yerr=bars[used], color=colour, fmt="o", markersize=4.5, elinewidth=1.2
         )
         if not used.all():
-            style: drawing.Style = {"color": _UNUSED, "marker": "x", "linestyle": "none"}
+            style: Style = {"color": _UNUSED, "marker": "x", "linestyle": "none"}
             axes.plot(time[~used], values[~used], label="moved, not used", **style)
-            axes.legend(loc="best", **drawing.LEGEND_STYLE)
+            axes.legend(loc="best", **LEGEND_STYLE)
     return figure
 
 
@@ -74,15 +93,13 @@ def attitudes_figure(found: Calibration) -> "Figure":
         axes.set_ylim(-1.75, 1.75)
         circle = np.linspace(0, 2 * math.pi, 200)
         for radius in (math.sqrt(2), 2 * math.sin(math.pi / 8)):
-            axes.plot(radius * np.cos(circle), radius * np.sin(circle), color=drawing.GRID, linewidth=1.2)
+            axes.plot(radius * np.cos(circle), radius * np.sin(circle), color=GRID, linewidth=1.2)
         _name_axes(axes, sign)
         _mark(axes, down[used], sign, color=_AFTER, marker="o", label="rest")
         _mark(axes, down[~used], sign, color=_UNUSED, marker="x", label="rest that moved")
-        _mark(
-            axes, suggested, sign, color=drawing.AXES["x"].light, marker="*", label="add this one", size=14.0
-        )
+        _mark(axes, suggested, sign, color=AXES["x"].light, marker="*", label="add this one", size=14.0)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="upper left", bbox_to_anchor=(-0.02, 1.03), **drawing.LEGEND_STYLE)
+            axes.legend(loc="upper left", bbox_to_anchor=(-0.02, 1.03), **LEGEND_STYLE)
     return figure
 
 
@@ -94,21 +111,21 @@ def turns_figure(found: Calibration) -> "Figure":
     axes = _axes(figure, 0.075, 0.9, "time (min)", "error (deg)")
     judged = [turn for turn in found.turns if turn.residual_deg is not None and turn.before_deg is not None]
     if not judged:
-        axes.text(0.5, 0.5, "no turn could be used", transform=axes.transAxes, ha="center", color=drawing.INK)
+        axes.text(0.5, 0.5, "no turn could be used", transform=axes.transAxes, ha="center", color=INK)
         return figure
     time = np.array([(turn.start_s + turn.end_s) / 120 for turn in judged])
     used = np.array([turn.used for turn in judged])
     before = np.array([math.hypot(*(turn.before_deg or (0.0, 0.0))) for turn in judged])
     after = np.array([math.hypot(*(turn.residual_deg or (0.0, 0.0))) for turn in judged])
-    dots: drawing.Style = {"linestyle": "none", "markersize": 5.5}
+    dots: Style = {"linestyle": "none", "markersize": 5.5}
     axes.plot(time, before, color=_BEFORE, marker="o", markerfacecolor="white", label="before", **dots)
     axes.plot(time[used], after[used], color=_AFTER, marker="o", label="after", **dots)
     if not used.all():
         axes.plot(time[~used], after[~used], color=_UNUSED, marker="x", label="after, not used", **dots)
-    low, high = drawing.limits(np.concatenate([before, after]), below=2.0, above=3.0)
+    low, high = limits(np.concatenate([before, after]), below=2.0, above=3.0)
     axes.set_yscale("log")
     axes.set_ylim(low, high)
-    axes.legend(loc="upper right", ncols=3, **drawing.LEGEND_STYLE)
+    axes.legend(loc="upper right", ncols=3, **LEGEND_STYLE)
     return figure
 
 
@@ -121,19 +138,19 @@ FIGURES: dict[str, Callable[[Calibration], "Figure"]] = {
 
 
 def _new(found: Calibration, title: str, subtitle: str) -> "Figure":
-    figure = drawing.new_figure(_WIDTH, _HEIGHT)
-    drawing.write_head(figure, title, subtitle)
-    drawing.write_foot(figure, headline(found), __version__)
+    figure = new_figure(_WIDTH, _HEIGHT)
+    write_head(figure, title, subtitle)
+    write_foot(figure, headline(found), __version__)
     return figure
 
 
 def _axes(figure: "Figure", left: float, width: float, x: str, y: str) -> "Axes":
     axes = figure.add_axes((left, _FOOT / _HEIGHT, width, 1 - (_HEAD + _FOOT) / _HEIGHT))
-    drawing.quiet_frame(axes)
-    axes.set_xlabel(x, **drawing.LABEL_STYLE)
-    axes.set_ylabel(y, **drawing.LABEL_STYLE)
-    axes.tick_params(labelsize=drawing.LEGEND_SIZE, colors=drawing.INK)
-    axes.grid(visible=True, which="major", color=drawing.GRID, linewidth=0.8)
+    quiet_frame(axes)
+    axes.set_xlabel(x, **LABEL_STYLE)
+    axes.set_ylabel(y, **LABEL_STYLE)
+    axes.tick_params(labelsize=LEGEND_SIZE, colors=INK)
+    axes.grid(visible=True, which="major", color=GRID, linewidth=0.8)
     return axes
 
 
@@ -158,10 +175,10 @@ def _mark(
 
 def _name_axes(axes: "Axes", sign: float) -> None:
     """Write the axis that is down at the centre and at four points of the edge."""
-    style: drawing.Style = {"fontsize": drawing.LABEL_SIZE, "color": drawing.FADED, "va": "center"}
+    style: Style = {"fontsize": LABEL_SIZE, "color": FADED, "va": "center"}
     edge = math.sqrt(2) + 0.16
     axes.text(0.0, -0.13, f"{'+' if sign > 0 else '-'}z", ha="center", **style)
-    axes.plot(0.0, 0.0, color=drawing.FADED, marker="+", markersize=6)
+    axes.plot(0.0, 0.0, color=FADED, marker="+", markersize=6)
     right, left = ("+x", "-x") if sign > 0 else ("-x", "+x")
     for x, y, name in ((edge, 0.0, right), (-edge, 0.0, left), (0.0, edge, "+y"), (0.0, -edge, "-y")):
         axes.text(x, y, name, ha="center", **style)

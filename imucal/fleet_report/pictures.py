@@ -18,7 +18,7 @@ from imucal.fleet.trend import NEAREST, Slope
 from imucal.fleet_report.pages import bound_name, by_term, per, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
-from imucal.report.figure import (
+from imucal.report.figure_style import (
     DATA,
     FADED,
     GRID,

@@ -21,6 +21,21 @@ from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
 from imucal.report import figure as drawing
 from imucal.report import numbers
+from imucal.report.figure_style import (
+    FADED,
+    GRID,
+    INK,
+    LABEL_STYLE,
+    LEGEND_SIZE,
+    LEGEND_STYLE,
+    MODEL,
+    SMALL_SIZE,
+    Style,
+    new_figure,
+    quiet_frame,
+    write_foot,
+    write_head,
+)
 from imucal.report.json_file import JsonObject, picked
 from imucal.report.out_folder import held_by, home_of
 from imucal.units import pretty, time_unit
@@ -44,7 +59,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
     # A single part is the bias itself, but for a level.
     shown = shown if len(shown) > 1 else []
     height = _HEAD + _TOP + len(shown) * (_PART + _SPACE) + _FOOT
-    figure = drawing.new_figure(drawing.WIDTH, height)
+    figure = new_figure(drawing.WIDTH, height)
     level = TERMS["B"].datasheet_unit(parts.series.sensor)
     divisor, time_name = time_unit(float(parts.time_s[-1]))
     view, unit = _View(parts, level.factor, divisor), pretty(level.name)
@@ -56,12 +71,12 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
         bottom -= _PART + _SPACE
         axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _PART / height))
         _draw_part(axes, view, part, unit)
-    axes.set_xlabel(f"time ({time_name})", **drawing.LABEL_STYLE)
+    axes.set_xlabel(f"time ({time_name})", **LABEL_STYLE)
     series, count = parts.series, int(np.isfinite(parts.samples).sum())
     recorded = drawing.recording_text(parts.n * series.tau0, series.rate_hz, count)
     title = f"{str(series.sensor).capitalize()} {series.axis}: bias over time"
-    drawing.write_head(figure, title, f"{recorded}   ·   model {parts.model}", below=0.42)
-    drawing.write_foot(figure, source, __version__)
+    write_head(figure, title, f"{recorded}   ·   model {parts.model}", below=0.42)
+    write_foot(figure, source, __version__)
     figure.legend(
         handles=entries,
         loc="upper right",
@@ -70,7 +85,7 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
         handlelength=2.4,
         columnspacing=1.4,
         markerscale=1.8,
-        **drawing.LEGEND_STYLE,
+        **LEGEND_STYLE,
     )
     return figure
 
@@ -107,10 +122,10 @@ def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
     heights = (np.where(count >= width / 2, mean, np.nan) - view.mean) * view.scale
     seconds = width * parts.series.tau0
     name = f"samples, mean of {numbers.seconds(seconds)}" if width > 1 else "samples"
-    dot: drawing.Style = {"marker": "o", "markersize": 2.2, "markeredgewidth": 0, "linestyle": "none"}
-    dot |= {"color": drawing.FADED, "alpha": 0.75}
+    dot: Style = {"marker": "o", "markersize": 2.2, "markeredgewidth": 0, "linestyle": "none"}
+    dot |= {"color": FADED, "alpha": 0.75}
     (grey,) = axes.plot(time / view.divisor, heights, zorder=3.5, label=name, **dot)
-    line, band, ends = _draw_line(axes, view, parts.bias, drawing.MODEL, 1.5, centred=True)
+    line, band, ends = _draw_line(axes, view, parts.bias, MODEL, 1.5, centred=True)
     line.set_label("bias, estimated from all samples")
     _style(axes, view, label, [heights, *ends])
     return [grey, line, band]
@@ -124,8 +139,8 @@ def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
     _style(axes, view, unit, ends)
     name = term.name(view.parts.series.sensor)
     text = f"{part.key}  {name}{', minus its mean' if holds_level else ''}"
-    place: drawing.Style = {"transform": axes.transAxes, "va": "bottom", "fontweight": "bold"}
-    axes.text(0.0, 1.04, text, fontsize=drawing.LEGEND_SIZE, color=term.stroke.light, **place)
+    place: Style = {"transform": axes.transAxes, "va": "bottom", "fontweight": "bold"}
+    axes.text(0.0, 1.04, text, fontsize=LEGEND_SIZE, color=term.stroke.light, **place)
 
 
 def _draw_line(
@@ -135,7 +150,7 @@ def _draw_line(
     off = float(part.value.mean()) if centred else 0.0
     value, error = (part.value[view.place] - off) * view.scale, part.error[view.place] * view.scale
     low, high = value - _BAND * error, value + _BAND * error
-    style: drawing.Style = {"alpha": 0.18, "linewidth": 0, "zorder": 3, "label": "± 2 standard errors"}
+    style: Style = {"alpha": 0.18, "linewidth": 0, "zorder": 3, "label": "± 2 standard errors"}
     band = axes.fill_between(view.time, low, high, color=stroke.light, **style)
     (line,) = axes.plot(view.time, value, color=stroke.light, linewidth=width, zorder=4)
     return line, band, [low, high]
@@ -148,10 +163,10 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     room = 0.06 * (high - low) or 1.0
     axes.set_ylim(low - room, high + room)
     axes.set_xlim(view.time[0], max(float(view.time[-1]), view.time[0] + 1e-9))
-    drawing.quiet_frame(axes)
-    axes.grid(visible=True, color=drawing.GRID, linewidth=0.8)
-    axes.tick_params(labelsize=drawing.SMALL_SIZE, colors=drawing.INK, length=3)
-    axes.set_ylabel(label, **drawing.LABEL_STYLE)
+    quiet_frame(axes)
+    axes.grid(visible=True, color=GRID, linewidth=0.8)
+    axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
+    axes.set_ylabel(label, **LABEL_STYLE)
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 

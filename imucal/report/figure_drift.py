@@ -8,9 +8,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imucal.prediction import Drift, DriftOf, drift
-from imucal.report import figure as drawing
 from imucal.report import numbers
 from imucal.report.figure import WIDTH
+from imucal.report.figure_style import (
+    AXES,
+    FADED,
+    GRID,
+    INK,
+    LEGEND_STYLE,
+    MODEL,
+    SMALL_SIZE,
+    Style,
+    limits,
+    new_figure,
+    stroked,
+    style_axes,
+    write_foot,
+    write_head,
+)
 from imucal.report.result import Report
 from imucal.units import duration
 
@@ -23,7 +38,7 @@ _HEIGHT, _HEAD, _FOOT, _SPACE = 4.3, 0.75, 0.75, 0.62
 #: Points of a line, and room for the first one's label as a share of the axis.
 _POINTS, _ROOM = 25, 0.36
 #: Colours of what stands beside the quantity that a plot is about, by the end of its name.
-_PARTS = {"accelerometer": drawing.AXES["x"], "tilt": drawing.AXES["z"]}
+_PARTS = {"accelerometer": AXES["x"], "tilt": AXES["z"]}
 
 
 def drift_figure(report: Report, found: Drift) -> "Figure":
@@ -32,7 +47,7 @@ def drift_figure(report: Report, found: Drift) -> "Figure":
     fine = np.geomspace(min(asked), max(asked), _POINTS)
     lines = drift(report, sorted({*asked, *fine[1:-1].tolist()}), rest_s=found.rest_s)
     units = list(dict.fromkeys(quantity.unit for quantity in lines.quantities))
-    figure = drawing.new_figure(WIDTH, _HEIGHT)
+    figure = new_figure(WIDTH, _HEIGHT)
     width, height = 1 / len(units), 1 - (_HEAD + _FOOT) / _HEIGHT
     for place, unit in enumerate(units):
         left = place * width + _SPACE / WIDTH
@@ -41,8 +56,8 @@ def drift_figure(report: Report, found: Drift) -> "Figure":
     upright = f"   ·   {found.vertical} is vertical" if found.vertical else ""
     said = f"one standard deviation, {100 * found.level:.4g} % limits   ·   each sensor's worst axis{upright}"
     title = f"Drift without aiding, after a rest of {duration(found.rest_s)}"
-    drawing.write_head(figure, title, said if report.verdict.usable else report.verdict.sentence)
-    drawing.write_foot(figure, report.source.name, report.version)
+    write_head(figure, title, said if report.verdict.usable else report.verdict.sentence)
+    write_foot(figure, report.source.name, report.version)
     return figure
 
 
@@ -57,9 +72,9 @@ def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> Non
     time, low, high = (
         np.array([getattr(p, name) for p in main.points]) for name in ("time_s", "low", "high")
     )
-    bottom, top = drawing.limits(np.concatenate([*values.values(), factor * high]), below=12.0, above=12.0)
+    bottom, top = limits(np.concatenate([*values.values(), factor * high]), below=12.0, above=12.0)
     kind = "angle" if radians else re.sub("[, ].*", "", main.name)
-    drawing.style_axes(
+    style_axes(
         axes,
         x="time without aiding (s)",
         y=f"{kind} ({'deg' if radians else main.unit})",
@@ -68,29 +83,29 @@ def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> Non
     )
     for name, value in values.items():
         parts = (stroke for end, stroke in _PARTS.items() if name.endswith(end))
-        stroke = drawing.MODEL if name == main.name else next(parts)
+        stroke = MODEL if name == main.name else next(parts)
         label = re.sub(f"^{kind},? (from the |through )?", "", name)
-        axes.plot(time, value, label=label, zorder=4, **drawing.stroked(stroke, linewidth=1.6))
-    band: drawing.Style = {"color": drawing.MODEL.light, "alpha": 0.18, "linewidth": 0}
+        axes.plot(time, value, label=label, zorder=4, **stroked(stroke, linewidth=1.6))
+    band: Style = {"color": MODEL.light, "alpha": 0.18, "linewidth": 0}
     axes.fill_between(time, np.maximum(factor * low, bottom), factor * high, where=np.isfinite(high), **band)
-    axes.legend(loc="upper left", **drawing.LEGEND_STYLE)
+    axes.legend(loc="upper left", **LEGEND_STYLE)
     _mark(axes, main, values[main.name].tolist(), asked)
 
 
 def _mark(axes: "Axes", main: DriftOf, heights: list[float], asked: set[float]) -> None:
     """Say value and leading term at the times that were asked for, and shade what no record has seen."""
-    small: drawing.Style = {"fontsize": drawing.SMALL_SIZE, "ha": "right"}
+    small: Style = {"fontsize": SMALL_SIZE, "ha": "right"}
     for point, height in zip(main.points, heights, strict=True):
         if point.time_s in asked and math.isfinite(height):
             place = (point.time_s, height)
-            axes.plot(*place, color=drawing.MODEL.light, marker="o", markersize=4.5, zorder=5)
+            axes.plot(*place, color=MODEL.light, marker="o", markersize=4.5, zorder=5)
             shown = numbers.drifted(point, main.unit)
             text = f"{'< ' if shown.value is None else ''}{float(f'{shown.size:.2g}'):.10g} {shown.unit}"
             text += f"\n{point.term}" if point.term else ""
-            axes.annotate(text, place, xytext=(-4, 3), textcoords="offset points", color=drawing.INK, **small)
+            axes.annotate(text, place, xytext=(-4, 3), textcoords="offset points", color=INK, **small)
     unseen = [point.time_s for point in main.points if point.seen is False]
     if unseen:
         right = axes.get_xlim()[1]
-        axes.axvspan(unseen[0], right, color=drawing.GRID, alpha=0.6, linewidth=0, zorder=0)
+        axes.axvspan(unseen[0], right, color=GRID, alpha=0.6, linewidth=0, zorder=0)
         bottom = axes.get_xaxis_transform()
-        axes.text(right, 0.02, "extrapolated ", color=drawing.FADED, transform=bottom, **small)
+        axes.text(right, 0.02, "extrapolated ", color=FADED, transform=bottom, **small)

@@ -20,6 +20,15 @@ from imucal.noise.terms import TERMS
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report import figure, numbers, page_parts
+from imucal.report.figure_curves import (
+    drawn_terms,
+    estimate_text,
+    shown_points,
+    smooth_adev,
+    smooth_root,
+    smooth_spectrum,
+)
+from imucal.report.figure_style import DATA, LEFT_OUT, MODEL, UNUSED
 from imucal.report.json_file import JsonObject, plain
 from imucal.report.markup import Markup, render
 from imucal.report.numbers import SheetUnits
@@ -38,12 +47,12 @@ _NEIGHBOURS = 25
 def page_data(report: Report) -> str:
     """Return the JSON text of all plots; safe inside a script element."""
     strokes = {symbol: term.stroke for symbol, term in TERMS.items()}
-    strokes |= {"data": figure.DATA, "model": figure.MODEL}
+    strokes |= {"data": DATA, "model": MODEL}
     document = {
         "colours": {
             **{name: [stroke.light, stroke.dark] for name, stroke in strokes.items()},
-            "unused": [figure.UNUSED, "#5d6873"],
-            "line": [figure.LEFT_OUT, "#ff7b86"],
+            "unused": [UNUSED, "#5d6873"],
+            "line": [LEFT_OUT, "#ff7b86"],
         },
         "axes": {axis.name: _axis(axis, figure.units_of(report, axis.sensor)) for axis in report.axes},
     }
@@ -109,7 +118,7 @@ def _axis(axis: AxisReport, units: SheetUnits) -> JsonObject:
 
 def _curve(axis: AxisReport) -> JsonObject:
     curve = axis.fit.curve
-    shown = figure.shown_points(curve)
+    shown = shown_points(curve)
     low, high = curve.confidence_interval(axis.fit.level)
     values = {"tau": curve.tau, "adev": curve.adev, "low": low, "high": high, "model": axis.fit.model_adev()}
     return {
@@ -122,17 +131,17 @@ def _curve(axis: AxisReport) -> JsonObject:
 def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, str]:
     """Return what a term's label says, line by line, as in the pictures."""
     si = f"{estimate.key} {numbers.with_uncertainty(numbers.si(estimate, sensor))}"
-    sheet, *time = figure.estimate_text(estimate, sensor, units).split("\n")
+    sheet, *time = estimate_text(estimate, sensor, units).split("\n")
     return {"si": "<br>".join([si, *time]), "sheet": "<br>".join([sheet, *time])}
 
 
 def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
     """Return the model and its terms as smooth lines, and where each coefficient is read."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
-    m, total = figure.smooth_adev(axis.fit, curve.m[figure.shown_points(curve)], _FINE)
-    grid, root = figure.smooth_root(axis, _FINE)
+    m, total = smooth_adev(axis.fit, curve.m[shown_points(curve)], _FINE)
+    grid, root = smooth_root(axis, _FINE)
     terms = []
-    for drawn in figure.drawn_terms(axis.fit):
+    for drawn in drawn_terms(axis.fit):
         estimate, (at, height) = drawn.estimate, drawn.term.read_off()
         line = np.sqrt(drawn.term.avar(m, 1 / rate))
         if at is None:
@@ -155,7 +164,7 @@ def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
 
 
 def _psd(axis: AxisReport) -> JsonObject:
-    smooth, fit = figure.smooth_spectrum(axis), axis.fit
+    smooth, fit = smooth_spectrum(axis), axis.fit
     model, response = np.sqrt(fit.model.psd(smooth.frequency, rate_hz=fit.rate_hz)), fit.response
     return {
         **_rounded(4, f=smooth.frequency, root=smooth.root, low=smooth.low, high=smooth.high, model=model),

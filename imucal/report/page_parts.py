@@ -26,7 +26,8 @@ from imucal.report import numbers
 from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.target import FORMULAS, itself, price
-from imucal.report.figure import axis_title, shown_points, units_of
+from imucal.report.figure import axis_title, units_of
+from imucal.report.figure_curves import shown_points
 from imucal.report.markup import both_units, render
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Report

@@ -10,6 +10,20 @@ from imucal.errors import ArgumentError
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report import figure as drawing
+from imucal.report.figure_curves import draw_allan, draw_allan_overview, shown_points, style_allan
+from imucal.report.figure_style import (
+    AXES,
+    DATA,
+    DOTS,
+    INK,
+    LABEL_STYLE,
+    LEGEND_STYLE,
+    MODEL,
+    Style,
+    limits,
+    name_axes,
+    quiet_frame,
+)
 from imucal.report.numbers import sheet_units
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.units import pretty, time_unit
@@ -54,7 +68,7 @@ def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tu
         places = _places(ax, len(each))
         for place, (sensor, parts) in zip(places, each.items(), strict=True):
             _draw_sensor(parts, place)
-            place.set_title(str(sensor).capitalize(), loc="left", color=drawing.INK, fontweight="bold")
+            place.set_title(str(sensor).capitalize(), loc="left", color=INK, fontweight="bold")
         return places
     (place,) = _places(ax, 1)
     _draw(value, place)
@@ -82,12 +96,12 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
 def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
     """Draw the signals, or the curves, of a sensor's axes, and a legend of which is which."""
     if isinstance(parts[0], AxisReport):
-        drawing.draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
-        drawing.name_axes(axes, parts)
+        draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
+        name_axes(axes, parts)
         return
     for series in parts:
         _draw_signal(series, axes)
-    axes.legend(loc="upper right", **drawing.LEGEND_STYLE)
+    axes.legend(loc="upper right", **LEGEND_STYLE)
 
 
 @singledispatch
@@ -100,11 +114,11 @@ def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
     seen = Overview.of(series, stretches=_STRETCHES)
     divisor, name = time_unit(series.duration_s)
     mean = float(np.nanmean((seen.low + seen.high) / 2)) if seen.low.size else 0.0
-    style: drawing.Style = {"color": drawing.AXES[series.axis].light, "alpha": 0.45, "linewidth": 0.5}
+    style: Style = {"color": AXES[series.axis].light, "alpha": 0.45, "linewidth": 0.5}
     axes.fill_between(seen.time_s / divisor, seen.low - mean, seen.high - mean, label=series.axis, **style)
-    drawing.quiet_frame(axes)
-    axes.set_xlabel(f"time ({name})", **drawing.LABEL_STYLE)
-    axes.set_ylabel(f"samples minus their middle ({pretty(series.unit)})", **drawing.LABEL_STYLE)
+    quiet_frame(axes)
+    axes.set_xlabel(f"time ({name})", **LABEL_STYLE)
+    axes.set_ylabel(f"samples minus their middle ({pretty(series.unit)})", **LABEL_STYLE)
 
 
 _draw.register(AxisSeries)(_draw_signal)
@@ -112,26 +126,24 @@ _draw.register(AxisSeries)(_draw_signal)
 
 @_draw.register(AllanCurve)
 def _(curve: AllanCurve, axes: "Axes") -> None:
-    shown = drawing.shown_points(curve)
+    shown = shown_points(curve)
     tau, adev = curve.tau[shown], curve.adev[shown]
-    y_limits = drawing.limits(adev, below=2.2, above=2.2)
-    drawing.style_allan(axes, "unit of the samples", tau, y_limits)
+    y_limits = limits(adev, below=2.2, above=2.2)
+    style_allan(axes, "unit of the samples", tau, y_limits)
     low, high = (limit[shown] for limit in curve.confidence_interval())
-    band: drawing.Style = {"color": drawing.MODEL.light, "alpha": 0.2, "linewidth": 0}
+    band: Style = {"color": MODEL.light, "alpha": 0.2, "linewidth": 0}
     axes.fill_between(tau, low, high, label="95 % interval", **band)
-    axes.plot(tau, adev, color=drawing.DATA.light, label=curve.estimator, **drawing.DOTS)
-    axes.legend(**drawing.LEGEND_STYLE)
+    axes.plot(tau, adev, color=DATA.light, label=curve.estimator, **DOTS)
+    axes.legend(**LEGEND_STYLE)
 
 
 @_draw.register(NoiseFit)
 def _(fit: NoiseFit, axes: "Axes") -> None:
-    entries = drawing.draw_allan(axes, fit, sheet_units([fit]))
-    axes.legend(
-        handles=entries, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, **drawing.LEGEND_STYLE
-    )
+    entries = draw_allan(axes, fit, sheet_units([fit]))
+    axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, **LEGEND_STYLE)
 
 
 @_draw.register(AxisReport)
 def _(axis: AxisReport, axes: "Axes") -> None:
     _draw(axis.fit, axes)
-    axes.set_title(drawing.axis_title(axis), loc="left", color=drawing.INK, fontweight="bold")
+    axes.set_title(drawing.axis_title(axis), loc="left", color=INK, fontweight="bold")

@@ -20,8 +20,9 @@ from imucal import AxisSeries, NoiseModel, allan_curve, avar_from_acvf, avar_fro
 from imucal.allan.intervals import GenericModel, model_edf
 from imucal.allan.variance import ESTIMATORS, variances
 from imucal.arrays import FloatArray
-from imucal.report.figure import AXES, DATA, FADED, INK, LABEL_SIZE, MODEL, new_figure, render, style_axes
+from imucal.report.figure import render
 from imucal.report.figure_bias import bias_figure
+from imucal.report.figure_style import AXES, DATA, FADED, INK, LABEL_SIZE, MODEL, new_figure, style_axes
 
 __all__ = ["FIGURES", "RIPPLE", "flicker", "moving_average", "rippled"]
 

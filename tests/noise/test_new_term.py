@@ -22,7 +22,7 @@ from imucal.noise.term import NoiseTerm, Stroke, Words
 from imucal.noise.terms import TERMS, term_keys
 from imucal.planning import plan
 from imucal.recording import AxisSeries, Sensor
-from imucal.report.figure import estimate_text
+from imucal.report.figure_curves import estimate_text
 from imucal.report.numbers import sheet_units
 from imucal.report.page_parts import glossary_section
 from tests.noise.contract import missing

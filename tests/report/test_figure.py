@@ -20,8 +20,9 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
-from imucal.report import figure as palette
-from imucal.report.figure import axis_figure, draw_allan, drawn_terms, render, sensor_figure, shown_points
+from imucal.report.figure import axis_figure, render, sensor_figure
+from imucal.report.figure_curves import draw_allan, drawn_terms, shown_points
+from imucal.report.figure_style import AXES, DATA, MODEL
 from imucal.report.numbers import sheet_units
 from imucal.report.result import AxisReport
 from tests.report.synthetic import axis_report, consumer_report, shortest_report, small_report
@@ -197,10 +198,10 @@ def test_an_unknown_format_is_refused() -> None:
         render(axis_figure(report, report.axes[0]), "bmp")
 
 
-@pytest.mark.parametrize("group", [{symbol: term.stroke for symbol, term in TERMS.items()}, palette.AXES])
+@pytest.mark.parametrize("group", [{symbol: term.stroke for symbol, term in TERMS.items()}, AXES])
 def test_colours_are_readable_and_told_apart_without_colour(group: dict[str, Stroke]) -> None:
     """As text on white the contrast is 4.5 or more (WCAG 2.2, AA), on the dark page too; dashes differ."""
-    for stroke in (*group.values(), palette.MODEL, palette.DATA):
+    for stroke in (*group.values(), MODEL, DATA):
         assert _contrast(stroke.light, "#ffffff") >= 4.5
         assert _contrast(stroke.dark, "#12171d") >= 4.5
     dashes = [stroke.dashes for stroke in group.values()]
@@ -213,7 +214,7 @@ def test_axes_of_an_overview_are_told_apart_by_the_colour_blind() -> None:
         [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
         [[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]],
     ):
-        seen = [np.array(matrix) @ np.array(to_rgb(s.light)) ** 2.2 for s in palette.AXES.values()]
+        seen = [np.array(matrix) @ np.array(to_rgb(s.light)) ** 2.2 for s in AXES.values()]
         for one, other in itertools.combinations(seen, 2):
             # 0.05 in linear light is about ten just noticeable differences at this lightness.
             assert np.linalg.norm(one - other) > 0.05

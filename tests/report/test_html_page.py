@@ -21,7 +21,7 @@ from imucal.fitting.noise_fit import Candidate, Line
 from imucal.prediction import filter_numbers
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
-from imucal.report.figure import estimate_text
+from imucal.report.figure_curves import estimate_text
 from imucal.report.html_page import page_data, render_page, standing_out
 from imucal.report.numbers import scientific, sheet_units, with_interval
 from imucal.report.page_parts import axis_section, findings_section, method_section, summary_section

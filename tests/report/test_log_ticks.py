@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucal.report.figure import draw_ticks, tick_label, tick_places
+from imucal.report.figure_style import draw_ticks, tick_label, tick_places
 
 
 @pytest.mark.parametrize(

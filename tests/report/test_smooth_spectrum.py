@@ -7,7 +7,7 @@ import pytest
 
 from imucal.allan.dct import Spectrum
 from imucal.noise.model import NoiseModel
-from imucal.report.figure import smooth_spectrum
+from imucal.report.figure_curves import smooth_spectrum
 from imucal.report.result import AxisReport
 from tests.report.synthetic import consumer_report
 
