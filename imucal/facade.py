@@ -31,7 +31,8 @@ from imucal.readers import LogContents, describe
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
 from imucal.report.exports.config_numbers import Options, vague_axes
-from imucal.report.json_file import Node, load, plain
+from imucal.report.json_file import load
+from imucal.report.json_node import Node, plain
 from imucal.report.result import Report
 from imucal.units import G0
 

@@ -14,7 +14,8 @@ from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, _workers, characterize, screen
 from imucal.readers import read
 from imucal.recording import Axis, AxisSeries, Recording, Source, Temperature
-from imucal.report.json_file import dumps, to_document
+from imucal.report.json_file import to_document
+from imucal.report.json_node import dumps
 from imucal.report.result import AxisReport, Report
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"

@@ -14,7 +14,7 @@ from imucal.calibration.parameters import Parameter, inverse, is_si
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
 from imucal.errors import ReadError
 from imucal.frozen import frozen_alone
-from imucal.report.json_file import JsonObject, Node, picked, plain
+from imucal.report.json_node import JsonObject, Node, picked, plain
 
 __all__ = [
     "FILE_NAME",

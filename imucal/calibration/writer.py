@@ -6,6 +6,7 @@ from pathlib import Path
 from imucal.calibration.document import FILE_NAME, SCHEMA, to_document
 from imucal.calibration.result import Calibration
 from imucal.report import json_file
+from imucal.report.json_node import dumps
 from imucal.report.out_folder import OutFolder, has_schema
 from imucal.report.result import Report
 
@@ -59,7 +60,7 @@ def write_calibration(
     """
     folder = _folder(out)
     folder.refuse_foreign()
-    contents = {FILE_NAME: json_file.dumps(to_document(found)).encode()}
+    contents = {FILE_NAME: dumps(to_document(found)).encode()}
     if html:
         from imucal.calibration.figures import picture
         from imucal.calibration.page import render_page
@@ -68,5 +69,5 @@ def write_calibration(
         contents |= {name: drawn[Path(name).stem] for name in PICTURES}
         contents[PAGE_NAME] = render_page(found, drawn).encode()
     if noise is not None:
-        contents[NOISE_NAME] = json_file.dumps(json_file.to_document(noise)).encode()
+        contents[NOISE_NAME] = dumps(json_file.to_document(noise)).encode()
     return folder.write(contents)

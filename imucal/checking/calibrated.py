@@ -12,7 +12,7 @@ from imucal.errors import LimitsError
 from imucal.findings import Finding
 from imucal.grading import BY_LEVEL, GRADES, Grade, NoiseVerdict
 from imucal.recording import Sensor
-from imucal.report.json_file import Node
+from imucal.report.json_node import Node
 from imucal.report.numbers import Quantity
 
 __all__ = ["check_calibration"]

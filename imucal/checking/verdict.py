@@ -27,7 +27,8 @@ from imucal.grading import NoiseVerdict
 from imucal.printable import one_line
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.json_file import load, picked
+from imucal.report.json_file import load
+from imucal.report.json_node import picked
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 

@@ -43,10 +43,10 @@ def can_print(text: str, encoding: str | None = None) -> bool:
 
 
 def picked(value: object, names: str) -> dict[str, object]:
-    """Return some attributes of a value as JSON has them, as `imucal.report.json_file.picked` does."""
-    from imucal.report import json_file
+    """Return attributes of a value as JSON values; see `imucal.report.json_node.picked`."""
+    from imucal.report import json_node
 
-    return json_file.picked(value, names)
+    return json_node.picked(value, names)
 
 
 def say(text: object) -> None:

@@ -15,7 +15,7 @@ from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
-from imucal.report.json_file import Node
+from imucal.report.json_node import Node
 from imucal.report.result import Report
 
 #: What a REPORT is, for the help of an option that takes no log.

@@ -78,7 +78,7 @@ def command(
     from imucal.calibration import calibrate
     from imucal.calibration.document import to_document
     from imucal.calibration.writer import check_folder
-    from imucal.report.json_file import dumps
+    from imucal.report.json_node import dumps
 
     folder = out or report_folder(request.logs[0], "calibration")
     if not no_files:

@@ -21,7 +21,7 @@ from imucal.fleet_report.pictures import drawn_as, fleet_pictures
 from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.printable import printable
 from imucal.processes import try_side_work
-from imucal.report.json_file import JsonObject, picked, plain
+from imucal.report.json_node import JsonObject, picked, plain
 from imucal.report.out_folder import OutFolder
 
 SCHEMA = "imucal/fleet/1"

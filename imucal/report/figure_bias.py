@@ -36,7 +36,7 @@ from imucal.report.figure_style import (
     write_foot,
     write_head,
 )
-from imucal.report.json_file import JsonObject, picked
+from imucal.report.json_node import JsonObject, picked
 from imucal.report.out_folder import held_by, home_of
 from imucal.units import pretty, time_unit
 

@@ -29,7 +29,7 @@ from imucal.report.figure_curves import (
     smooth_spectrum,
 )
 from imucal.report.figure_style import DATA, LEFT_OUT, MODEL, UNUSED
-from imucal.report.json_file import JsonObject, plain
+from imucal.report.json_node import JsonObject, plain
 from imucal.report.markup import Markup, render
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report

@@ -1,27 +1,22 @@
-"""`report.json` and `signal.json`: SI units, keys in a stable order, NaN as null; written and read back.
+"""`report.json` and `signal.json`: SI units, keys in a stable order; written and read back.
 
-The layout is pinned by ``schema/report-2.schema.json``; a change that an old reader would misunderstand
-raises the number in `SCHEMA`. Version 1 had the raw signal and the findings of an axis in its entry.
-
-A value of the document knows its place: ``node["fit"]["method"].text()`` raises `ReadError` with the place,
-what was found and what was expected, so no caller needs to check types.
+``schema/report-2.schema.json`` pins the layout; a change that an old reader would misunderstand increases the
+number in `SCHEMA`. Version 1 had the raw signal and the findings of an axis in its entry.
 """
 
 import json
 import math
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path, PurePath
-from typing import Any, Generic, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar, get_args, get_origin
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import NoReturn, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
 from imucal.arguments import takes
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray
 from imucal.clock import Gap
 from imucal.errors import ReadError
 from imucal.findings import Finding
@@ -44,6 +39,18 @@ from imucal.noise.terms import ALWAYS, TERMS
 from imucal.prediction.filter_numbers import FilterNumbers, usual_pairs
 from imucal.recording import LogFileInfo, ReadRange, Sensor, Source
 from imucal.report import numbers
+from imucal.report.json_node import (
+    OR_INFINITE,
+    OR_NAN,
+    JsonObject,
+    Node,
+    layout_of,
+    list_of,
+    maybe,
+    one_of,
+    picked,
+    plain,
+)
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Overview, Report
 
@@ -54,238 +61,12 @@ _READABLE = ("imucal/report/1", SCHEMA)
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
 #: Digits of spectra and signals: a picture needs fewer, and the files are half as large.
 _DIGITS = 8
-#: Most signs of a wrong value that a message shows.
-_SHOWN = 40
-
-#: What stands in braces.
-JsonObject: TypeAlias = dict[str, object]
-A = TypeVar("A")
-T = TypeVar("T", bound=np.generic)
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A value of the document and its place, such as ``report.json: axes[2].fit.method``."""
-
-    value: object
-    file: str
-    place: str = ""
-
-    def __getitem__(self, key: str) -> "Node":
-        """Return the value under `key`, which must be there."""
-        table = self.table()
-        if key not in table:
-            keys = ", ".join(table) or "no keys"
-            self.fail(f"found {keys}", f"the key {key!r}")
-        return Node(table[key], self.file, f"{self.place}.{key}".lstrip("."))
-
-    def __iter__(self) -> Iterator["Node"]:
-        """Yield the items of a list."""
-        for index, item in enumerate(self._of("a list", list)):
-            yield Node(item, self.file, f"{self.place}[{index}]")
-
-    def fail(self, found: str, expected: str) -> NoReturn:
-        """Raise the error that names this place."""
-        where = f"{self.file}: {self.place}" if self.place else self.file
-        raise ReadError(f"{where}: {found}, expected {expected}; write the report again")
-
-    def table(self) -> JsonObject:
-        """Return the value, which must be an object."""
-        return self._of("an object", dict)
-
-    def maybe(self, read: Callable[["Node"], A]) -> A | None:
-        """Return None for null, else what `read` makes of the node."""
-        return None if self.value is None else read(self)
-
-    def text(self, *allowed: str) -> str:
-        """Return the value, which must be a text, one of `allowed` where given."""
-        value = self._of("a text", str)
-        if allowed and value not in allowed:
-            self._refuse(" or ".join(f'"{choice}"' for choice in allowed))
-        return value
-
-    def texts(self) -> tuple[str, ...]:
-        """Return a list of texts."""
-        return tuple(item.text() for item in self)
-
-    def number(self, *, null: float | None = None) -> float:
-        """Return the value, which must be a number; `null` stands for null where given."""
-        if self.value is None and null is not None:
-            return null
-        value = self._of("a number", float, int)
-        if not math.isfinite(value):
-            self._refuse("a finite number")
-        return float(value)
-
-    def positive(self) -> float:
-        """Return the value, which must be a number above 0."""
-        value = self.number()
-        if value <= 0:
-            self._refuse("a number above 0")
-        return value
-
-    def count(self) -> int:
-        """Return the value, which must be a whole number from 0."""
-        value = self._of(expected := "a whole number from 0", int)
-        if value < 0:
-            self._refuse(expected)
-        return value
-
-    def integer(self) -> int:
-        """Return the value, which must be a whole number."""
-        return self._of("a whole number", int)
-
-    def pair(self) -> tuple[float, float]:
-        """Return a list of two numbers."""
-        values = [item.number() for item in self]
-        if len(values) != 2:
-            self._refuse("a list of two numbers")
-        return values[0], values[1]
-
-    def array(self, *, like: int | None = None) -> FloatArray:
-        """Return a list of numbers, null as NaN, of `like` items where given; shape (k,)."""
-        return self.sized(np.array([item.number(null=math.nan) for item in self], np.float64), like)
-
-    def counts(self, *, like: int | None = None) -> IntArray:
-        """Return a list of whole numbers, of `like` items where given; shape (k,)."""
-        return self.sized(np.array([item.count() for item in self], dtype=np.int64), like)
-
-    def matrix(self, size: int) -> FloatArray:
-        """Return a square list of lists of numbers, null as NaN; shape (size, size)."""
-        rows = [row.array(like=size) for row in self]
-        if len(rows) != size:
-            self._refuse(f"{size} rows")
-        return np.array(rows, dtype=np.float64).reshape(size, size)
-
-    def sized(self, array: NDArray[T], like: int | None) -> NDArray[T]:
-        """Return an array of this list, which must be as long as `like` says, where given."""
-        if like is not None and array.size != like:
-            self.fail(f"found a list of {array.size}", f"{like} items, like the other lists")
-        return array
-
-    def _of(self, expected: str, *kinds: type[A]) -> A:
-        """Return the value, which must be of one of some kinds; no number is true or false."""
-        if isinstance(self.value, bool) or not isinstance(self.value, kinds):
-            self._refuse(expected)
-        return self.value
-
-    def _refuse(self, expected: str) -> NoReturn:
-        found = json.dumps(self.value)
-        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}…"
-        self.fail(f"found {shown}", expected)
-
-
-#: What makes an attribute of a node.
-Reader: TypeAlias = Callable[[Node], Any]
-
-
-class Key(NamedTuple):
-    """A key of an object, as `_layout` takes it; `like` names a list as long, `read` makes the attribute."""
-
-    name: str
-    optional: bool
-    attribute: str
-    like: str
-    read: Reader | None
-
-
-@dataclass(frozen=True, slots=True)
-class Layout(Generic[A]):
-    """An object of the document that is one value of ours; what is said here of its keys is all there is."""
-
-    make: Callable[..., A]
-    keys: tuple[Key, ...]
-
-    def read(self, node: Node, **known: object) -> A:
-        """Return the value of an object; `known` are attributes that do not stand in it as they are."""
-        found: dict[str, Any] = dict(known)
-        sizes: dict[str, int] = {}
-        for key in self.keys:
-            absent = key.optional and key.name not in node.table()
-            if key.read is None or key.attribute in known or absent:
-                continue
-            found[key.attribute] = value = key.read(node[key.name])
-            if isinstance(value, np.ndarray):
-                sizes[key.name] = value.shape[-1]
-                node[key.name].sized(value, sizes.get(key.like))
-        return self.make(**found)
-
-    def write(self, value: A, **said: object) -> JsonObject:
-        """Return the value as an object; `said` is what stands under keys that are no attributes of it."""
-        found: JsonObject = {}
-        for key in self.keys:
-            held = getattr(value, key.attribute) if key.attribute else None
-            if key.name in said or (key.attribute and not (key.optional and held is None)):
-                found[key.name] = said.get(key.name, held)
-        return found
-
-
-def _one_of(*allowed: str) -> Reader:
-    return lambda node: node.text(*allowed)
-
-
-def _maybe(read: Reader) -> Reader:
-    return lambda node: node.maybe(read)
-
-
-def _list_of(read: Reader) -> Reader:
-    return lambda node: tuple(map(read, node))
-
-
-def _or(null: float) -> Reader:
-    return lambda node: node.number(null=null)
-
-
-_OR_NAN, _OR_INFINITE = _or(math.nan), _or(math.inf)
-#: Type of an attribute -> how its value is read, where nothing else is said; layouts add their own.
-_READ: dict[object, Reader] = {
-    str: Node.text,
-    int: Node.count,
-    float: Node.number,
-    FloatArray: Node.array,
-    IntArray: Node.counts,
-    Sensor: lambda node: Sensor(node.text(*Sensor)),
-    Mapping[str, object]: Node.table,
-    str | None: _maybe(Node.text),
-    int | None: _maybe(Node.integer),
-    float | None: _maybe(Node.number),
-    tuple[str, ...]: Node.texts,
-    tuple[float, float]: Node.pair,
-    tuple[float, float] | None: _maybe(Node.pair),
-}
-#: Class of a value -> its layout.
-_LAYOUTS: dict[type, Layout[Any]] = {}
-
-
-def _layout(make: type[A], keys: str, **read: Reader) -> Layout[A]:
-    """Return the layout of a dataclass, and know it for the values that hold such.
-
-    A key is written ``name?=attribute~like``. A document may lack an optional one, with the question mark,
-    and it isn't written where its value is None. Without a sign of equality the attribute has the key's name;
-    with nothing behind it there is none, and whoever writes says what stands there. Attributes are read by
-    their types, or as is said here.
-    """
-    types: dict[str, Any] = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
-    made = []
-    for text in keys.split():
-        name, optional, same, attribute, like = re.fullmatch(  # type: ignore[union-attr]
-            r"(\w+)(\??)(=?)(\w*)~?(\w*)", text
-        ).groups()
-        attribute = attribute if same else name
-        kind = types.get(attribute)
-        usual = _one_of(*get_args(kind)) if get_origin(kind) is Literal else _READ.get(kind)
-        made.append(Key(name, bool(optional), attribute, like, read.get(name, usual)))
-    layout = _LAYOUTS[make] = Layout(make, tuple(made))
-    _READ.update(
-        {make: layout.read, make | None: _maybe(layout.read), tuple[make, ...]: _list_of(layout.read)}  # type: ignore[valid-type]
-    )
-    return layout
 
 
 def _axis(node: Node) -> AxisReport:
     fit, table = _fit(node["fit"], node["curve"], Sensor(node["sensor"].text(*Sensor))), node.table()
     overview = _OVERVIEW.read(node["overview"]) if "overview" in table else Overview.none()
-    findings = _list_of(_FINDING.read)(node["findings"]) if "findings" in table else ()
+    findings = list_of(_FINDING.read)(node["findings"]) if "findings" in table else ()
     return _AXIS.read(node, fit=fit, overview=overview, findings=findings)
 
 
@@ -377,55 +158,57 @@ def _bins(node: Node) -> Bins:
     return _BINS.read(node, cross=np.array(cross), gram=gram)
 
 
-_layout(Quantity, "value low high unit")
-_layout(Interval, "value low high", low=_OR_NAN, high=_OR_INFINITE)
-_FINDING = _layout(Finding, "level code axis text advice keep_s")
-_layout(ReadRange, "from_s duration_s start_ns end_ns")
-_layout(LogFileInfo, "path size_bytes blake2b etag?")
-_SOURCE = _layout(
+layout_of(Quantity, "value low high unit")
+layout_of(Interval, "value low high", low=OR_NAN, high=OR_INFINITE)
+_FINDING = layout_of(Finding, "level code axis text advice keep_s")
+layout_of(ReadRange, "from_s duration_s start_ns end_ns")
+layout_of(LogFileInfo, "path size_bytes blake2b etag?")
+_SOURCE = layout_of(
     Source,
     "path format topics message_types decisions files? range?=read",
-    decisions=_list_of(lambda node: (node["choice"].text(), node["reason"].text())),
+    decisions=list_of(lambda node: (node["choice"].text(), node["reason"].text())),
 )
-_layout(Gap, "start_s duration_s missing")
-_OVERVIEW = _layout(Overview, "time_s low~time_s high~time_s")
-_SPECTRUM = _layout(Spectrum, "sides= frequency_hz=frequency psd~frequency_hz count~frequency_hz model_psd=")
-_layout(Line, "frequency_hz amplitude", amplitude=_OR_NAN)
-_layout(Response, "kind cutoff_hz")
-_layout(Candidate, "model=structure delta", delta=_OR_NAN)
-_GOODNESS = _layout(
+layout_of(Gap, "start_s duration_s missing")
+_OVERVIEW = layout_of(Overview, "time_s low~time_s high~time_s")
+_SPECTRUM = layout_of(
+    Spectrum, "sides= frequency_hz=frequency psd~frequency_hz count~frequency_hz model_psd="
+)
+layout_of(Line, "frequency_hz amplitude", amplitude=OR_NAN)
+layout_of(Response, "kind cutoff_hz")
+layout_of(Candidate, "model=structure delta", delta=OR_NAN)
+_GOODNESS = layout_of(
     Goodness,
     "misfit_score=statistic p_value chi2_per_bin band_hz tau_s lines",
-    **dict.fromkeys(("misfit_score", "p_value", "chi2_per_bin"), _OR_NAN),
+    **dict.fromkeys(("misfit_score", "p_value", "chi2_per_bin"), OR_NAN),
 )
-_HOMOGENEITY = _layout(
-    TermHomogeneity, "symbol statistic dof p_value spread factor highest_s lowest_s", symbol=_one_of(*TERMS)
+_HOMOGENEITY = layout_of(
+    TermHomogeneity, "symbol statistic dof p_value spread factor highest_s lowest_s", symbol=one_of(*TERMS)
 )
-_TRACE = _layout(Trace, "tau_s= value low high unit=")
-_SEGMENTS = _layout(Segments, "level= start_s end_s~start_s N=white floor terms")
-_CURVE = _layout(
+_TRACE = layout_of(Trace, "tau_s= value low high unit=")
+_SEGMENTS = layout_of(Segments, "level= start_s end_s~start_s N=white floor terms")
+_CURVE = layout_of(
     AllanCurve,
     "level= estimator computed edf_method n tau_s=tau m~tau_s adev=avar~tau_s low= high= edf~tau_s "
     "model_adev= used=",
     tau_s=_rising,
     adev=lambda node: node.array() ** 2,
 )
-_TERM = _layout(
+_TERM = layout_of(
     Estimate,
     "symbol name= status value low high unit= datasheet= drawn= alternatives? horizon_s? widening? "
     "correlation_time? phi= q=",
-    symbol=_one_of(*TERMS),
-    low=_OR_NAN,
-    high=_OR_INFINITE,
-    alternatives=_list_of(_one_of(*TERMS)),
-    horizon_s=_OR_INFINITE,
+    symbol=one_of(*TERMS),
+    low=OR_NAN,
+    high=OR_INFINITE,
+    alternatives=list_of(one_of(*TERMS)),
+    horizon_s=OR_INFINITE,
 )
-_BINS = _layout(
+_BINS = layout_of(
     Bins,
     "version scale tau0_s=tau0 widening n start~n first size~first power~first regressors=names cross gram",
     **dict.fromkeys(("scale", "tau0_s", "widening"), Node.positive),
 )
-_FIT = _layout(
+_FIT = layout_of(
     NoiseFit,
     "method model= expression=model rate_hz level criterion goodness terms=estimates parameters covariance "
     "response candidates segments? settings bins?",
@@ -434,18 +217,18 @@ _FIT = _layout(
     rate_hz=Node.positive,
     level=_level,
     terms=_estimates,
-    segments=_maybe(_segments),
+    segments=maybe(_segments),
     bins=_bins,
 )
-_AXIS = _layout(
+_AXIS = layout_of(
     AxisReport,
     "name sensor axis unit samples rate_hz duration_s mean std gaps curve= minimum= spectrum fit",
     rate_hz=Node.positive,
-    mean=_OR_NAN,
-    std=_OR_NAN,
+    mean=OR_NAN,
+    std=OR_NAN,
 )
-_REPORT = _layout(Report, "version source settings axes findings", axes=_list_of(_axis))
-_PAIR = _layout(FilterNumbers, "horizon_s step_s white walk basis ratios")
+_REPORT = layout_of(Report, "version source settings axes findings", axes=list_of(_axis))
+_PAIR = layout_of(FilterNumbers, "horizon_s step_s white walk basis ratios")
 
 
 def to_document(report: Report) -> JsonObject:
@@ -594,39 +377,6 @@ def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> JsonObj
     )
 
 
-def plain(value: object) -> object:
-    """Return `value` as JSON knows it: arrays as lists, not-a-number and infinity as null.
-
-    What a layout is known for becomes an object; a value of a kind that JSON can't hold is a TypeError.
-    """
-    if value is None or isinstance(value, bool | str | int):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if type(value) in _LAYOUTS:
-        value = _LAYOUTS[type(value)].write(value)
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, Sequence):
-        return [plain(item) for item in value]
-    if isinstance(value, PurePath):
-        return str(value)
-    raise TypeError(f"{type(value).__name__} can't be written to a report: {value!r}")
-
-
-def picked(value: object, names: str) -> JsonObject:
-    """Return attributes of a value as JSON values, such as ``axis term=key``: `key` stands under ``term``."""
-    pairs = (name.partition("=")[::2] for name in names.split())
-    return {key: plain(getattr(value, attribute or key)) for key, attribute in pairs}
-
-
-def dumps(document: object) -> str:
-    """Return the text of a JSON document: one key a line, a list of plain values on one line."""
-    return _text(document, "") + "\n"
-
-
 def schema() -> JsonObject:
     """Return the JSON Schema of `report.json`, as the package ships it."""
     from importlib.resources import files
@@ -699,14 +449,3 @@ def _with_signals(report: Report, file: Path) -> Report:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"it holds {name}")
-
-
-def _text(value: object, indent: str) -> str:
-    inner = f"{indent}  "
-    if isinstance(value, dict) and value:
-        lines = [f"{inner}{json.dumps(k)}: {_text(v, inner)}" for k, v in value.items()]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
-        lines = [inner + _text(item, inner) for item in value]
-        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)

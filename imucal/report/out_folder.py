@@ -64,8 +64,9 @@ class OutFolder:
     def refuse_foreign(self, names: Iterable[str] = ()) -> None:
         """Raise a WriteError unless the folder is missing, empty or ours, and files may have the names."""
         with self._translated():
-            ours = self.shared or has_schema(self.path / self.document, self.schema)
-            if (held := held_by(self.path)) and not ours:
+            # Look for files first: a folder of another run appears in one step, with its document.
+            held = held_by(self.path)
+            if held and not (self.shared or has_schema(self.path / self.document, self.schema)):
                 msg = (
                     f"{self.path}: contains {held} but no {self.what}; nothing was changed; choose another "
                     "folder"

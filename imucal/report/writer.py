@@ -10,14 +10,8 @@ from imucal.arguments import takes
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report.json_file import (
-    SCHEMA,
-    SIGNAL_FILE,
-    axis_document,
-    dumps,
-    signal_document,
-    to_document,
-)
+from imucal.report.json_file import SCHEMA, SIGNAL_FILE, axis_document, signal_document, to_document
+from imucal.report.json_node import dumps
 from imucal.report.out_folder import OutFolder
 from imucal.report.result import Report
 

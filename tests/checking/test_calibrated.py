@@ -12,7 +12,7 @@ from imucal.calibration.document import to_document
 from imucal.checking import CheckResult, parse_limits
 from imucal.checking.calibrated import check_calibration
 from imucal.errors import LimitsError
-from imucal.report.json_file import Node, plain
+from imucal.report.json_node import Node, plain
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.report.synthetic import consumer_report
 

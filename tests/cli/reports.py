@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from imucal.report.json_file import dumps, to_document
+from imucal.report.json_file import to_document
+from imucal.report.json_node import dumps
 from imucal.report.result import Report
 from tests.report.synthetic import consumer_report
 

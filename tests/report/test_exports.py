@@ -24,7 +24,8 @@ from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.config_numbers import Choices, Numbers, flicker_bank
 from imucal.report.exports.target import comment, decimal, real
-from imucal.report.json_file import dumps, from_document, to_document
+from imucal.report.json_file import from_document, to_document
+from imucal.report.json_node import dumps
 from imucal.report.result import AxisReport, Report
 from tests.report.downstream import READERS, Recovered, opencv
 from tests.report.synthetic import axis_report, small_report

@@ -16,16 +16,8 @@ import imucal
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.recording import LogFileInfo, Source
-from imucal.report.json_file import (
-    axis_document,
-    dumps,
-    from_document,
-    load,
-    plain,
-    schema,
-    signal_document,
-    to_document,
-)
+from imucal.report.json_file import axis_document, from_document, load, schema, signal_document, to_document
+from imucal.report.json_node import dumps, plain
 from imucal.report.result import Report
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 

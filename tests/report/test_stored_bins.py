@@ -12,7 +12,8 @@ import pytest
 
 import imucal
 from imucal.errors import ReadError
-from imucal.report.json_file import dumps, from_document, schema, to_document
+from imucal.report.json_file import from_document, schema, to_document
+from imucal.report.json_node import dumps
 from imucal.report.result import Report
 from tests.cli.run import run
 from tests.fleet.records import fit_of, simulated

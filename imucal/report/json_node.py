@@ -1,0 +1,294 @@
+"""JSON documents: nodes that know their place, layouts of values, and the text of a document.
+
+``node["fit"]["method"].text()`` raises `ReadError` with the place, what was found and what was expected, so
+no caller checks types. A `Layout` reads and writes a dataclass. Numbers that are not finite are null.
+"""
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import PurePath
+from typing import Any, Generic, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.errors import ReadError
+from imucal.recording import Sensor
+
+#: Number of characters of a wrong value in a message.
+_SHOWN = 40
+#: An object of a document.
+JsonObject: TypeAlias = dict[str, object]
+A = TypeVar("A")
+T = TypeVar("T", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value of the document and its place, such as ``report.json: axes[2].fit.method``."""
+
+    value: object
+    file: str
+    place: str = ""
+
+    def __getitem__(self, key: str) -> "Node":
+        """Return the value under `key`, which must be there."""
+        table = self.table()
+        if key not in table:
+            keys = ", ".join(table) or "no keys"
+            self.fail(f"found {keys}", f"the key {key!r}")
+        return Node(table[key], self.file, f"{self.place}.{key}".lstrip("."))
+
+    def __iter__(self) -> Iterator["Node"]:
+        """Yield the items of a list."""
+        for index, item in enumerate(self._of("a list", list)):
+            yield Node(item, self.file, f"{self.place}[{index}]")
+
+    def fail(self, found: str, expected: str) -> NoReturn:
+        """Raise the error that names this place."""
+        where = f"{self.file}: {self.place}" if self.place else self.file
+        raise ReadError(f"{where}: {found}, expected {expected}; write the report again")
+
+    def table(self) -> JsonObject:
+        """Return the value, which must be an object."""
+        return self._of("an object", dict)
+
+    def maybe(self, read: Callable[["Node"], A]) -> A | None:
+        """Return None for null, otherwise `read(self)`."""
+        return None if self.value is None else read(self)
+
+    def text(self, *allowed: str) -> str:
+        """Return the value, which must be a text; one of `allowed` if given."""
+        value = self._of("a text", str)
+        if allowed and value not in allowed:
+            self._refuse(" or ".join(f'"{choice}"' for choice in allowed))
+        return value
+
+    def texts(self) -> tuple[str, ...]:
+        """Return a list of texts."""
+        return tuple(item.text() for item in self)
+
+    def number(self, *, null: float | None = None) -> float:
+        """Return the value, which must be a number; `null` replaces null if given."""
+        if self.value is None and null is not None:
+            return null
+        value = self._of("a number", float, int)
+        if not math.isfinite(value):
+            self._refuse("a finite number")
+        return float(value)
+
+    def positive(self) -> float:
+        """Return the value, which must be a number above 0."""
+        value = self.number()
+        if value <= 0:
+            self._refuse("a number above 0")
+        return value
+
+    def count(self) -> int:
+        """Return the value, which must be a whole number from 0."""
+        value = self._of(expected := "a whole number from 0", int)
+        if value < 0:
+            self._refuse(expected)
+        return value
+
+    def integer(self) -> int:
+        """Return the value, which must be a whole number."""
+        return self._of("a whole number", int)
+
+    def pair(self) -> tuple[float, float]:
+        """Return a list of two numbers."""
+        values = [item.number() for item in self]
+        if len(values) != 2:
+            self._refuse("a list of two numbers")
+        return values[0], values[1]
+
+    def array(self, *, like: int | None = None) -> FloatArray:
+        """Return a list of numbers, null as NaN, with `like` items if given; shape (k,)."""
+        return self.sized(np.array([item.number(null=math.nan) for item in self], np.float64), like)
+
+    def counts(self, *, like: int | None = None) -> IntArray:
+        """Return a list of whole numbers, with `like` items if given; shape (k,)."""
+        return self.sized(np.array([item.count() for item in self], dtype=np.int64), like)
+
+    def matrix(self, size: int) -> FloatArray:
+        """Return a square list of lists of numbers, null as NaN; shape (size, size)."""
+        rows = [row.array(like=size) for row in self]
+        if len(rows) != size:
+            self._refuse(f"{size} rows")
+        return np.array(rows, dtype=np.float64).reshape(size, size)
+
+    def sized(self, array: NDArray[T], like: int | None) -> NDArray[T]:
+        """Return the array of this list; its size must be `like` if given."""
+        if like is not None and array.size != like:
+            self.fail(f"found a list of {array.size}", f"{like} items, like the other lists")
+        return array
+
+    def _of(self, expected: str, *kinds: type[A]) -> A:
+        """Return the value, which must have one of some types; a boolean is not a number."""
+        if isinstance(self.value, bool) or not isinstance(self.value, kinds):
+            self._refuse(expected)
+        return self.value
+
+    def _refuse(self, expected: str) -> NoReturn:
+        found = json.dumps(self.value)
+        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}…"
+        self.fail(f"found {shown}", expected)
+
+
+#: Returns the attribute in a node.
+Reader: TypeAlias = Callable[[Node], Any]
+
+
+class Key(NamedTuple):
+    """A key of an object; `like` is the key of a list of the same length, `read` returns the attribute."""
+
+    name: str
+    optional: bool
+    attribute: str
+    like: str
+    read: Reader | None
+
+
+@dataclass(frozen=True, slots=True)
+class Layout(Generic[A]):
+    """The keys of the object for a dataclass."""
+
+    make: Callable[..., A]
+    keys: tuple[Key, ...]
+
+    def read(self, node: Node, **known: object) -> A:
+        """Return the value of an object; `known` contains attributes that are not read from it."""
+        found: dict[str, Any] = dict(known)
+        sizes: dict[str, int] = {}
+        for key in self.keys:
+            absent = key.optional and key.name not in node.table()
+            if key.read is None or key.attribute in known or absent:
+                continue
+            found[key.attribute] = value = key.read(node[key.name])
+            if isinstance(value, np.ndarray):
+                sizes[key.name] = value.shape[-1]
+                node[key.name].sized(value, sizes.get(key.like))
+        return self.make(**found)
+
+    def write(self, value: A, **said: object) -> JsonObject:
+        """Return the value as an object; `said` contains values of keys that are not attributes."""
+        found: JsonObject = {}
+        for key in self.keys:
+            held = getattr(value, key.attribute) if key.attribute else None
+            if key.name in said or (key.attribute and not (key.optional and held is None)):
+                found[key.name] = said.get(key.name, held)
+        return found
+
+
+def one_of(*allowed: str) -> Reader:
+    """Return a reader of some texts."""
+    return lambda node: node.text(*allowed)
+
+
+def maybe(read: Reader) -> Reader:
+    """Return a reader that returns None for null."""
+    return lambda node: node.maybe(read)
+
+
+def list_of(read: Reader) -> Reader:
+    """Return a reader of a list."""
+    return lambda node: tuple(map(read, node))
+
+
+def number_or(null: float) -> Reader:
+    """Return a reader of a number, or a replacement of null."""
+    return lambda node: node.number(null=null)
+
+
+OR_NAN, OR_INFINITE = number_or(math.nan), number_or(math.inf)
+#: Type of an attribute -> its usual reader; `layout_of` adds readers of dataclasses.
+READERS: dict[object, Reader] = {
+    str: Node.text,
+    int: Node.count,
+    float: Node.number,
+    FloatArray: Node.array,
+    IntArray: Node.counts,
+    Sensor: lambda node: Sensor(node.text(*Sensor)),
+    Mapping[str, object]: Node.table,
+    str | None: maybe(Node.text),
+    int | None: maybe(Node.integer),
+    float | None: maybe(Node.number),
+    tuple[str, ...]: Node.texts,
+    tuple[float, float]: Node.pair,
+    tuple[float, float] | None: maybe(Node.pair),
+}
+#: Class of a value -> its layout.
+_LAYOUTS: dict[type, Layout[Any]] = {}
+
+
+def layout_of(make: type[A], keys: str, **read: Reader) -> Layout[A]:
+    """Return the layout of a dataclass and register it for values that contain the class.
+
+    A key has the form ``name?=attribute~like``. With the question mark it may be missing, and it is not
+    written if its value is None. Without ``=`` the attribute has the name of the key; with ``=`` alone there
+    is no attribute, and the caller of `Layout.write` gives the value. `read` has readers of keys whose types
+    are not in `READERS`.
+    """
+    types: dict[str, Any] = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
+    made = []
+    for text in keys.split():
+        name, optional, same, attribute, like = re.fullmatch(  # type: ignore[union-attr]
+            r"(\w+)(\??)(=?)(\w*)~?(\w*)", text
+        ).groups()
+        attribute = attribute if same else name
+        kind = types.get(attribute)
+        usual = one_of(*get_args(kind)) if get_origin(kind) is Literal else READERS.get(kind)
+        made.append(Key(name, bool(optional), attribute, like, read.get(name, usual)))
+    layout = _LAYOUTS[make] = Layout(make, tuple(made))
+    READERS.update(
+        {make: layout.read, make | None: maybe(layout.read), tuple[make, ...]: list_of(layout.read)}  # type: ignore[valid-type]
+    )
+    return layout
+
+
+def plain(value: object) -> object:
+    """Return `value` as JSON values: arrays as lists, values with a layout as objects, NaN as null.
+
+    Raises TypeError for other types.
+    """
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if type(value) in _LAYOUTS:
+        value = _LAYOUTS[type(value)].write(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence):
+        return [plain(item) for item in value]
+    if isinstance(value, PurePath):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} can't be written to a report: {value!r}")
+
+
+def picked(value: object, names: str) -> JsonObject:
+    """Return attributes of a value as JSON values; ``term=key`` puts the attribute `key` under ``term``."""
+    pairs = (name.partition("=")[::2] for name in names.split())
+    return {key: plain(getattr(value, attribute or key)) for key, attribute in pairs}
+
+
+def dumps(document: object) -> str:
+    """Return the text of a JSON document: one key a line, a list of plain values on one line."""
+    return _text(document, "") + "\n"
+
+
+def _text(value: object, indent: str) -> str:
+    inner = f"{indent}  "
+    if isinstance(value, dict) and value:
+        lines = [f"{inner}{json.dumps(k)}: {_text(v, inner)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        lines = [inner + _text(item, inner) for item in value]
+        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
