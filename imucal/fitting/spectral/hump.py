@@ -24,6 +24,10 @@ _BELOW, _ABOVE = 16.0, 0.05
 #: White noise must be this share of the density in the `_NEXT` bins on both sides, else a filter is more
 #: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
+#: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white
+#: noise behind a filter. Its cells of `_CELL` octaves contain at least `_COUNT` ordinates and may differ by
+#: `_EVEN` in addition to chance.
+_ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
 #: The interval is widened by this factor: the bins next to the run are those that happened to be low.
 _GUARD = 1.2
 #: Fits, and the fewest bins of one.
@@ -81,7 +85,39 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
     beside = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
     if hump is None or hump.times < _TIMES:
         return None
+    inside = slice(first, last + 1)
+    if is_plateau(
+        fraction[: last + 1], size[: last + 1], (ratio * spectrum[order])[: last + 1], ratio[inside]
+    ):
+        return None
     return hump.wider() if beside.min() >= (_WHITE if hump.times < _STRONG else _WHITE_IF_STRONG) else None
+
+
+def is_plateau(fraction: FloatArray, size: FloatArray, density: FloatArray, ratio: FloatArray) -> bool:
+    """Return whether a run of bins is a plateau and not a hump.
+
+    `ratio` is the density of the run relative to the noise; the other arrays also contain the bins below it.
+    """
+    cell = np.floor(np.log2(fraction / fraction[-1]) / _CELL)
+    starts = np.flatnonzero(np.diff(cell, prepend=-np.inf))
+    count = np.add.reduceat(size, starts)
+    level = np.add.reduceat(density * size, starts) / count
+    inside = np.zeros(fraction.size)
+    inside[-ratio.size :] = ratio
+    times = np.add.reduceat(inside * size, starts) / count
+    least = round(_OCTAVES / _CELL)
+    for i in range(starts.size - least + 1):
+        run = slice(i, i + least)
+        mean = np.average(level[run], weights=count[run])
+        allowed = _EVEN * mean + 2 * mean * np.sqrt(2 / count)
+        known = count[run].min() >= _COUNT and times[run].min() >= _ABOVE_NOISE
+        if (
+            known
+            and np.all(np.abs(level[run] - mean) <= allowed[run])
+            and np.all(level[:i] >= mean - allowed[:i])
+        ):
+            return True
+    return False
 
 
 def largest_run(values: FloatArray) -> tuple[int, int, float]:

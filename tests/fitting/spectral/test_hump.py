@@ -1,10 +1,12 @@
 """Vibration in a band of frequencies is left out of the fit, and nothing else is taken for it."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy import signal
 
-from imucal.fitting.spectral.hump import largest_run
+from imucal.fitting.spectral.hump import is_plateau, largest_run
 from tests.fitting.fits import fitted, simulated
 
 
@@ -27,7 +29,7 @@ def test_a_hump_is_left_out(times: int) -> None:
     held = {"N": 0, "B": 0}
     for seed in range(6):
         rng = np.random.default_rng([times, seed])
-        vibration = signal.lfilter(*passed, rng.standard_normal(n)) * 1e-4 * np.sqrt(rate * (times - 1))
+        vibration = signal.lfilter(*passed, rng.standard_normal(n)) * 1e-4 * math.sqrt(rate * (times - 1))
         fit = fitted(simulated("N=1e-4 + B=5e-5", n, seed, rate_hz=rate) + vibration, rate_hz=rate)
         held["N"] += fit["N"].low <= 1e-4 <= fit["N"].high
         held["B"] += fit["B"].low <= 5e-5 <= fit["B"].high
@@ -44,3 +46,30 @@ def test_noise_without_vibration_has_no_hump(seed: int) -> None:
     smooth = signal.lfilter([0.2], [1, -0.8], samples - samples[0])[200:]
     for own in (samples, smooth):
         assert all(finding.code != "hump" for finding in fitted(own, rate_hz=100.0).findings)
+
+
+@pytest.mark.parametrize("times", [1, 15])
+@pytest.mark.parametrize("seed", range(2))
+def test_white_noise_behind_a_filter_is_no_hump(times: int, seed: int) -> None:
+    """Half the power is left at Nyquist, and a vibration at 16 to 25 Hz; N is the plateau below both."""
+    n, rate = 250_000, 100.0
+    samples = simulated("N=7e-4 + B=1.5e-4", n, seed, rate_hz=rate)
+    filtered = signal.lfilter([0.854, 0.146], [1.0], samples - samples[0])
+    rng = np.random.default_rng([times, seed])
+    passed = signal.butter(2, (0.32, 0.5), "band")
+    vibration = signal.lfilter(*passed, rng.standard_normal(n)) * 7e-4 * math.sqrt(rate * (times - 1))
+    fit = fitted(filtered + vibration, rate_hz=rate)
+    assert all(finding.code != "hump" for finding in fit.findings)
+    assert fit["N"].value == pytest.approx(7e-4, rel=0.02)
+
+
+def test_a_plateau_has_no_lower_density_below_it() -> None:
+    """A band of vibration with a flat top has: it is a hump."""
+    fraction = np.geomspace(1e-3, 1.0, 60)
+    size = np.full(60, 500.0)
+    plateau = np.where(fraction < 0.3, 2.0, 1.0)
+    assert is_plateau(fraction[:50], size[:50], plateau[:50], plateau[20:50])
+    band = np.where((fraction > 0.02) & (fraction < 0.3), 2.0, 1.0)
+    assert not is_plateau(fraction[:50], size[:50], band[:50], band[26:50])
+    slope = fraction**-0.5
+    assert not is_plateau(fraction, size, slope, slope[:40])
