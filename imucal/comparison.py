@@ -1,13 +1,12 @@
-"""compare: two reports -> which terms differ, and how sure that is.
+"""compare: two reports -> the terms that differ, and the p-values.
 
-Each term of each axis gets the score of its difference and a two-sided p-value. The standard
-deviation of a difference comes from the limits that face each other: the lower one of the larger
-value, the upper one of the smaller (Zou & Donner 2008, the MOVER method), so that lopsided
-intervals are taken as they are. p-values are adjusted for the number of terms that were tested
-(Holm 1979): of two reports of the same sensor, a fraction `alpha` shows any difference at all.
+Each term of each axis has the score of its difference and a two-sided p-value. The standard deviation of a
+difference follows from the lower limit of the larger value and the upper limit of the smaller (Zou & Donner
+2008, the MOVER method), which is right for asymmetric intervals. p-values are adjusted for the number of
+tested terms (Holm 1979): two reports of the same sensor show any difference with probability `alpha`.
 
-A term that one report estimates and the other bounds is tested against zero with the bound's
-width; two bounds can't be told apart.
+A term that one report estimates and the other bounds is tested against zero with the width of the bound. Two
+bounds are not tested.
 """
 
 import math
@@ -35,12 +34,11 @@ _TIME = ".T"
 
 @frozen
 class Difference:
-    """One term of one axis in both reports: the estimates a and b, None where a report has none.
+    """One term of one axis in both reports: the estimates a and b, None if a report has none.
 
-    `axis`, `key` and `symbol` are such as ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time) and
-    ``GM``, the unit is SI. `z` is the score of their difference, less the tolerance, `p` its two-sided
-    p-value and `p_adjusted` that after Holm's adjustment for all terms tested, all None where nothing was
-    tested.
+    `axis`, `key` and `symbol` are, for example, ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time) and
+    ``GM``; the unit is SI. `z` is the score of the difference beyond the tolerance, `p` the two-sided
+    p-value, `p_adjusted` the p-value after Holm's adjustment; all are None if the term was not tested.
     """
 
     axis: str
@@ -57,7 +55,7 @@ class Difference:
 
     @property
     def ratio(self) -> float | None:
-        """The ratio b / a of the values; None where either is bounded, missing, or a is zero."""
+        """The ratio b / a of the values; None if either is bounded or missing, or a is zero."""
         if self.a is None or self.b is None or not self.a.value or self.b.value is None:
             return None
         return self.b.value / self.a.value
@@ -65,11 +63,11 @@ class Difference:
 
 @frozen
 class Comparison:
-    """What came of comparing the reports of two logs, whose paths are a and b.
+    """The comparison of the reports of two logs with the paths `a` and `b`.
 
-    `alpha` is the probability of calling any term different when none is, `tolerance` the relative
-    difference that doesn't count. There is a difference for each term of each axis; `notes` are sentences
-    on what else may make the reports differ.
+    `alpha` is the probability of any false difference, `tolerance` the relative difference that is ignored.
+    `differences` has an entry for each term of each axis. `notes` contains sentences on other causes of
+    differences.
     """
 
     a: str
@@ -81,7 +79,7 @@ class Comparison:
 
     @property
     def tested(self) -> int:
-        """How many terms were tested."""
+        """Number of tested terms."""
         return sum(difference.p is not None for difference in self.differences)
 
     @property
@@ -99,11 +97,10 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
     a, b
         The reports; b is judged against a.
     alpha
-        Probability of calling any term different when none is.
+        Probability of any false difference.
     tolerance
-        Relative difference, such as 0.05, that doesn't count: only what is significantly beyond it
-        differs. Intervals know how much the noise differs between parts of one record; another day or
-        another temperature may differ by more.
+        Relative difference that is ignored, such as 0.05. Intervals include differences between parts of one
+        record; another day or another temperature may differ by more.
 
     Raises
     ------
@@ -140,7 +137,7 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
 
 
 def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator[str]:
-    """Say where the two were not made alike."""
+    """Yield notes on different methods and rates."""
     both = [(a[name], b[name]) for name in a if name in b]
     pairs = {
         "fitted by": {(one.fit.method, other.fit.method) for one, other in both},
@@ -181,11 +178,11 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
 
 
 def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
-    """Return an axis's estimates by key; correlation times are estimates of their own, ``GM.T``."""
+    """Return an axis's estimates by key; a correlation time has its own, such as ``GM.T``."""
     found: dict[str, Estimate] = {}
     for estimate in () if axis is None else axis.fit.estimates:
         if not estimate.high and estimate.value is None:
-            continue  # a model that was given doesn't speak of it
+            continue  # not in the given model
         found[estimate.key] = estimate
         if (time := estimate.correlation_time) is not None:
             key = estimate.key + _TIME
@@ -201,7 +198,7 @@ def _symbol(key: str) -> str:
 
 
 def _score(a: Estimate, b: Estimate, levels: tuple[float, float], tolerance: float) -> float | None:
-    """Return the score of b - a beyond the tolerance; None where both are bounds."""
+    """Return the score of b - a beyond the tolerance; None if both are bounds."""
     if a.value is None and b.value is None:
         return None
     first, second = a.value or 0.0, b.value or 0.0
@@ -211,7 +208,7 @@ def _score(a: Estimate, b: Estimate, levels: tuple[float, float], tolerance: flo
     sides = ((a, levels[0]), (b, levels[1]))
     (larger, level), (smaller, level_smaller) = sides[::-1] if second > first else sides
     if smaller.value is None and level_smaller > 0.5:
-        # A bound is one-sided: all of its tail is above.
+        # A bound is one-sided.
         level_smaller = 2 * level_smaller - 1
     down = ((larger.value or 0.0) - larger.low) / _quantile(level)
     up = (smaller.high - (smaller.value or 0.0)) / _quantile(level_smaller)

@@ -1,11 +1,10 @@
-"""How long to record: the length that tells each term to a wanted precision, and what a record tells.
+"""How long to record: the length for a given precision of each term, and the precision of a given length.
 
-Precision is relative: 0.1 means that the standard error (or, at another level, the half-width of
-the interval) is 10 % of the coefficient. All by numeric Fisher information, see
-`imucal.fitting.spectral.precision`. Beyond 10 % real intervals are wider than that, and a term must also
-be *shown*: an interval that reaches zero is printed as a bound, however narrow it was planned. Both are
-included as the default fit was measured to do (`tests/benchmarks/planned.py`), which has to find out by
-itself whether N, B and K are there.
+Precision is relative: 0.1 means that the standard error (or, at another level, the half-width of the
+interval) is 10 % of the coefficient. It follows from numeric Fisher information, see
+`imucal.fitting.spectral.precision`. Above 10 % real intervals are wider, and a term whose interval reaches
+zero is only bounded. Both effects are included as measured for the default fit, which chooses its terms
+(`tests/benchmarks/planned.py`).
 """
 
 import math
@@ -25,39 +24,37 @@ from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 from imucal.solvers import root, root_near
 
-#: The level of an interval of one standard deviation to each side.
+#: Confidence level of an interval of one standard deviation on each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
-#: The relative precision that is planned for where nobody asks for another.
+#: Default relative precision.
 _SHARP = 0.1
-#: Nobody records for longer, in s: ten years. Longer needs are infinite.
+#: Longest record, in s: ten years. Longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
-#: Where the search for a length begins without a record, in s.
+#: First length in the search if there is no record, in s.
 _USUAL = 3600.0
-#: Natural logarithm of the standard error of a record that tells nothing.
+#: Natural logarithm of the standard error of a record without information.
 _NOTHING_TOLD = 50.0
-#: How exactly a needed length is found, in natural logarithm: the last step of secants may be longer, since
-#: it leads far nearer; and a record has whole samples.
+#: Tolerance of a needed length and of the last secant step, in natural logarithm. That step may be longer: it
+#: lands far closer, and a record has whole samples.
 _TOLERANCE, _LAST_STEP = 1e-4, 5e-3
-#: A record that is so much of a factor too short is worth a sentence.
+#: A finding reports a record that is too short by at least this factor.
 _WORTH_SAYING = 1.05
-#: Half of all records show a term whose standard error is the first figure; the normal law of what the
-#: others need has the second as its deviation. Flicker, which looks like both its neighbours, needs more
-#: than a walk; a ramp is one number, told or not. Measured at the price of chance.
+#: Relative standard error at which half of all records show a term, and the standard deviation of this limit.
+#: Flicker resembles both its neighbours and needs more than a walk. Measured at the price of chance.
 _SHOWN = {"B": (0.25, 0.13), "R": (0.25, 0.07)}
 _SHOWN_USUALLY = (0.305, 0.09)
-#: The share of records that should show a term before a length of record is called enough for it.
+#: A length is enough for a term if this share of records shows it.
 MOSTLY_SHOWN = 0.8
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What one parameter needs, such as ``N``, ``GM.sigma`` or ``GM.T``, of the term with that symbol.
+    """The length that a parameter such as ``N``, ``GM.sigma`` or ``GM.T`` needs.
 
-    `value` is its coefficient (s for a correlation time), in SI; where it is `bounded` an upper bound: a
-    term that large would need so much. `needed_s` is the length of record for the wanted precision, in s,
-    long enough to show the term in four of five records; infinite where no record tells it. `reached` is
-    the relative precision that the record at hand gives, `shown` the share of records as long that tell the
-    term from zero; the others only bound it. Both are None where no record is at hand.
+    `value` is the coefficient in SI (a correlation time in s), or an upper bound if `bounded`. `needed_s` is
+    the length of record, in s, for the precision, long enough to show the term in four of five records;
+    infinite if no record shows it. `reached` is the relative precision of the present record, `shown` the
+    share of records of this length that show the term; the others bound it. Both are None without a record.
     """
 
     name: str
@@ -83,7 +80,7 @@ class AxisPlan:
 
 @frozen
 class Plan:
-    """What records of some length tell, for a relative precision at a level."""
+    """The lengths of record for a relative precision at a confidence level."""
 
     precision: float
     level: float
@@ -91,19 +88,19 @@ class Plan:
 
     @property
     def needed_s(self) -> float:
-        """The length that is enough for every parameter that was seen, in s."""
+        """The length that is enough for every parameter that is not bounded, in s."""
         return max((n.needed_s for a in self.axes for n in a.needs if not n.bounded), default=math.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class _Ask:
-    """What is asked of a model: rate, relative precision at a level, and the record at hand, if any."""
+    """Sampling rate, relative precision at a level, and the length of the present record, if any."""
 
     rate_hz: float
     precision: float
     level: float
     duration_s: float | None
-    #: Whether a length is looked for only where that of the record at hand is not enough.
+    #: Whether to search for a length only if the present record is too short.
     longer: bool = False
 
     @property
@@ -136,7 +133,7 @@ def plan(
     level
         Confidence level of that interval; by default one standard deviation.
     duration_s
-        Length of a record whose precision is to be told as well; a report's own by default.
+        Length of a record whose precision to compute too; the report's own by default.
 
     Raises
     ------
@@ -169,7 +166,7 @@ def plan(
 
 
 def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
-    """Yield a report's axes by name; those of a sensor that share one model as one, by the sensor's."""
+    """Yield the axes of a report by name; axes of a sensor with the same fit as one, by the sensor's name."""
     for sensor, axes in report.by_sensor.items():
         if len(axes) > 1 and all(axis.fit is axes[0].fit for axis in axes):
             yield sensor.short, axes[0]
@@ -178,10 +175,9 @@ def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
 
 
 def resolution_findings(fit: NoiseFit, duration_s: float) -> tuple[Finding, ...]:
-    """Say for each term whether the record was long enough, such as ``K needs 6.2 h for ±10 %, …``.
+    """Return a finding such as ``K needs 6.2 h for ±10 %, …`` for each term that needs a longer record.
 
-    One finding for each term of the fit that the record tells less precisely than ±10 % (one
-    standard deviation); a term that was not seen is taken at its upper bound.
+    The precision is ±10 % (one standard deviation); for a bounded term, the upper bound is used.
     """
     needs = _fit_plan(fit, _Ask(fit.rate_hz, _SHARP, ONE_DEVIATION, duration_s, longer=True)).needs
     findings = []
@@ -215,7 +211,7 @@ def _two_digits(value: float) -> str:
 
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
-    """Return the needs of the terms that a fit estimated, and of those it bounded, at their bounds."""
+    """Return the needs of the estimated terms, and of the bounded terms at their bounds."""
     seen = [(e.term(e.value), False) for e in fit.estimates if e.value and e.drawn]
     unseen = [
         (e.term(e.high), True)
@@ -227,7 +223,7 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
-    """Return the needs of terms, each of them in the model or, if bounded, added to it alone."""
+    """Return the needs of terms; a bounded term is added to the model alone."""
     wanted = ask.precision / ask.quantile
     needs: list[Need] = []
     for term, bounded in terms:
@@ -248,33 +244,33 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
 
 
 def _bound(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> float:
-    """Return the least relative standard error where N, B and K that the model lacks may be there too."""
+    """Return the smallest relative standard error if missing N, B and K are estimated too."""
     there = {term.symbol for term in model.terms}
     beside = [symbol for symbol in ALWAYS if symbol not in there]
     return relative_deviations(model, rate_hz=rate_hz, duration_s=duration_s, beside=beside)[name]
 
 
 def _found(bound: float) -> float:
-    """Return the relative standard error that a fit reports where the least one is `bound`."""
+    """Return the relative standard error that a fit reports if the smallest one is `bound`."""
     return bound * (1 + min(max(bound - 0.1, 0.0), 0.3))
 
 
 def _share_shown(name: str, bound: float) -> float:
-    """Return the share of records whose interval excludes zero where the least standard error is `bound`."""
+    """Return the share of records whose interval excludes zero if the smallest standard error is `bound`."""
     half, width = _SHOWN.get(name, _SHOWN_USUALLY)
     return 0.5 * math.erfc((bound - half) / (math.sqrt(2) * width))
 
 
 def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s: float) -> float:
-    """Return the length of record, in s, with which a parameter's least relative standard error is `enough`.
+    """Return the length of record, in s, at which the smallest relative standard error is `enough`.
 
-    The search begins at a record of `near_s`.
+    The search starts at `near_s`.
     """
     target = math.log(enough)
 
     def excess(log_duration: float) -> float:
         bound = _bound(model, name, rate_hz, math.exp(log_duration))
-        # A record too short to tell anything: finite, so that the search goes on from there.
+        # A record without information: finite, so that the search continues.
         return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NOTHING_TOLD
 
     low, high = math.log(2 / rate_hz), math.log(_LONGEST)
@@ -287,7 +283,7 @@ def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s:
 
 
 def _largest_bound(name: str, wanted: float) -> float:
-    """Return the largest least standard error for a fit's to be `wanted` and most records to show it."""
+    """Return the largest `bound` for which a fit reports `wanted` and most records show the term."""
     from scipy.special import ndtri
 
     half, width = _SHOWN.get(name, _SHOWN_USUALLY)
