@@ -1,6 +1,6 @@
 """The limits file: TOML in, checked values out, each limit with the factor of its unit.
 
-A limit stands under what it is about: an axis (``gyro_x``), a sensor (``gyroscope``: its axes) or the log::
+A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all its axes) or the log::
 
     [gyroscope]
     N = { max = 0.3, unit = "deg/sqrt(h)" }     # SI where no unit is given
@@ -27,20 +27,19 @@ T = TypeVar("T")
 Side: TypeAlias = Literal["min", "max"]
 Undecided: TypeAlias = Literal["pass", "fail"]
 
-#: Levels of findings, the gravest last.
+#: Levels of findings, the most severe last.
 GRAVE = ("info", "warning", "error")
 
-#: Every code that a finding may have, so that a limits file can't forbid one that doesn't exist.
+#: All codes of findings; a limits file with another code is refused.
 FINDING_CODES = frozenset(code_texts())
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """One side, ``min`` or ``max``, of what is allowed: a value in a unit as the file has it.
+    """A lower or upper limit (`side`) with the value and unit of the file; ``value * factor`` is in SI.
 
-    It is about ``log``, a sensor such as ``gyroscope``, an axis such as ``gyro_x``, or a calibrated sensor
-    such as ``calibration.gyroscope``, and a quantity: a term's symbol, or a name in `imucal.checking.limits`.
-    ``value * factor`` is the limit in SI.
+    `where` is ``log``, a sensor such as ``gyroscope``, an axis such as ``gyro_x``, or a calibrated sensor such
+    as ``calibration.gyroscope``. `quantity` is the symbol of a term, or a name in `imucal.checking.limits`.
     """
 
     where: str
@@ -53,7 +52,7 @@ class Limit:
 
 @frozen
 class FindingRules:
-    """Which findings fail the check: those of `level` or graver, and `forbid`, but never `allow`."""
+    """The findings that fail the check: of `level` or more severe, and `forbid`, except `allow`."""
 
     level: str = "error"
     forbid: frozenset[str] = frozenset()
@@ -68,10 +67,10 @@ class FindingRules:
 
 @frozen
 class Baseline:
-    """How far the coefficients of `terms` may be from those of an older report.
+    """Allowed changes of the coefficients of `terms` relative to an older report.
 
-    The report is None where the caller gives it. `max_increase` and `max_decrease` are the largest relative
-    changes, such as 0.2; None where any is allowed.
+    The report is None if the caller gives it. `max_increase` and `max_decrease` are the largest relative
+    changes, such as 0.2; None allows any change.
     """
 
     report: Path | None = None
@@ -82,7 +81,7 @@ class Baseline:
 
 @frozen
 class Limits:
-    """What a limits file asks; `calibration` has the limits of a calibration."""
+    """The content of a limits file; `calibration` contains the limits of a calibration."""
 
     limits: tuple[Limit, ...] = ()
     calibration: tuple[Limit, ...] = ()
@@ -139,13 +138,13 @@ _SECTIONS = ("log", *_SENSORS, *_AXIS_NAMES)
 
 
 def read_limits(path: Path) -> Limits:
-    """Read a limits file; a LimitsError where it can't be read, is not TOML, or says what is not known."""
+    """Read a limits file; raises LimitsError if it can't be read, is not TOML, or has unknown entries."""
     path = Path(path)
     return parse_limits(text_of(path, "a TOML file of limits"), name=str(path), folder=path.parent)
 
 
 def text_of(path: Path, expected: str) -> str:
-    """Return the text of a file that is checked, or checked against; a LimitsError says what was expected."""
+    """Return the text of a file; raises LimitsError with what was `expected`."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -156,7 +155,7 @@ def text_of(path: Path, expected: str) -> str:
 def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None) -> Limits:
     """Return the limits of a TOML text, with the errors of `read_limits`.
 
-    Messages name `name`, a baseline is sought from `folder`.
+    Messages contain `name`; the path of a baseline is relative to `folder`.
     """
     try:
         document = tomllib.loads(text)
@@ -273,11 +272,11 @@ class _Value:
         raise LimitsError(f"{where}: {found}{';' if expected.endswith('?') else ','} {expected}")
 
     def maybe(self, read: "Callable[[_Value], T]") -> T | None:
-        """Return None of what the file lacks, else what `read` makes of it."""
+        """Return None if the file lacks the value, otherwise `read(self)`."""
         return None if self.value is None else read(self)
 
     def table(self) -> dict[str, "_Value"]:
-        """Return the entries of a table, terms under their symbols: ARW and VRW are N, BI is B, RRW is K."""
+        """Return the entries of a table, with the symbols of terms: N for ARW and VRW, B for BI, K for RRW."""
         if not isinstance(self.value, dict):
             self.refuse(repr(self.value), "expected a table, such as { max = 1e-4 }")
         found: dict[str, _Value] = {}
@@ -289,7 +288,7 @@ class _Value:
         return found
 
     def entries(self, usual: Mapping[str, object]) -> dict[str, "_Value"]:
-        """Return the entries of a table that has no others than `usual` has, and those where it lacks one."""
+        """Return the entries of a table with the defaults `usual`; other keys are refused."""
         table = self.table()
         self.known(table, usual)
         return {key: table.get(key, self._at(key, value)) for key, value in usual.items()}
@@ -298,7 +297,7 @@ class _Value:
         return _Value(value, self.file, f"{self.place}.{key}".lstrip("."))
 
     def known(self, keys: Iterable[str], known: Collection[str], *, also: tuple[str, ...] = ()) -> None:
-        """Refuse keys that are not known; `also` are known too, but not the first that are meant."""
+        """Refuse unknown keys; a suggestion prefers `known` to `also`."""
         for key in keys:
             if key not in known and key not in also:
                 near = [name for name in known if name in _SENSORS and key and name.startswith(key)]
@@ -319,7 +318,7 @@ class _Value:
         return str(self.value)
 
     def texts(self, known: Collection[str]) -> tuple[str, ...]:
-        """Return a list of known texts, terms by their symbols."""
+        """Return a list of known texts, with the symbols of terms."""
         if not isinstance(self.value, list) or not all(isinstance(item, str) for item in self.value):
             self.refuse(repr(self.value), 'expected a list of texts, such as ["N", "K"]')
         texts = tuple(symbol_of(text) or text for text in self.value)

@@ -1,8 +1,7 @@
-"""check: a report against limits -> verdicts, by the interval and not by the point.
+"""check: a report against limits -> verdicts, by the interval and not by the value.
 
-pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the
-limit lies inside the interval, so that the record can't tell. Machines read the verdicts as JSON, as
-JUnit XML, or as GitHub's workflow commands.
+pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the interval
+contains the limit. Machines read the verdicts as JSON, as JUnit XML, or as GitHub's workflow commands.
 """
 
 import math
@@ -38,12 +37,11 @@ WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One verdict, on an axis, a sensor or the ``log``, in one sentence.
+    """One verdict on an axis, a sensor or the ``log``, with a sentence.
 
-    `subject` is what was judged: a symbol, a quantity, ``axes``, ``findings``, ``N / baseline``; `side`,
-    ``min`` or ``max``, and the limit in its unit are None where the rule isn't a number, `measured`, in the
-    same unit, where there is nothing to measure. `instead` is the line to write in place of one of a config
-    file that is wrong or doubtful; empty elsewhere.
+    `subject` is a symbol, a quantity, ``axes``, ``findings`` or ``N / baseline``. `side` (``min`` or
+    ``max``) and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if
+    nothing was measured. `instead` is the line that replaces a wrong or doubtful line of a config file.
     """
 
     where: str
@@ -59,7 +57,7 @@ class Row:
 
     @property
     def rule(self) -> str:
-        """The limit in words, such as ``N <= 0.3 deg/sqrt(h)``."""
+        """The limit as text, such as ``N <= 0.3 deg/sqrt(h)``."""
         if self.limit is None:
             return self.subject
         return f"{self.subject} {'<=' if self.side == 'max' else '>='} {self.limit:.6g} {self.unit}".rstrip()
@@ -67,11 +65,10 @@ class Row:
 
 @frozen
 class CheckResult:
-    """What came of a check of a log's report: a row for each limit and axis.
+    """The result of a check of a report: a row for each limit and axis.
 
-    `level` is the confidence level of the intervals; an undecided limit fails the check where
-    `undecided_fails`; `version` is imucal's; `noise` is what the report says of the recording: good, look
-    or not-noise.
+    `level` is the confidence level of the intervals. An undecided limit fails the check if
+    `undecided_fails`. `version` is the version of imucal, `noise` the verdict on the recording.
     """
 
     source: str
@@ -83,27 +80,27 @@ class CheckResult:
 
     @property
     def verdict(self) -> Verdict:
-        """``fail`` where a row failed; else ``undecided`` where one is; else ``pass``."""
+        """``fail`` if a row failed; otherwise ``undecided`` if a row is; otherwise ``pass``."""
         return min((row.verdict for row in self.rows), key=WORST_FIRST.index, default="pass")
 
     @property
     def passed(self) -> bool:
-        """Whether the gate opens."""
+        """Whether no row fails the check."""
         return not any(self.fails(row) for row in self.rows)
 
     def fails(self, row: Row) -> bool:
-        """Return whether a row closes the gate."""
+        """Return whether a row fails the check."""
         return row.verdict == "fail" or (row.verdict == "undecided" and self.undecided_fails)
 
     def count(self, verdict: Verdict) -> int:
-        """Return how many rows have a verdict."""
+        """Return the number of rows with a verdict."""
         return sum(row.verdict == verdict for row in self.rows)
 
 
 def judge(
     where: str, subject: str, measured: Quantity | None, *, side: Side, limit: float, unit: str = ""
 ) -> Row:
-    """Return the verdict on one limit, in `unit` as `measured` is; that is None of what the model lacks."""
+    """Return the verdict on one limit; `measured` has the same unit, or is None if the model lacks it."""
     verdict: Verdict = "undecided"
     if measured is None:
         text = f"the model has no {subject} and no bound for it; fit a model with it, or remove the limit"
@@ -125,9 +122,9 @@ def judge(
 def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
     """Judge a report: a row for each limit and axis, and for each forbidden finding.
 
-    For limits with a baseline `baseline` is the older report to compare with; None loads the one they name.
-    A LimitsError says that neither they nor the caller name one, or that all limits are of a calibration; a
-    ReadError that the one they name can't be read.
+    `baseline` is the older report for limits with a baseline; with None the report in the limits is loaded.
+    Raises LimitsError if there is none, or if all limits are for a calibration; ReadError if the report in
+    the limits can't be read.
     """
     if limits.calibration and not are_of_noise(limits):
         msg = (
@@ -165,7 +162,7 @@ def _older(rules: Baseline) -> Report:
 
 
 def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
-    """Fail for an axis that is asked for and missing, so that nothing passes by not being there."""
+    """Yield a failure for each required axis that is missing."""
     there = {axis.name for axis in report.axes}
     found = ", ".join(axis.name for axis in report.axes) or "none"
     for name in dict.fromkeys(_wanted(report, limits)):
@@ -183,7 +180,7 @@ def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
 
 
 def _wanted(report: Report, limits: Limits) -> Iterator[str]:
-    """Yield the axes that are required, that have limits, or that an error speaks of."""
+    """Yield the axes that are required, have limits, or are named in an error."""
     for sensor, axes in limits.required.items():
         yield from (f"{sensor.short}_{axis}" for axis in axes)
     sections = {limit.where: None for limit in limits.limits}
@@ -196,7 +193,7 @@ def _wanted(report: Report, limits: Limits) -> Iterator[str]:
 
 
 def _axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
-    """Return the axes that ``log``, a sensor or an axis name stands for."""
+    """Return the axes of ``log``, a sensor or an axis name."""
     return tuple(axis for axis in report.axes if where in ("log", axis.sensor, axis.name))
 
 
@@ -205,7 +202,7 @@ def _limit(report: Report, limit: Limit) -> Iterator[Row]:
     for axis in _axes_of(report, limit.where):
         by_sensor.setdefault(axis.sensor, []).append(axis)
     for sensor, axes in by_sensor.items():
-        # A quantity of the clock is most often one for all axes, and said once.
+        # A quantity of the clock is usually the same for all axes: report it once.
         clock = limit.quantity in LOG_QUANTITIES and len(axes) > 1
         if clock and len({measure(axis, limit.quantity) for axis in axes}) == 1:
             yield from _axis_limit(axes[0], sensor.short, limit)
@@ -221,7 +218,7 @@ def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
 
 
 def finding_rows(findings: Iterable[Finding], rules: FindingRules) -> Iterator[Row]:
-    """Fail for each forbidden finding; pass once if there is none."""
+    """Yield a failure for each forbidden finding, or one pass if there is none."""
     found = dict.fromkeys(findings)
     forbidden = [finding for finding in found if rules.forbids(finding.level, finding.code)]
     for finding in forbidden:
@@ -258,9 +255,9 @@ def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) 
 
 
 def _same_fit(now: AxisReport, before: AxisReport) -> bool:
-    """Say whether two results are one: no noise is between them, so that a ratio is 1 without an interval."""
+    """Return whether two results are of the same samples: then the ratio is 1 without an interval."""
     samples = [(axis.samples, axis.rate_hz, axis.mean, axis.std) for axis in (now, before)]
-    # Text, because limits that are not known are NaN, which no NaN equals.
+    # Compare as text, because unknown limits are NaN.
     return samples[0] == samples[1] and _digits(now) == _digits(before)
 
 
@@ -270,7 +267,7 @@ def _digits(axis: AxisReport) -> str:
 
 
 def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Quantity], ...]:
-    """Return a quantity of an axis in SI, under its name; several for several Gauss-Markov terms."""
+    """Return a quantity of an axis in SI with its name; several for several Gauss-Markov terms."""
     missing = sum(gap.missing for gap in axis.gaps)
     exact = {
         "rate": axis.rate_hz,
@@ -333,7 +330,7 @@ def to_document(result: CheckResult) -> dict[str, object]:
 
 
 def junit_xml(result: CheckResult) -> str:
-    """Return JUnit XML: one case a row; an undecided one is skipped unless it fails the check.
+    """Return JUnit XML with one case per row; an undecided row is skipped unless it fails the check.
 
     Source: the JUnit schema that GitLab, Jenkins and the GitHub report actions read.
     """
