@@ -38,8 +38,8 @@ FINDING_CODES = frozenset(code_texts())
 class Limit:
     """A lower or upper limit (`side`) with the value and unit of the file; ``value * factor`` is in SI.
 
-    `where` is ``log``, a sensor such as ``gyroscope``, an axis such as ``gyro_x``, or a calibrated sensor such
-    as ``calibration.gyroscope``. `quantity` is the symbol of a term, or a name in `imucal.checking.limits`.
+    `where` is ``log``, a sensor such as ``gyroscope``, an axis such as ``gyro_x``, or a calibrated sensor
+    such as ``calibration.gyroscope``. `quantity` is the symbol of a term, or a name in this module.
     """
 
     where: str
@@ -276,7 +276,7 @@ class _Value:
         return None if self.value is None else read(self)
 
     def table(self) -> dict[str, "_Value"]:
-        """Return the entries of a table, with the symbols of terms: N for ARW and VRW, B for BI, K for RRW."""
+        """Return the entries of a table by the symbols of terms: N for ARW and VRW, B for BI, K for RRW."""
         if not isinstance(self.value, dict):
             self.refuse(repr(self.value), "expected a table, such as { max = 1e-4 }")
         found: dict[str, _Value] = {}
