@@ -1,9 +1,9 @@
-"""The config file of a filter read back: whether each noise parameter is what the sensor's report asks for.
+"""Check the noise parameters in the config file of a filter against the report of the sensor.
 
-The formats, and the formula of each key, are those that `imucal.report.exports` writes; a file is of the
-format most of whose keys it has. A number is right from the least that the values of the fit ask for;
-between that and what their limits ask for, the record is too short to tell. What else it may be is
-looked up among the slips that people make: a factor of the rate, degrees, g, a square, another term.
+The formats and the formulas of the keys are those of `imucal.report.exports`; the format of a file is the one
+with the most keys in it. A number passes if it is at least the number for the fitted values. Between this and
+the number for their limits, the record is too short to decide. A wrong number is compared with likely
+mistakes: a factor of the rate, degrees, g, a square, another term.
 """
 
 import math
@@ -29,22 +29,22 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
-#: A filter whose deviation is this share of the least is right by NEES of 1.2.
+#: Share of the required deviation that is enough: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
-#: Beyond so many times the wanted coefficient a number is remarkable, and a slip is looked for.
+#: Multiples of the required coefficient above which a note follows, and above which it may be a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
-#: The values of the fits, their limits left out.
+#: The fitted values without their limits.
 _VALUES = Caution(0.0, 0.0)
-#: A coefficient so many times below the right one describes no sensor; a bound is never so far above.
+#: Relative to the right coefficient: no sensor is this good; no bound is this far above the truth.
 _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
-#: How far from a slip's number a number is taken for it, as a factor on the coefficient: numbers of
-#: other records differ; but up to the last factor people make them larger on purpose.
+#: Factor on the coefficient within which a number matches a mistake. It is smaller up to the last factor,
+#: because people make numbers larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
-#: What else a number may be that is 9.81 times too large: people multiply by ten.
+#: Second explanation of a number that is 9.81 times too large: people multiply by ten.
 _ON_HABIT = ", or made ten times as large on purpose"
-#: Factors that differ by less, in natural logarithm, are one.
+#: Factors are equal if their natural logarithms differ by less.
 _EQUAL = 1e-6
-#: Rates that differ by more are not one.
+#: Rates are equal if they differ by less.
 _SAME_RATE = 0.01
 
 _COMMENT = re.compile(r"(^|\s)#.*|;.*")
@@ -56,7 +56,7 @@ _NUMBER = re.compile(r"[^\s,\[\]\"']+")
 
 
 class Setting(NamedTuple):
-    """A key of a config file: file and line, from 1, its name, its numbers as written, the line's text."""
+    """A key of a config file: file, line from 1, name, numbers as written, and text of the line."""
 
     file: str
     line: int
@@ -120,16 +120,15 @@ def _number(text: str) -> float:
 
 
 def check_config(path: Path, report: Report) -> tuple[Row, ...]:
-    """Return a row for each key of a config file that holds a number of the noise, or the sampling rate.
+    """Return a row for each noise parameter and sampling rate in a config file.
 
-    They are judged by the report of the file's sensor; one that imucal wrote is held to the options that
-    its comment names. A LimitsError says that the file can't be read, or is of no format whose keys are
-    known, a DataError that the report lacks an axis that the format needs.
+    If imucal wrote the file, the options in its comment are used. Raises LimitsError if the file can't be
+    read or has an unknown format, and DataError if the report lacks an axis that the format needs.
     """
     text = text_of(path, "the config file of a filter")
     settings, choices = read_settings(text, path.name), _choices(text)
     there = {setting.name for setting in settings}
-    # Of formats with the same keys, that whose other lines are in the file, too.
+    # If several formats have the same keys, choose the one with the most other lines in the file.
     own, target = max(
         ((read_settings(each.render(report, choices)), each) for each in _formats(path, settings)),
         key=lambda each: len(there & {setting.name for setting in each[0]}),
@@ -139,7 +138,7 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
 
 
 def _choices(text: str) -> Choices:
-    """Return the options that imucal's own comment in a file names."""
+    """Return the options in imucal's comment in a file."""
     inflated = re.search(r"inflation: (.*); ALREADY", text)
     factors = re.findall(r"(\w+) \([^)]*\) x ([\d.e+-]+)", inflated[1]) if inflated else []
     axes = re.search(r"axes: (\w+)", text)
@@ -154,12 +153,12 @@ def _choices(text: str) -> Choices:
 
 
 def _names(key: Key) -> tuple[str, ...]:
-    """Return the names of a key: one, or one an axis."""
+    """Return the names of a key: one, or one per axis."""
     return tuple(dict.fromkeys(key.name.format(i=i, axis=axis) for i, axis in enumerate("xyz")))
 
 
 def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
-    """Return the formats with most of their keys in a file: one, or several of the same keys."""
+    """Return the format with the most keys in a file, or several with the same keys."""
     counts = {
         target.name: sum(s.is_called(name) for s in settings for key in target.keys for name in _names(key))
         for target in TARGETS.values()
@@ -173,7 +172,7 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
 
 
 def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: float) -> Iterator[Row]:
-    """Judge the keys that hold the rate of the stream: those that the format's own file has it in."""
+    """Judge the keys that contain the sampling rate in the exporter's own file."""
     names = {each.name: None for each in own if each.numbers == (rate_hz,)}
     for setting in (each for name in names for each in settings if each.name == name):
         if len(setting.numbers) != 1:
@@ -190,7 +189,7 @@ def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: flo
 def _noise_rows(
     settings: Sequence[Setting], keys: Sequence[Key], own: Sequence[Setting], numbers: Numbers
 ) -> Iterator[Row]:
-    """Judge the keys that hold a number of the noise; `own` are those of the format's own file."""
+    """Judge the noise parameters; `own` are the keys of the exporter's own file."""
     spelled = {each.name: each.written[0] for each in own if each.written}
     there = [
         (key, i, each)
@@ -212,11 +211,11 @@ def _noise_rows(
 
 
 def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
-    """Return the verdict on a key; on a matrix that of the worst on its diagonal."""
+    """Return the verdict on a key; for a matrix, on the worst number of its diagonal."""
     judged = [(*wanted.judge(number), number) for number in _diagonal(setting)]
     verdict, said, number = min(judged, key=lambda each: WORST_FIRST.index(each[0]))
     key, right = wanted.key, wanted.right
-    # What passes below the number that is right alone has no limit of its own.
+    # A number that passes only with the file's other number has no limit of its own.
     alone = verdict != "pass" or number >= right
     instead = setting.with_number(spelled) if said and alone else ""
     shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
@@ -235,7 +234,7 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
 
 
 def _diagonal(setting: Setting) -> tuple[float, ...]:
-    """Return a setting's number, or those on the diagonal of a square matrix; NaN where it has none."""
+    """Return the number of a setting, or the diagonal of a square matrix; NaN if there is none."""
     numbers = setting.numbers
     size = math.isqrt(len(numbers))
     square = size > 1 and size * size == len(numbers)
@@ -244,11 +243,11 @@ def _diagonal(setting: Setting) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """What a key should hold: one of the two numbers, white noise and walk, that some axes have.
+    """The required value of a key: white noise or random walk of some axes.
 
-    `right` is the number that the exporter writes; `other` the coefficient of the sensor's other number:
-    the file's, or the right one where that is larger. `fitted` has the largest coefficient of each term by
-    its symbol that the fits of the axes show.
+    `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number:
+    the file's, or the exporter's if it is larger. `fitted` contains the largest fitted coefficient of each
+    term by its symbol.
     """
 
     key: Key
@@ -262,7 +261,7 @@ class _Wanted:
     def of(
         cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
     ) -> "_Wanted":
-        """Return what a key should hold beside the keys of the sensor's other number."""
+        """Return the required value of a key, given the keys of the sensor's other number."""
         rate_hz, pair = numbers.stream_hz, numbers.pair(axes)
         right = {"N": pair.white, "K": pair.walk}
         other = right["K" if key.symbol == "N" else "N"]
@@ -275,7 +274,7 @@ class _Wanted:
         return cls(key, axes, numbers, number, other, fitted)
 
     def judge(self, number: float) -> tuple[Verdict, str]:
-        """Return the verdict on a number, and what is to be said of it, if anything."""
+        """Return the verdict on a number, and a remark or an empty text."""
         if not 0 < number < math.inf:
             return "fail", "expected a positive number"
         over = (number / self.right) ** (1 / self.key.formula.power)
@@ -305,7 +304,7 @@ class _Wanted:
         return "fail", f"{times}: {slip or below}"
 
     def _covers(self, c: float, caution: Caution) -> bool:
-        """Return whether a coefficient and the other number cover the spectra, as near as a filter needs."""
+        """Return whether a coefficient and the other number cover the spectra closely enough for a filter."""
         choices = self.numbers.choices
         white, walk = (c, self.other) if self.key.symbol == "N" else (self.other, c)
         f = covered_frequencies(self.numbers.horizon_s, choices.step_s)
@@ -317,7 +316,7 @@ class _Wanted:
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
     def _slip(self, number: float) -> str:
-        """Return what a number that is not the right one is, by its nearest slip; empty without one."""
+        """Return the likely mistake behind a wrong number, or an empty text."""
         power = self.key.formula.power
 
         def off(other: float) -> float:
@@ -329,7 +328,7 @@ class _Wanted:
         return said if off(other) < math.log(near) else ""
 
     def _slips(self) -> Iterator[tuple[float, str]]:
-        """Yield the numbers that people write in place of the right one, each with what it is."""
+        """Yield wrong numbers that people write, each with its explanation."""
         key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
         symbol = key.symbol
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
