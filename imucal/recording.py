@@ -1,4 +1,4 @@
-"""What was measured: sensors, clocks, axes and recordings. Always SI units."""
+"""Sensors, axes and recordings, always in SI units."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,9 +20,9 @@ Axis: TypeAlias = Literal["x", "y", "z"]
 #: The axes of a sensor, in their order.
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 
-#: Share of missing samples that makes a warning of a remark.
+#: Share of missing samples from which the finding is a warning.
 _FEW = 1e-3
-#: No sensor measures this, in any unit: larger values are damage, and their squares would overflow.
+#: Larger values are damage in any unit; their squares would overflow.
 ABSURD = 1e100
 
 
@@ -50,11 +50,11 @@ class AxisSeries(Displayed):
     Attributes
     ----------
     sensor, axis
-        What was measured: a gyroscope's rate in rad/s or an accelerometer's specific force in m/s^2.
+        A gyroscope measures the rate in rad/s, an accelerometer the specific force in m/s^2.
     samples
-        Shape (n,), read-only float64, SI. May hold NaN as read from a log; see `finite`.
+        Shape (n,), read-only float64, SI. May contain NaN as read from a log; see `finite`.
     clock
-        When they were taken; ``clock.n == n``.
+        Times of the samples; ``clock.n == n``.
     """
 
     sensor: Sensor
@@ -133,7 +133,7 @@ class AxisSeries(Displayed):
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Which samples a sensor can have given: not NaN, and within `ABSURD`, shape (n,)."""
+        """Which samples are not NaN and within `ABSURD`, shape (n,)."""
         keep = np.empty(self.n, dtype=np.bool_)
         for part in blocks(self.n, self.samples):
             keep[part] = _sane(self.samples[part])
@@ -150,9 +150,9 @@ class AxisSeries(Displayed):
 
 @frozen_alone
 class Temperature(ReadOnlyArrays):
-    """The IMU's temperature in degrees Celsius, shape (n,), read-only float64, where the log has it.
+    """The IMU's temperature in degrees Celsius, shape (n,), read-only float64.
 
-    The clock is the same object as an axis's where both stand in the same messages.
+    If it is in the messages of an axis, both share one clock object.
     """
 
     samples: FloatArray
@@ -161,11 +161,11 @@ class Temperature(ReadOnlyArrays):
 
 @frozen
 class LogFileInfo:
-    """A file of a log, so that it can be told from any other; its path as it was read.
+    """A file of a log, with its path as it was read, and its checksum.
 
-    A path that is a URL has no user and query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693) in
-    hexadecimal digits, as ``b2sum`` prints it; None where the file could not be read to its end. `etag` is
-    that of the object behind a URL, or the time of its last change; None of a file of this machine.
+    A URL has neither user nor query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693) in hexadecimal
+    digits, as ``b2sum`` prints it; None if the file could not be read to its end. `etag` is the ETag of the
+    object behind a URL, or the time of its last change; None for a local file.
     """
 
     path: str
@@ -179,11 +179,11 @@ class LogFileInfo:
 
 @frozen
 class ReadRange:
-    """Which part of a log was read, over all its axes, gaps included.
+    """The part of a log that was read, over all its axes, gaps included.
 
-    `from_s` is what was left out before it, in s from the first sample; `duration_s` goes from the first
-    sample to the end of the last. Start and end are the same by the stamps, in ns of their epoch, None
-    where the log has none.
+    `from_s` is the omitted time before it, in s from the first sample; `duration_s` is the time from the
+    first sample to the end of the last. `start_ns` and `end_ns` are its time stamps in ns of their epoch, or
+    None without stamps.
     """
 
     from_s: float = 0.0
@@ -193,7 +193,7 @@ class ReadRange:
 
     @classmethod
     def of(cls, series: Sequence[AxisSeries], *, from_s: float = 0.0) -> "ReadRange":
-        """Return the range of some axes, of which there is one at least."""
+        """Return the range of at least one axis."""
         if (span := span_ns(series)) is None:
             return cls(from_s=from_s, duration_s=max(one.duration_s for one in series))
         start, end = span
@@ -201,20 +201,19 @@ class ReadRange:
 
 
 def span_ns(series: Iterable[AxisSeries]) -> tuple[int, int] | None:
-    """Return when the first sample of axes was taken and the last one ends, in ns; None without stamps."""
+    """Return the time of the first sample and the end of the last one, in ns; None without stamps."""
     spans = [(c.start_ns, c.duration_s) for one in series if (c := one.clock).start_ns is not None]
     return (min(spans)[0], max(start + round(length * 1e9) for start, length in spans)) if spans else None
 
 
 @frozen
 class Source:
-    """Where a recording comes from: the log, as the user named it, and its format such as ``rosbag2-mcap``.
+    """The origin of a recording: the path of the log, and its format such as ``rosbag2-mcap``.
 
-    Topics and message types are what was read, pairwise; of a table its column names and no types.
-    `decisions` say how each choice was made, such as ``("gyroscope unit", "deg/s, from the column
-    header")``. `files` have size and checksum; there are none where nobody asked for them, but for standard
-    input, which nobody can read again. `read` is which part of the log was read; None for all of it, until
-    a report says which that is.
+    `topics` and `message_types` are pairs; for a table, `topics` contains column names and there are no
+    types. `decisions` contains each choice and its reason, such as ``("gyroscope unit", "deg/s, from the
+    column header")``. `files` contains sizes and checksums: always for standard input, otherwise on request.
+    `read` is the part of the log that was read; None for all of it.
     """
 
     path: str
@@ -227,7 +226,7 @@ class Source:
 
     @property
     def name(self) -> str:
-        """The file's or folder's own name, without the way to it."""
+        """The name of the file or folder without its path."""
         return self.path.rstrip("/").rsplit("/", 1)[-1] or self.path
 
     def __post_init__(self) -> None:
@@ -241,13 +240,13 @@ class Recording(Displayed):
     Attributes
     ----------
     source
-        Where it comes from.
+        Its origin.
     series
         The axes, gyroscope x, y, z first; the two sensors may have different clocks.
     temperature
         The IMU's temperature, or None.
     findings
-        What reading the log showed: gaps, clocks, losses.
+        Findings of the reader: gaps, clocks, losses.
     """
 
     source: Source
@@ -353,5 +352,5 @@ def _sane(samples: FloatArray) -> NDArray[np.bool_]:
 
 
 def _as_text(path: str) -> str:
-    """Return a path for a report: a name of bytes that are no text can be opened, but not written."""
+    """Return a path as text for a report; bytes of a file name that are not UTF-8 are escaped."""
     return path.encode("utf-8", "backslashreplace").decode()
