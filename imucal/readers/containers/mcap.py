@@ -152,7 +152,7 @@ class McapFile(MessageFile):
             self._clear()
             end = self._scan()
             if not self._records:
-                text = f"{error}, and no whole record was found; expected an MCAP file"
+                text = f"{error}, and no complete chunk was found; expected an MCAP file, copy it again"
                 raise refused(self.path, text) from error
             self.findings.append(self._file.scan_finding(error, end))
         found = {chunk.compression or "none" for chunk in self._chunks}
@@ -169,8 +169,8 @@ class McapFile(MessageFile):
         #: Log times of each channel's first and last message outside chunks.
         self._times: dict[int, list[int]] = {}
 
-    def _read_summary(self) -> None:
-        """Read the summary; raises DamagedError if it is missing, damaged or incomplete."""
+    def _summary(self) -> bytes:
+        """Return the bytes of the summary; raises DamagedError if it is missing or damaged."""
         size = self.size
         wrong = size < len(MAGIC) + _TAIL or self._file.read(0, len(MAGIC)) != MAGIC
         damaged_if(wrong, "the file does not start and end as an MCAP file")
@@ -185,7 +185,11 @@ class McapFile(MessageFile):
         summary = self._file.read(start, size - _TAIL - start)
         wrong = crc and crc32(tail[:25], crc32(summary)) != crc
         damaged_if(wrong, "the index's checksum does not match", "crc")
-        statistics, read = None, 0
+        return summary
+
+    def _read_summary(self) -> None:
+        """Read the summary; raises DamagedError if it is missing, damaged or incomplete."""
+        summary, statistics, read = self._summary(), None, 0
         for opcode, at, end in each_record(summary):
             record, read = summary[at:end], end
             self._define(opcode, record)
@@ -197,7 +201,7 @@ class McapFile(MessageFile):
                 statistics = parsed(Statistics, record)
         damaged_if(read < len(summary), "the index is cut off")
         chunks = self._chunks
-        wrong = any(chunk.start < len(MAGIC) or chunk.end > size for chunk in chunks)
+        wrong = any(chunk.start < len(MAGIC) or chunk.end > self.size for chunk in chunks)
         damaged_if(wrong, "the index points beyond the file")
         damaged_if(len({chunk.start for chunk in chunks}) < len(chunks), "the index lists chunks twice")
         listed = not statistics or len(chunks) >= max(statistics.chunk_count, bool(statistics.message_count))

@@ -166,7 +166,10 @@ def test_the_shortest_file_is_its_magic_and_a_footer(held: Held) -> None:
         path = held(Parts(**parts).bytes()).path  # type: ignore[arg-type]
         with pytest.raises(ReadError) as caught:
             McapFile(path)
-        assert str(caught.value) == f"{path}: {reason}, and no whole record was found; expected an MCAP file"
+        assert (
+            str(caught.value)
+            == f"{path}: {reason}, and no complete chunk was found; expected an MCAP file, copy it again"
+        )
 
 
 def test_the_last_byte_of_a_chunk_may_be_that_of_the_file(held: Held) -> None:

@@ -223,5 +223,6 @@ def test_a_file_without_a_channel_is_refused(mcap_of: McapOf) -> None:
     with pytest.raises(ReadError) as caught:
         mcap_of(MAGIC, schema(1), MESSAGES)
     assert str(caught.value).endswith(
-        ".log: the end of the file is missing, and no whole record was found; expected an MCAP file"
+        ".log: the end of the file is missing, and no complete chunk was found; "
+        "expected an MCAP file, copy it again"
     )

@@ -78,7 +78,7 @@ def test_a_field_has_a_name_and_all_its_bytes(broken: bytes) -> None:
 
 def test_a_connection() -> None:
     data = text(b"type=a/B") + text(b"message_definition=int8 x")
-    found = {b"conn": struct.pack("<I", 258), b"topic": b"/imu"}
+    found = ros1.Record({b"conn": struct.pack("<I", 258), b"topic": b"/imu"}, 0, 0)
     assert ros1.connection(found, data) == Channel(
         key=258,
         topic="/imu",
@@ -87,7 +87,7 @@ def test_a_connection() -> None:
         definition="int8 x",
         definition_kind="ros1msg",
     )
-    bare = ros1.connection({b"conn": bytes(4)}, b"")
+    bare = ros1.connection(ros1.Record({b"conn": bytes(4)}, 0, 0), b"")
     assert bare == Channel(key=0, topic="", type="", encoding="ros1")
 
 
