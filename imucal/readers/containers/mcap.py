@@ -32,7 +32,7 @@ STATISTICS, DATA_END = 0x0B, 0x0F
 #: Opcode and length in front of every record.
 HEAD = struct.Struct("<BQ")
 #: The start of a Message record: its channel and log time. The payload follows after `_PAYLOAD` bytes.
-_MESSAGE = struct.Struct("<9xH4xQ")
+_MESSAGE = struct.Struct("<9xH4xq")
 _PAYLOAD = 31
 #: The start of a MessageIndex record: opcode, length, channel, and bytes of the entries, which follow.
 _INDEX = struct.Struct("<BQHI")
@@ -152,7 +152,7 @@ class McapFile(MessageFile):
             self._clear()
             end = self._scan()
             if not self._records:
-                text = f"{error}, and no complete chunk was found; expected an MCAP file, copy it again"
+                text = f"{error}, and no channel was found; expected an MCAP file, copy it again"
                 raise refused(self.path, text) from error
             self.findings.append(self._file.scan_finding(error, end))
         found = {chunk.compression or "none" for chunk in self._chunks}

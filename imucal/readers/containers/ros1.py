@@ -206,8 +206,10 @@ class BagFile(MessageFile):
         self._chunks: list[Chunk] = []
         magic = self._file.read(0, min(len(MAGIC), self.size))
         if magic != MAGIC:
-            version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
-            why = f"a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
+            why = f"not a ROS 1 bag (first bytes {magic!r}); expected {MAGIC!r}, copy or record it again"
+            if magic.startswith(b"#ROSBAG V"):
+                version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
+                why = f"a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
             raise refused(self.path, why)
         try:
             self._read_section()
@@ -215,7 +217,7 @@ class BagFile(MessageFile):
             self._connections, self._chunks = {}, []
             end = self._scan()
             if not self._connections:
-                why = f"{error}, and no complete chunk was found; expected a ROS 1 bag, copy it again"
+                why = f"{error}, and no connection was found; expected a ROS 1 bag, copy it again"
                 raise refused(self.path, why) from None
             self.findings.append(self._file.scan_finding(error, end))
         self.compression = self._compression()

@@ -168,7 +168,7 @@ def test_the_shortest_file_is_its_magic_and_a_footer(held: Held) -> None:
             McapFile(path)
         assert (
             str(caught.value)
-            == f"{path}: {reason}, and no complete chunk was found; expected an MCAP file, copy it again"
+            == f"{path}: {reason}, and no channel was found; expected an MCAP file, copy it again"
         )
 
 

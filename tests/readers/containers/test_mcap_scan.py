@@ -223,6 +223,5 @@ def test_a_file_without_a_channel_is_refused(mcap_of: McapOf) -> None:
     with pytest.raises(ReadError) as caught:
         mcap_of(MAGIC, schema(1), MESSAGES)
     assert str(caught.value).endswith(
-        ".log: the end of the file is missing, and no complete chunk was found; "
-        "expected an MCAP file, copy it again"
+        ".log: the end of the file is missing, and no channel was found; expected an MCAP file, copy it again"
     )
