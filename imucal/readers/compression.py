@@ -6,7 +6,6 @@ more than `_MAX_RATIO`, unless it is small anyway, and never beyond the size tha
 
 import bz2
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -22,7 +21,6 @@ __all__ = [
     "check_crc",
     "crc32",
     "decompress",
-    "decompress_prefix",
     "keep_freed_memory",
     "unpack_file",
 ]
@@ -73,32 +71,6 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
         raise DamagedError(f"{'an' if kind == 'lz4' else 'a'} {kind} chunk is damaged: {error}") from error
     damaged_if(len(raw) != size, f"a chunk contains {len(raw)} bytes; its header declares {size}")
     return memoryview(raw)
-
-
-def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
-    """Return as much as a cut chunk still gives: the bytes before the cut."""
-    size = min(size, max(_SMALL, _MAX_RATIO * len(data)))
-    if kind in {"", "none"}:
-        return bytes(data[:size])
-    with suppress(*_damage()):
-        if kind == "zstd":
-            import zstandard
-
-            joined = bytearray()
-            # Blocks until the stream breaks off.
-            with suppress(zstandard.ZstdError):
-                for part in zstandard.ZstdDecompressor().read_to_iter(bytes(data)):
-                    joined += part
-                    if len(joined) >= size:
-                        break
-            return bytes(joined[:size])
-        if kind == "lz4":
-            import lz4.frame
-
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), max_length=size))
-        if kind == "bz2":
-            return bz2.BZ2Decompressor().decompress(data, max_length=size)
-    return b""
 
 
 def _damage() -> tuple[type[Exception], ...]:

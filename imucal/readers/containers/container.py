@@ -74,7 +74,9 @@ def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
 
 def cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
     """Return the number at byte `at` of each gathered row, without a copy."""
-    return np.ndarray(rows.shape, dtype, buffer=rows, offset=at, strides=rows.strides)
+    cell = np.dtype({"names": ["cell"], "formats": [dtype], "offsets": [at], "itemsize": rows.itemsize})
+    numbers: NDArray[Any] = rows.view(cell)["cell"]
+    return numbers
 
 
 @frozen

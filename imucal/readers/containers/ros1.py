@@ -1,47 +1,38 @@
 """ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2.
 
-Records are a header of name=value fields, then data. Chunks are found by the index section or by a scan;
-messages by the index records behind their chunk, or by a walk through it.
-Source: https://wiki.ros.org/Bags/Format/2.0. `rosbags` reads intact bags and is the witness in the tests; it
-refuses unindexed and cut ones, and builds an object for each message when it opens a bag.
+Records are a header of name=value fields, then data. Chunks are listed in the index section, or found by a
+scan up to the first incomplete record. Messages are listed in the index records after their chunk, or found
+by a walk through it. `rosbags` refuses unindexed and truncated bags, and builds an object for each message
+when it opens a bag. Source: https://wiki.ros.org/Bags/Format/2.0.
 """
 
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray
-from imucal.findings import Finding
-from imucal.readers.compression import KINDS, decompress, decompress_prefix
-from imucal.readers.containers.container import (
-    Batch,
-    Bytes,
-    Channel,
-    Loss,
-    MessageFile,
-    Task,
-    cells,
-    gather,
-)
-from imucal.readers.files import DamagedError, LogFile, damaged_if, refused
+from imucal.arrays import IntArray
+from imucal.readers.compression import KINDS, decompress
+from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, cells, gather
+from imucal.readers.files import DamagedError, damaged_if, refused
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 U32 = struct.Struct("<I")
 PAIR = struct.Struct("<II")
-#: Longest header of a record; a connection's is its topic's length.
+#: Longest header of a record in a chunk; a connection's header is as long as its topic.
 _MAX_HEADER = 1 << 20
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
-#: Bytes in which the head of the bag, and that of a chunk, is looked for.
+#: The headers of other records are shorter than this.
 _HEAD_BLOCK = 1 << 12
+#: An index record has this many bytes for each message.
+_ENTRY = 12
 
 
 class Record(NamedTuple):
@@ -53,208 +44,156 @@ class Record(NamedTuple):
 
     @property
     def opcode(self) -> int:
-        """What it is; raises DamagedError where the header doesn't say."""
-        return number(self.head, b"op", 1)
+        """The kind of record; raises DamagedError if it is missing."""
+        return self.number(b"op", 1)
 
     @property
     def key(self) -> int:
-        """Its connection; raises DamagedError where the header doesn't say."""
-        return number(self.head, b"conn", 4)
+        """The connection; raises DamagedError if it is missing."""
+        return self.number(b"conn", 4)
 
-    @property
-    def compression(self) -> str:
-        """How a chunk is compressed."""
-        return self.head.get(b"compression", b"none").decode("ascii", "replace")
+    def text(self, name: bytes, default: bytes = b"") -> str:
+        """Return a field that contains text."""
+        return self.head.get(name, default).decode("utf-8", "replace")
+
+    def number(self, name: bytes, size: int) -> int:
+        """Return a field that contains a number of `size` bytes; raises DamagedError if it does not."""
+        value = self.head.get(name, b"")
+        damaged_if(len(value) != size, "a record header is damaged")
+        return int.from_bytes(value, "little")
+
+    def time_ns(self, name: bytes) -> int:
+        """Return a field that contains seconds and nanoseconds, in ns; 0 if it is missing."""
+        seconds, nanoseconds = PAIR.unpack(self.head.get(name, b"")[:8].ljust(8, b"\0"))
+        return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def record(buffer: Bytes, at: int) -> Record:
-    """Return the record at `at`, which may reach beyond the buffer; raises DamagedError without a header."""
+    """Return the record at `at`; its data may extend beyond the buffer. Raises DamagedError."""
     try:
         end = at + 4 + U32.unpack_from(buffer, at)[0]
-        if end - at - 4 > _MAX_HEADER or end > len(buffer):
-            raise _broken()
-        head = _head(bytes(buffer[at + 4 : end]))
-        return Record(head, end + 4, end + 4 + U32.unpack_from(buffer, end)[0])
+        damaged_if(end - at - 4 > _MAX_HEADER or end > len(buffer), "a record header is damaged")
+        return Record(_head(bytes(buffer[at + 4 : end])), end + 4, end + 4 + U32.unpack_from(buffer, end)[0])
     except struct.error as error:
-        raise _broken() from error
+        raise DamagedError("a record header is damaged") from error
 
 
-def walk(raw: Bytes) -> Iterator[tuple[int, Record]]:
-    """Yield opcode and record of each whole record, up to the first that is not."""
-    at = 0
-    while True:
-        try:
-            entry = record(raw, at)
-            opcode = entry.opcode
-        except DamagedError:
-            return
-        if entry.end > len(raw):
-            return
-        yield opcode, entry
-        at = entry.end
+def walk(raw: Bytes, at: int = 0) -> Iterator[tuple[int, Record]]:
+    """Yield opcode and record of each complete record from `at` on, up to the first incomplete one."""
+    with suppress(DamagedError):
+        while (entry := record(raw, at)).end <= len(raw):
+            yield entry.opcode, entry
+            at = entry.end
 
 
 def fields(data: bytes) -> dict[bytes, bytes]:
-    """Return name -> value of the fields that stand one behind the other."""
-    found, place = {}, 0
-    while place + 4 <= len(data):
-        start = place + 4
-        place = start + U32.unpack_from(data, place)[0]
-        name, equals, value = data[start:place].partition(b"=")
-        if place > len(data) or not equals:
-            raise _broken()
+    """Return name -> value of consecutive fields; raises DamagedError."""
+    found, at = {}, 0
+    while at + 4 <= len(data):
+        start = at + 4
+        at = start + U32.unpack_from(data, at)[0]
+        name, equals, value = data[start:at].partition(b"=")
+        damaged_if(at > len(data) or not equals, "a record header is damaged")
         found[name] = value
     return found
 
 
-#: The fields of a header; those of index records are mostly what they were in the chunk before.
+#: The fields of a header; most index records have the same header as in the previous chunk.
 _head = lru_cache(maxsize=128)(fields)
 
 
-def number(found: Mapping[bytes, bytes], name: bytes, size: int) -> int:
-    """Return a field that holds a little-endian number of `size` bytes."""
-    value = found.get(name)
-    if value is None or len(value) != size:
-        raise _broken()
-    return int.from_bytes(value, "little")
-
-
-def time_ns(found: Mapping[bytes, bytes], name: bytes) -> int:
-    """Return a field that holds seconds and nanoseconds, in ns; 0 where it is not eight bytes."""
-    value = found.get(name, b"")
-    if len(value) != PAIR.size:
-        return 0
-    seconds, rest = PAIR.unpack(value)
-    return int(seconds) * 1_000_000_000 + int(rest)
-
-
-def connection(found: Mapping[bytes, bytes], data: Bytes) -> Channel:
-    """Parse a connection record: its header, and the connection's own header as data."""
-    inner = fields(bytes(data))
-    definition = inner.get(b"message_definition", b"").decode("utf-8", "replace")
+def connection(entry: Record, data: Bytes) -> Channel:
+    """Return the channel of a connection record; its data are a second header."""
+    inner = Record(fields(bytes(data)), 0, 0)
+    definition = inner.text(b"message_definition")
     return Channel(
-        key=number(found, b"conn", 4),
-        topic=found.get(b"topic", b"").decode("utf-8", "replace"),
-        type=inner.get(b"type", b"").decode("utf-8", "replace"),
+        key=entry.key,
+        topic=entry.text(b"topic"),
+        type=inner.text(b"type"),
         encoding="ros1",
         definition=definition,
         definition_kind="ros1msg" if definition else "",
     )
 
 
-def _broken() -> DamagedError:
-    return DamagedError("a record header is damaged")
+def entries_of(data: Bytes) -> tuple[IntArray, IntArray]:
+    """Return log times in ns and offsets from the data of an index record; raises DamagedError."""
+    damaged_if(len(data) % _ENTRY, "an index record is damaged", "index")
+    seconds, nanoseconds, starts = np.frombuffer(data, "<u4").reshape(-1, 3).T.astype(np.int64, order="C")
+    return seconds * 10**9 + nanoseconds, starts
 
 
 @dataclass(slots=True)
-class BagChunk:
-    """Where a chunk and its index records lie."""
+class Chunk:
+    """Where a chunk and its index records are in the file."""
 
-    #: From the chunk record to the end of its index records, in bytes.
     start: int
-    size: int
-    #: Connection -> messages, as the file says.
-    counts: dict[int, int] = field(default_factory=dict)
-    #: Whether index records follow.
-    indexed: bool = True
-    #: Whether the end of the file cuts the chunk.
-    cut: bool = False
+    end: int
+    #: Connection -> number of messages; None if unknown.
+    counts: dict[int, int] | None
     first_ns: int = 0
     last_ns: int = 0
 
-
-def load_chunk(file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
-    """Yield the messages of some connections in a chunk; see `Task`."""
-    region = memoryview(file.read(chunk.start, chunk.size))
-    raw, end = unpack(region, cut=chunk.cut)
-    indexes: dict[int, memoryview] = {}
-    # The index records follow the chunk.
-    with suppress(DamagedError):
-        for opcode, entry in walk(region[end:]) if chunk.indexed else ():
-            if opcode != INDEX or entry.end - entry.start != 12 * number(entry.head, b"count", 4):
-                break
-            indexes[entry.key] = region[end + entry.start : end + entry.end]
-            if keys <= indexes.keys():
-                break
-    for key in keys:
-        if key in indexes:
-            yield key, _indexed(raw, key, indexes[key])
-        else:
-            loss = Loss("index", "an index record is missing; all records of its chunk were read instead")
-            yield key, _walked(raw, key, loss if chunk.indexed else None)
+    def add_times(self, times: list[int]) -> None:
+        """Extend first and last time; 0 is an unknown time."""
+        known = [time for time in (self.first_ns, self.last_ns, *times) if time]
+        self.first_ns, self.last_ns = min(known, default=0), max(known, default=0)
 
 
-def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
-    """Return what the chunk at the start of a region holds, and where it ends; raises DamagedError."""
+def unpack(region: memoryview) -> tuple[memoryview, int]:
+    """Return the content of the chunk at the start of a region, and where it ends; raises DamagedError."""
     entry = record(region, 0)
+    damaged_if(entry.opcode != CHUNK or entry.end > len(region), "a chunk's head is damaged")
     data = region[entry.start : entry.end]
-    damaged_if(entry.head.get(b"op") != bytes([CHUNK]), "a chunk's head is damaged")
-    size = number(entry.head, b"size", 4)
-    if cut:
-        return memoryview(decompress_prefix(entry.compression, data, size)), entry.end
-    damaged_if(entry.end > len(region), "a chunk is cut off", "truncated")
-    return decompress(entry.compression, data, size), entry.end
+    return decompress(entry.text(b"compression", b"none"), data, entry.number(b"size", 4)), entry.end
 
 
-def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
-    """Return the messages that an index record lists; walk the chunk if an entry is wrong.
+def listed(raw: memoryview, key: int, data: Bytes) -> Batch:
+    """Return the messages of an index record; raises DamagedError if an entry is wrong.
 
-    All headers are compared with the last one, which repeats except for the time. Records that differ are
-    parsed one by one: the first may have the connection's own record in front.
+    All headers are compared with the last one, apart from time and size. Different ones are parsed one by
+    one: the first one may follow the connection's own record.
     """
-    seconds, rest, starts = np.frombuffer(entries, "<u4").reshape(-1, 3).T.astype(np.int64, order="C")
-    log_ns = seconds * 1_000_000_000 + rest
+    log_ns, starts = entries_of(data)
     if not starts.size:
         return Batch(raw, starts, starts, log_ns)
-    try:
-        last = int(starts[-1])
-        head = bytes(raw[last : _message(raw, key, last)[0]])
-        payloads, sizes = starts + len(head), np.zeros_like(starts)
-        inside = np.flatnonzero(starts <= len(raw) - len(head))
-        heads = gather(raw, starts[inside], len(head))
-        sizes[inside] = cells(heads, len(head) - 4, "<u4")
-        alike = inside[_alike(heads, head)]
-        alike = alike[payloads[alike] + sizes[alike] <= len(raw)]
-        for row in np.delete(np.arange(starts.size), alike).tolist() if alike.size < starts.size else ():
-            payloads[row], sizes[row] = _message(raw, key, int(starts[row]))
-    except DamagedError:
-        loss = Loss("index", "an index points to wrong records; all records of its chunk were read instead")
-        return _walked(raw, key, loss)
+    last = int(starts[-1])
+    head = bytes(raw[last : _message(raw, key, last).start])
+    time = head.rfind(b"time=", 0, len(head) - PAIR.size) + 5
+    payloads, sizes = starts + len(head), np.zeros_like(starts)
+    inside = np.flatnonzero(starts <= len(raw) - len(head))
+    heads = gather(raw, starts[inside], len(head))
+    sizes[inside] = cells(heads, len(head) - 4, "<u4")
+    times = cells(heads, time, "<u4").astype(np.int64) * 10**9 + cells(heads, time + 4, "<u4")
+    same = heads.view(np.uint8).reshape(-1, len(head)) == np.frombuffer(head, np.uint8)
+    same[:, time : time + PAIR.size] = same[:, -U32.size :] = True
+    alike = inside[same.all(axis=1) & (times == log_ns[inside])]
+    alike = alike[payloads[alike] + sizes[alike] <= len(raw)]
+    for row in np.setdiff1d(np.arange(starts.size), alike).tolist() if alike.size < starts.size else ():
+        entry = _message(raw, key, int(starts[row]))
+        damaged_if(entry.time_ns(b"time") != log_ns[row], "an index record points to wrong records")
+        payloads[row], sizes[row] = entry.start, entry.end - entry.start
     return Batch(raw, payloads, sizes, log_ns)
 
 
-def _alike(heads: NDArray[np.void], head: bytes) -> BoolArray:
-    """Return which gathered headers are `head`, except for the value of the time and the size at the end."""
-    end = len(head) - 4
-    time = head.find(b"time=") + 5 if b"time=" in head else end
-    same = np.ones(heads.size, np.bool_)
-    for start, stop in ((0, time), (time + 8, end)):
-        if start < stop:
-            code = f"V{stop - start}"
-            same &= cells(heads, start, code) == np.frombuffer(head, code, 1, start)
-    return same
-
-
-def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
-    """Return payload and size of the message at `at`, or behind the connection records there."""
-    while (entry := record(raw, at)).end <= len(raw):
-        if entry.opcode == MESSAGE and entry.key == key:
-            return entry.start, entry.end - entry.start
-        if entry.opcode != CONNECTION:
+def _message(raw: memoryview, key: int, at: int) -> Record:
+    """Return the message at `at`, or after the connection records there; raises DamagedError."""
+    for opcode, entry in walk(raw, at):
+        if opcode == MESSAGE and entry.key == key:
+            return entry
+        if opcode != CONNECTION:
             break
-        at = entry.end
-    raise DamagedError("an index points to a wrong record", "index")
+    raise DamagedError("an index record points to wrong records")
 
 
-def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
-    """Return the messages of a connection in a chunk, found by walking it."""
-    found = [
-        (entry.start, entry.end - entry.start, time_ns(entry.head, b"time"))
-        for opcode, entry in walk(raw)
-        if opcode == MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key
-    ]
-    starts, sizes, times = np.array(found, np.int64).reshape(-1, 3).T.copy()
-    return Batch(raw, starts, sizes, times, loss)
+def walked(raw: memoryview) -> dict[int, list[tuple[int, int, int]]]:
+    """Return connection -> start, size and log time of each message in a chunk."""
+    found: dict[int, list[tuple[int, int, int]]] = {}
+    for opcode, entry in walk(raw):
+        if opcode == MESSAGE and len(entry.head.get(b"conn", b"")) == U32.size:
+            place = entry.start, entry.end - entry.start, entry.time_ns(b"time")
+            found.setdefault(entry.key, []).append(place)
+    return found
 
 
 class BagFile(MessageFile):
@@ -264,148 +203,161 @@ class BagFile(MessageFile):
 
     def _read_index(self) -> None:
         self._connections: dict[int, Channel] = {}
-        self._chunks: list[BagChunk] = []
-        magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
+        self._chunks: list[Chunk] = []
+        magic = self._file.read(0, min(len(MAGIC), self.size))
         if magic != MAGIC:
+            why = f"not a ROS 1 bag (first bytes {magic!r}); expected {MAGIC!r}, copy or record it again"
             if magic.startswith(b"#ROSBAG V"):
                 version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
                 why = f"a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
-                raise refused(self.path, why)
-            raise refused(self.path, f"not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}")
+            raise refused(self.path, why)
         try:
             self._read_section()
-        except (DamagedError, struct.error) as error:
-            self._connections.clear()
-            self._chunks.clear()
-            reason = error if isinstance(error, DamagedError) else DamagedError("it is damaged")
-            end = self._visit_all()
+        except DamagedError as error:
+            self._connections, self._chunks = {}, []
+            end = self._scan()
             if not self._connections:
-                why = f"{reason}, and no whole chunk was found; expected a ROS 1 bag"
+                why = f"{error}, and no connection was found; expected a ROS 1 bag, copy it again"
                 raise refused(self.path, why) from None
-            self.findings.append(self._file.scan_finding(reason, end))
+            self.findings.append(self._file.scan_finding(error, end))
         self.compression = self._compression()
-        self.channels = self._channels()
+        self.channels = [self._channel(key) for key in sorted(self._connections)]
         self.start_ns = min((chunk.first_ns for chunk in self._chunks if chunk.first_ns), default=None)
         self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
 
-    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        """Yield the chunks that hold messages of some connections."""
-        for chunk in self._chunks:
-            if found := frozenset(key for key in keys if chunk.counts.get(key)):
-                yield Task(chunk.size, found, partial(load_chunk, self._file, chunk, found))
-
     def _read_section(self) -> None:
-        """Read the index section; raises DamagedError if there is none, or it is damaged."""
-        bag = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
-        if name := bag.get(b"encryptor", b"").decode("utf-8", "replace"):
-            raise refused(
-                self.path, f"the bag is encrypted by {name}; expected a plain bag, decrypt it first"
-            )
-        start = number(bag, b"index_pos", 8)
+        """Read the index section; raises DamagedError if it is missing or damaged."""
+        bag = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC))
+        if name := bag.text(b"encryptor"):
+            why = f"the bag is encrypted by {name}; expected a plain bag, decrypt it first"
+            raise refused(self.path, why)
+        start = bag.number(b"index_pos", 8)
         damaged_if(not start, "the bag was not closed and has no index", "unindexed")
-        damaged_if(
-            not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX,
-            "the index is beyond the end of the file",
-            "truncated",
-        )
+        wrong = not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX
+        damaged_if(wrong, "the index is beyond the end of the file", "truncated")
         section = memoryview(self._file.read(start, self.size - start))
-        at = 0
-        while at < len(section):
-            entry = record(section, at)
-            head, data, at, opcode = entry.head, section[entry.start : entry.end], entry.end, entry.opcode
-            damaged_if(at > len(section), "the index is cut off", "truncated")
+        end = 0
+        for opcode, entry in walk(section):
+            data, end = section[entry.start : entry.end], entry.end
             if opcode == CONNECTION:
-                self._connections[entry.key] = connection(head, data)
+                self._connections[entry.key] = connection(entry, data)
             elif opcode == CHUNK_INFO:
                 damaged_if(len(data) % PAIR.size, "a chunk's entry in the index is damaged")
-                first, last = time_ns(head, b"start_time"), time_ns(head, b"end_time")
+                first, last = entry.time_ns(b"start_time"), entry.time_ns(b"end_time")
                 counts = dict(PAIR.iter_unpack(data))
-                self._chunks.append(
-                    BagChunk(number(head, b"chunk_pos", 8), 0, counts, first_ns=first, last_ns=last)
-                )
-        cut = len(self._chunks) < number(bag, b"chunk_count", 4)
-        cut |= len(self._connections) < number(bag, b"conn_count", 4)
+                self._chunks.append(Chunk(entry.number(b"chunk_pos", 8), 0, counts, first, last))
+        cut = end < len(section) or len(self._chunks) < bag.number(b"chunk_count", 4)
+        cut |= len(self._connections) < bag.number(b"conn_count", 4)
         damaged_if(cut, "the index is cut off", "truncated")
-        # Each chunk reaches to the next one, the last to the index section.
-        starts = sorted({chunk.start for chunk in self._chunks})
-        damaged_if(len(starts) != len(self._chunks), "the index lists chunks twice")
-        damaged_if(
-            starts and (starts[0] <= len(MAGIC) or starts[-1] >= start), "the index points beyond the file"
-        )
-        ends = dict(pairwise([*starts, start]))
-        for chunk in self._chunks:
-            chunk.size = ends[chunk.start] - chunk.start
+        # Each chunk and its index records end at the next chunk, the last ones at the index section.
+        ordered = sorted(self._chunks, key=lambda chunk: chunk.start)
+        for chunk, after in pairwise([*ordered, Chunk(start, 0, None)]):
+            damaged_if(not len(MAGIC) < chunk.start < after.start, "the index points to wrong chunks")
+            chunk.end = after.start
 
-    def _visit_all(self) -> int:
-        """Visit records without an index, up to the first that is not whole; return where that is."""
-        at = len(MAGIC)
-        while True:
-            try:
-                (size,) = U32.unpack(self._file.read(at, U32.size))
-                entry = record(self._file.read(at, size + 8), 0)
-                opcode, after = entry.opcode, at + entry.end
-            except DamagedError:
-                return at
-            if opcode == CHUNK:
-                self._add_chunk(at, min(after, self.size) - at, cut=after > self.size)
-            if after > self.size:
-                return at
-            if opcode == CONNECTION:
-                self._add_connection(entry.head, self._file.read(at + entry.start, entry.end - entry.start))
-            at = after
-
-    def _add_connection(self, head: Mapping[bytes, bytes], data: Bytes) -> None:
-        """Take a connection record; a damaged one is as good as none."""
+    def _define(self, entry: Record, data: Bytes) -> None:
+        """Keep the channel of a connection record unless its number is known; ignore a damaged one."""
         with suppress(DamagedError):
-            found = connection(head, data)
-            self._connections.setdefault(found.key, found)
+            channel = connection(entry, data)
+            self._connections.setdefault(channel.key, channel)
 
-    def _add_chunk(self, at: int, size: int, *, cut: bool) -> None:
-        """Count the messages of a chunk, and learn the connections defined in it."""
-        chunk = BagChunk(at, size, indexed=False, cut=cut)
-        self._chunks.append(chunk)
-        try:
-            raw, _ = unpack(memoryview(self._file.read(at, size)), cut=cut)
-            for opcode, entry in walk(raw):
-                if opcode == CONNECTION:
-                    self._add_connection(entry.head, raw[entry.start : entry.end])
-                elif opcode == MESSAGE:
-                    key, time = entry.key, time_ns(entry.head, b"time")
-                    chunk.counts[key] = chunk.counts.get(key, 0) + 1
-                    chunk.first_ns = min(chunk.first_ns or time, time)
-                    chunk.last_ns = max(chunk.last_ns, time)
-        except DamagedError as error:
-            if not cut:
-                text = f"The log is damaged in one place: {error}."
-                self.findings.append(Finding("warning", error.code, text))
-
-    def _channels(self) -> list[Channel]:
-        held: dict[int, list[BagChunk]] = {key: [] for key in self._connections}
+    def _scan(self) -> int:
+        """Visit the records of the file; return where the last complete one ends."""
+        at = len(MAGIC)
+        with suppress(DamagedError):
+            while at < self.size:
+                entry = record(self._file.read(at, min(_HEAD_BLOCK, self.size - at)), 0)
+                opcode, end = entry.opcode, at + entry.end
+                if end > self.size:
+                    break
+                if opcode == CHUNK:
+                    self._chunks.append(Chunk(at, end, None))
+                elif opcode == CONNECTION:
+                    self._define(entry, self._file.read(at + entry.start, entry.end - entry.start))
+                elif opcode == INDEX and self._chunks and self._chunks[-1].end == at:
+                    self._chunks[-1].end = end
+                    self._add_index(entry, self._file.read(at + entry.start, entry.end - entry.start))
+                at = end
         for chunk in self._chunks:
-            for key in chunk.counts.keys() & held.keys():
-                held[key].append(chunk)
-        return [
-            replace(
-                self._connections[key],
-                count=sum(chunk.counts[key] for chunk in chunks),
-                first_ns=min((chunk.first_ns for chunk in chunks), default=None),
-                last_ns=max((chunk.last_ns for chunk in chunks), default=None),
-            )
-            for key, chunks in sorted(held.items())
-        ]
+            if chunk.counts is None or not self._connections.keys() >= chunk.counts.keys():
+                with suppress(DamagedError):
+                    self._search(chunk)
+        return at
+
+    def _add_index(self, entry: Record, data: Bytes) -> None:
+        """Note number and times of the last chunk's messages in an index record; ignore a damaged one."""
+        with suppress(DamagedError):
+            chunk = self._chunks[-1]
+            chunk.counts = (chunk.counts or {}) | {entry.key: len(data) // _ENTRY}
+            chunk.add_times(entries_of(data)[0].tolist())
+
+    def _search(self, chunk: Chunk) -> None:
+        """Read connections from a chunk; count its messages if no index record follows it."""
+        raw, _ = self._content(chunk)
+        for opcode, entry in walk(raw):
+            if opcode == CONNECTION:
+                self._define(entry, raw[entry.start : entry.end])
+        if chunk.counts is None:
+            found = walked(raw)
+            chunk.counts = {key: len(places) for key, places in found.items()}
+            chunk.add_times([time for places in found.values() for _, _, time in places])
+
+    def _channel(self, key: int) -> Channel:
+        """Return a connection; its times are those of its chunks."""
+        counts = [chunk.counts and chunk.counts.get(key, 0) for chunk in self._chunks]
+        chunks = [chunk for chunk, count in zip(self._chunks, counts, strict=True) if count]
+        return replace(
+            self._connections[key],
+            count=None if None in counts else sum(count or 0 for count in counts),
+            first_ns=min((chunk.first_ns for chunk in chunks), default=None),
+            last_ns=max((chunk.last_ns for chunk in chunks), default=None),
+        )
 
     def _compression(self) -> str:
-        """Return how the first chunk is compressed; all chunks of a bag are written alike."""
+        """Return the compression of the first chunk; all chunks of a bag have the same one."""
         if not self._chunks:
             return "none"
         try:
             at = self._chunks[0].start
-            kind = record(self._file.read(at, min(_HEAD_BLOCK, self.size - at)), 0).compression
+            head = record(self._file.read(at, min(_HEAD_BLOCK, self.size - at)), 0)
         except DamagedError:
             return "unknown"
+        kind = head.text(b"compression", b"none")
         if kind not in KINDS:
             raise refused(self.path, f"chunks are compressed by {kind!r}; expected none, lz4 or bz2")
         return kind
+
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that may contain messages of some connections."""
+        for chunk in self._chunks:
+            if found := frozenset(key for key in keys if chunk.counts is None or chunk.counts.get(key)):
+                yield Task(chunk.end - chunk.start, found, partial(self._load, chunk, found))
+
+    def _content(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
+        """Return the content of a chunk, and the index records after it; raises DamagedError."""
+        region = memoryview(self._file.read(chunk.start, chunk.end - chunk.start))
+        raw, end = unpack(region)
+        return raw, region[end:]
+
+    def _load(self, chunk: Chunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
+        """Yield the messages of each connection in a chunk; a walk replaces a wrong index record."""
+        raw, rest = self._content(chunk)
+        indexes: dict[int, memoryview] = {}
+        with suppress(DamagedError):
+            for opcode, entry in walk(rest):
+                if opcode != INDEX:
+                    break
+                indexes[entry.key] = rest[entry.start : entry.end]
+        for key in keys:
+            try:
+                damaged_if(key not in indexes, "an index record is missing")
+                batch = listed(raw, key, indexes[key])
+            except DamagedError as error:
+                # Chunks of a bag that was not closed may have no index records; this is no damage.
+                text = f"{error}; all records of its chunk were read instead"
+                starts, sizes, times = np.array(walked(raw).get(key, []), np.int64).reshape(-1, 3).T.copy()
+                batch = Batch(raw, starts, sizes, times, Loss("index", text) if rest else None)
+            yield key, batch
 
 
 open_files = BagFile.open_files

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import pytest
 
+from imucal.readers.containers.mcap import McapFile
 from imucal.readers.files import LogFile
 
-__all__ = ["held"]
+__all__ = ["held", "mcap_of"]
 
 
 @pytest.fixture
 def held(tmp_path: Path) -> Iterator[Callable[..., LogFile]]:
-    """Return what makes a file of some bytes, and opens it."""
+    """Return a function that writes bytes into a file and opens it."""
     files: list[LogFile] = []
 
     def hold(*parts: bytes) -> LogFile:
@@ -24,3 +25,14 @@ def held(tmp_path: Path) -> Iterator[Callable[..., LogFile]]:
     yield hold
     for file in files:
         file.close()
+
+
+@pytest.fixture
+def mcap_of(held: Callable[..., LogFile]) -> Callable[..., McapFile]:
+    """Return a function that writes bytes into a file and opens it as an MCAP file."""
+
+    def open_mcap(*parts: bytes) -> McapFile:
+        file = held(*parts)
+        return McapFile(file.path, file)
+
+    return open_mcap

@@ -336,8 +336,17 @@ def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) 
     [
         ("no.mcap", b"", "the file is empty; expected a log"),
         ("no.db3", b"SQLite format 3\0" + bytes(100), "the SQLite database can't be read"),
-        ("no.bag", b"#ROSBAG V2.0\n", "a record header is damaged, and no whole chunk was found"),
-        ("no.mcap", b"\x89MCAP0\r\n", "the file does not start and end as an MCAP file, and no whole record"),
+        (
+            "no.bag",
+            b"hello",
+            "not a ROS 1 bag (first bytes b'hello'); expected b'#ROSBAG V2.0\\n', copy or record",
+        ),
+        ("no.bag", b"#ROSBAG V2.0\n", "a record header is damaged, and no connection was found"),
+        (
+            "no.mcap",
+            b"\x89MCAP0\r\n",
+            "the file does not start and end as an MCAP file, and no channel was found",
+        ),
         ("no.bin", bytes(range(256)) * 8, "binary data of an unknown format (first bytes 00 01 02 03"),
     ],
 )

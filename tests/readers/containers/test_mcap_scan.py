@@ -1,17 +1,18 @@
-"""An MCAP file without an index, record by record: what each record adds, and where the scan ends."""
+"""An MCAP file without an index: what each record adds, and where the scan ends."""
 
 import struct
 from collections.abc import Callable
+from itertools import chain
 
 import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.containers import mcap
-from imucal.readers.containers.mcap import MAGIC, Bookkeeping, scan
-from imucal.readers.files import DamagedError, LogFile
+from imucal.readers.containers.mcap import MAGIC, Chunk, McapFile
+from imucal.readers.files import DamagedError
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema
 
-Held = Callable[..., LogFile]
+McapOf = Callable[..., McapFile]
 HEAD = [MAGIC, schema(1), channel(7), channel(8, b"/gps")]
 START = len(b"".join(HEAD))
 FOOTER = record(2, bytes(20)) + MAGIC
@@ -19,42 +20,45 @@ DATA_END = record(15, bytes(4))
 MESSAGES = message(7, 10, b"ab") + message(8, 20) + message(7, 30, b"cd")
 
 
-def scanned(held: Held, *parts: bytes) -> Bookkeeping:
-    """Return what a scan finds behind two channels."""
-    return scan(held(*HEAD, *parts), DamagedError("no index", code="unindexed"))
-
-
-def lost(book: Bookkeeping) -> int:
-    """Return the bytes that a scan says are lost."""
-    (finding,) = book.findings
-    start = "The index can't be used (no index); all records were scanned instead."
+def lost(file: McapFile) -> int:
+    """Return the number of lost bytes by the finding of a scan."""
+    (finding,) = file.findings
+    start, _, rest = finding.text.partition("; all records were scanned instead.")
     assert finding.level == "warning"
-    if finding.text == start:
-        assert finding.code == "unindexed"
+    assert start.startswith("The index can't be used (")
+    if not rest:
         return 0
     assert finding.code == "truncated"
-    assert finding.text.startswith(start + " The last ")
-    assert finding.text.endswith(" bytes are cut off or damaged.")
-    return int(finding.text.removeprefix(start).split()[2])
+    assert rest.startswith(" The last ")
+    assert rest.endswith(" bytes are cut off or damaged.")
+    return int(rest.split()[2])
 
 
-def test_definitions_and_messages_outside_chunks(held: Held) -> None:
-    """Their places count from the first of them."""
-    book = scanned(held, MESSAGES, DATA_END, FOOTER)
-    assert lost(book) == 0
-    assert {key: topic for key, (_, topic, _) in book.channels.items()} == {7: "/imu", 8: "/gps"}
-    assert [(key, name) for key, (name, *_) in book.schemas.items()] == [(1, "a/B")]
-    (part,) = book.loose
-    assert (part.position, part.size, part.starts) == (START, len(MESSAGES), {7: [0, 64], 8: [33]})
-    assert book.counts == {7: 2, 8: 1}
-    assert (book.chunks, book.start_ns, book.end_ns) == ([], None, None)
+def counts(file: McapFile) -> dict[int, int | None]:
+    """Return channel -> number of its messages."""
+    return {channel.key: channel.count for channel in file.channels}
 
 
-def test_the_first_definition_of_a_number_stands(held: Held) -> None:
-    """Writers repeat them; what differs later is damage."""
-    book = scanned(held, channel(7, b"/other"), schema(1, b"c/D"), FOOTER)
-    assert book.channels[7][1] == "/imu"
-    assert book.schemas[1][0] == "a/B"
+def times(file: McapFile, key: int) -> list[list[int]]:
+    """Return the log times of a channel's messages in each part of the file."""
+    return [batch.log_ns.tolist() for task in file.tasks(frozenset({key})) for _, batch in task.load()]
+
+
+def test_definitions_and_messages_outside_chunks(mcap_of: McapOf) -> None:
+    file = mcap_of(*HEAD, MESSAGES, DATA_END, FOOTER)
+    assert lost(file) == 0
+    assert file.findings[0].code == "unindexed"
+    assert [(c.key, c.topic, c.type) for c in file.channels] == [(7, "/imu", "a/B"), (8, "/gps", "a/B")]
+    assert counts(file) == {7: 2, 8: 1}
+    assert [(c.first_ns, c.last_ns) for c in file.channels] == [(10, 30), (20, 20)]
+    assert (times(file, 7), times(file, 8)) == ([[10, 30]], [[20]])
+    assert (file.compression, file.start_ns, file.end_ns) == ("none", None, None)
+
+
+def test_the_first_definition_of_a_number_is_used(mcap_of: McapOf) -> None:
+    """Writers repeat definitions; a later, different one is damage."""
+    file = mcap_of(*HEAD, channel(7, b"/other"), schema(1, b"c/D"), FOOTER)
+    assert (file.channels[0].topic, file.channels[0].type) == ("/imu", "a/B")
 
 
 @pytest.mark.parametrize(
@@ -73,26 +77,27 @@ def test_the_first_definition_of_a_number_stands(held: Held) -> None:
         (DATA_END + bytes(30), 0),
         (message(7, 50, b"ef")[:-1], 32),
         (channel(9)[:-1], len(channel(9)) - 1),
-        (record(4, b"?"), 10),
-        (record(4, b"?") + message(7, 50), 41),
+        (record(4, b"?"), 0),
+        (chunk(MESSAGES)[:-1], len(chunk(MESSAGES)) - 1),
     ],
 )
-def test_where_a_scan_ends(end: bytes, left: int, held: Held) -> None:
-    """At zeros, at a record that is cut off or damaged; what is unknown is passed over."""
-    book = scanned(held, MESSAGES, end)
-    assert lost(book) == left
-    assert book.counts == {7: 2, 8: 1}
+def test_where_a_scan_ends(end: bytes, left: int, mcap_of: McapOf) -> None:
+    """At zeros and at an incomplete record; unknown and damaged records are skipped."""
+    file = mcap_of(*HEAD, MESSAGES, end)
+    assert lost(file) == left
+    assert counts(file) == {7: 2, 8: 1}
+    assert times(file, 7) == [[10, 30]]
 
 
-def test_a_short_message_is_passed_over(held: Held) -> None:
-    """Twenty-two bytes stand before its data."""
-    short, least = record(5, struct.pack("<H", 7) + bytes(19)), record(5, struct.pack("<H", 7) + bytes(20))
-    assert scanned(held, short, MESSAGES).counts == {7: 2, 8: 1}
-    assert scanned(held, least, MESSAGES).counts == {7: 3, 8: 1}
+def test_a_short_message_is_skipped(mcap_of: McapOf) -> None:
+    """A Message record has 22 bytes before its data."""
+    short, least = (record(5, struct.pack("<H", 7) + bytes(size)) for size in (19, 20))
+    assert counts(mcap_of(*HEAD, short, MESSAGES)) == {7: 2, 8: 1}
+    assert counts(mcap_of(*HEAD, least, MESSAGES)) == {7: 3, 8: 1}
 
 
-def test_messages_are_loaded_in_parts(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A part has so many bytes at most, of what lies between its messages too."""
+def test_messages_are_loaded_in_parts(mcap_of: McapOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part has at most `_PART` bytes, including those between its messages."""
     first = len(message(7, 10, b"ab")) + len(message(8, 20))
     for most, sizes in (
         (len(MESSAGES), [len(MESSAGES)]),
@@ -101,87 +106,91 @@ def test_messages_are_loaded_in_parts(held: Held, monkeypatch: pytest.MonkeyPatc
         (first - 1, [33, 31, 33]),
     ):
         monkeypatch.setattr(mcap, "_PART", most)
-        parts = scanned(held, MESSAGES).loose
-        assert [part.size for part in parts] == sizes
-        assert parts[0].starts[7][0] == parts[-1].starts[7][-1] - (64 if len(sizes) == 1 else 0) == 0
-        assert parts[-1].position + parts[-1].size == START + len(MESSAGES)
+        file = mcap_of(*HEAD, MESSAGES)
+        assert [task.size for task in file.tasks(frozenset({7}))] == sizes
+        assert list(chain(*times(file, 7))) == [10, 30]
+        assert list(chain(*times(file, 8))) == [20]
 
 
-def test_a_chunk_and_its_indexes(held: Held) -> None:
-    """Indexes belong to the chunk they follow without a gap; an empty one holds no place."""
+def test_a_chunk_and_its_indexes(mcap_of: McapOf) -> None:
+    """An index belongs to the previous chunk; an empty one, or a second one of a channel, is ignored."""
     whole, seven, eight = chunk(MESSAGES), index(7, (10, 0), (30, 64)), index(8, (20, 33))
-    book = scanned(held, whole, seven, eight, index(9), whole, record(99, b""), seven, DATA_END)
+    file = mcap_of(*HEAD, whole, seven, eight, index(9), record(99, b""), index(7, (10, 0)), whole, DATA_END)
     at = START + len(whole)
-    first, second = book.chunks
-    assert (first.start, first.length, first.compression) == (START, len(whole), "")
-    assert first.index_length == len(seven) + len(eight) + 15
-    assert first.indexes == {7: at, 8: at + len(seven)}
-    assert second.start == START + first.length + first.index_length
-    assert (second.index_length, second.indexes) == (0, {})
-    assert book.counts == {7: 4, 8: 2}
-    # Before any chunk an index is none.
-    assert scanned(held, seven, MESSAGES).chunks == []
+    assert file._chunks == [
+        Chunk(START, at, "", {7: at, 8: at + len(seven)}),
+        Chunk(at + len(seven + eight) + 15 + 9 + 31, at + len(seven + eight) + 15 + 9 + 31 + len(whole), ""),
+    ]
+    assert counts(file) == {7: 4, 8: 2}
+    assert (times(file, 7), times(file, 8)) == ([[10, 30]] * 2, [[20]] * 2)
 
 
-def test_a_chunk_whose_index_is_damaged_is_counted_by_walking(held: Held) -> None:
-    """Another channel's index, or none."""
-    wrong = index(7, (10, 0), (30, 64))[:15] + index(8, (10, 0), (30, 64))[15:]
-    wrong = wrong[:11] + struct.pack("<I", 5) + wrong[15:]
-    assert scanned(held, chunk(MESSAGES), wrong).counts == {7: 2, 8: 1}
-    assert scanned(held, chunk(MESSAGES)).counts == {7: 2, 8: 1}
+def test_an_index_without_a_chunk_is_ignored(mcap_of: McapOf) -> None:
+    """At the start of a file, and after messages outside chunks."""
+    lonely = index(7, (10, 0))
+    file = mcap_of(*HEAD, lonely, MESSAGES, lonely)
+    assert counts(file) == {7: 2, 8: 1}
+    assert times(file, 7) == [[10, 30]]
 
 
-def test_what_a_cut_chunk_holds_is_kept(held: Held) -> None:
-    """Its whole messages, and the definitions among them."""
-    cut = chunk(channel(9) + MESSAGES)[:-1]
-    book = scanned(held, cut)
-    assert lost(book) == len(cut)
-    assert set(book.channels) == {7, 8, 9}
-    assert book.counts == {7: 1, 8: 1}
-    (part,) = book.loose
-    assert (part.position, part.size) == (START, len(cut))
-    ((_, batch), _) = part.load()
-    assert batch.log_ns.tolist() == [10]
-    # Without a whole message there is nothing to load; without a whole head nothing at all.
-    assert scanned(held, chunk(channel(9) + MESSAGES)[: 49 + len(channel(9))]).loose == []
-    assert scanned(held, chunk(MESSAGES)[:40]).loose == []
+def test_a_chunk_without_index_is_counted(mcap_of: McapOf) -> None:
+    assert counts(mcap_of(*HEAD, chunk(MESSAGES))) == {7: 2, 8: 1}
 
 
-def test_messages_behind_a_cut_chunk_do_not_join_it(held: Held) -> None:
-    """Other records that are cut hold no messages, whatever they look like."""
-    assert scanned(held, record(99, MESSAGES)[:-1]).loose == []
+def test_a_damaged_chunk_without_index_is_tried_when_messages_are_read(mcap_of: McapOf) -> None:
+    """Its loss is reported then: each channel may have messages in it."""
+    damaged = bytearray(chunk(MESSAGES))
+    struct.pack_into("<Q", damaged, 25, 1)
+    file = mcap_of(*HEAD, bytes(damaged), chunk(MESSAGES))
+    assert counts(file) == {7: 3, 8: 2}
+    first, second = file.tasks(frozenset({7}))
+    with pytest.raises(DamagedError, match="declared size of 1"):
+        list(first.load())
+    assert [batch.n for _, batch in second.load()] == [2]
 
 
-def test_channels_are_found_in_chunks(held: Held) -> None:
-    """In each that has no index, or messages of a channel that is not known; not in the others."""
-    file = held(MAGIC, schema(1), chunk(channel(7) + MESSAGES), index(7, (10, len(channel(7)))))
-    assert set(scan(file, DamagedError("?")).channels) == {7}
+@pytest.mark.parametrize("size", [1, 40, 49, -1])
+def test_a_truncated_chunk_is_lost(size: int, mcap_of: McapOf) -> None:
+    """The finding counts its bytes; the chunks before it are read."""
+    cut = chunk(channel(9) + MESSAGES)[:size]
+    file = mcap_of(*HEAD, chunk(MESSAGES), cut)
+    assert lost(file) == len(cut)
+    assert counts(file) == {7: 2, 8: 1}
+    assert times(file, 7) == [[10, 30]]
+
+
+def test_channels_are_found_in_chunks(mcap_of: McapOf) -> None:
+    """A chunk is searched if it has no index, or an index of an unknown channel."""
+    defined = chunk(channel(7) + MESSAGES)
+    file = mcap_of(MAGIC, schema(1), defined, index(7, (10, len(channel(7)))))
+    assert counts(file) == {7: 1}
     unindexed = chunk(channel(9) + MESSAGES)
-    assert set(scanned(held, unindexed).channels) == {7, 8, 9}
-    assert set(scanned(held, unindexed, index(7, (10, 40))).channels) == {7, 8}
-    assert set(scanned(held, unindexed, index(9, (10, 40))).channels) == {7, 8, 9}
+    assert set(counts(mcap_of(*HEAD, unindexed))) == {7, 8, 9}
+    assert set(counts(mcap_of(*HEAD, unindexed, index(7, (10, 40))))) == {7, 8}
+    assert set(counts(mcap_of(*HEAD, unindexed, index(9, (10, 40))))) == {7, 8, 9}
 
 
-def test_a_damaged_chunk_does_not_hide_the_channels_of_the_next(held: Held) -> None:
-    """Its length is wrong inside, so that nothing of it can be unpacked."""
+def test_a_damaged_chunk_does_not_hide_the_channels_of_the_next(mcap_of: McapOf) -> None:
     damaged = bytearray(chunk(channel(9)))
     struct.pack_into("<Q", damaged, 25, 1)
-    assert set(scanned(held, bytes(damaged), chunk(channel(10))).channels) == {7, 8, 10}
+    assert set(counts(mcap_of(*HEAD, bytes(damaged), chunk(channel(10))))) == {7, 8, 10}
 
 
-def test_definitions_behind_the_data_are_taken(held: Held) -> None:
-    """The summary repeats them, among records of other kinds; it ends at a damaged one."""
-    more = channel(11, b"/late")
-    for end, known in (
-        (more, {7, 8, 11}),
-        (more[:-1], {7, 8}),
-        (schema(2) + more + record(8, bytes(9)) + channel(12), {7, 8, 11, 12}),
-        (more + record(4, b"?") + channel(12), {7, 8, 11}),
-        (more + bytes(9), {7, 8, 11}),
-    ):
-        book = scanned(held, DATA_END, end)
-        assert set(book.channels) == known
-        assert lost(book) == 0
+@pytest.mark.parametrize(
+    ("end", "known"),
+    [
+        (channel(11), {7, 8, 11}),
+        (channel(11)[:-1], {7, 8}),
+        (schema(2) + channel(11) + record(8, bytes(9)) + channel(12), {7, 8, 11, 12}),
+        (channel(11) + record(4, b"?") + channel(12), {7, 8, 11, 12}),
+        (channel(11) + bytes(9), {7, 8, 11}),
+    ],
+)
+def test_definitions_after_the_data_are_used(end: bytes, known: set[int], mcap_of: McapOf) -> None:
+    """The summary repeats them, although it is damaged."""
+    file = mcap_of(*HEAD, DATA_END, end)
+    assert set(counts(file)) == known
+    assert lost(file) == 0
 
 
 @pytest.mark.parametrize(
@@ -190,64 +199,29 @@ def test_definitions_behind_the_data_are_taken(held: Held) -> None:
         (channel(1) + schema(2) + channel(3), {1, 3}),
         (message(1, 2, b"abc") + channel(3), {3}),
         (channel(1) + channel(3)[:-1], {1}),
-        (channel(1) + record(4, b"?") + channel(3), {1}),
-        (channel(1) + channel(3)[:8], {1}),
-        (channel(1) + record(3, schema(2)[9:-1]) + channel(3), {1}),
+        (channel(1) + record(4, b"?") + channel(3), {1, 3}),
+        (channel(1) + record(3, schema(2)[9:-1]) + channel(3), {1, 3}),
         (record(99, b"") + channel(1), {1}),
     ],
 )
-def test_definitions_among_the_records_of_a_chunk(raw: bytes, known: set[int]) -> None:
-    """Up to the first that is damaged."""
-    book = Bookkeeping()
-    book.define_all(memoryview(raw))
-    assert set(book.channels) == known
+def test_definitions_among_the_records_of_a_chunk(raw: bytes, known: set[int], mcap_of: McapOf) -> None:
+    """Damaged ones are skipped."""
+    assert set(counts(mcap_of(MAGIC, chunk(raw)))) == known
 
 
-def test_a_definition_of_megabytes_is_damage(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not read; one of the longest size is."""
+def test_a_definition_of_megabytes_is_damage(mcap_of: McapOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not read."""
     size = len(channel(9)) - 9
-    for most, known in ((size, {7, 8, 9}), (size - 1, set[int]())):
-        monkeypatch.setattr(mcap, "_MAX_DEFINITION", most)
-        file = held(*HEAD[:2], channel(7), channel(8), channel(9))
-        if known:
-            assert set(scan(file, DamagedError("?")).channels) == known
-        else:
-            with pytest.raises(ReadError, match="no whole record was found"):
-                scan(file, DamagedError("?"))
+    monkeypatch.setattr(mcap, "_MAX_DEFINITION", size)
+    assert set(counts(mcap_of(MAGIC, channel(9), channel(10, b"/longer")))) == {9}
     monkeypatch.undo()
     assert mcap._MAX_DEFINITION == 16 * 2**20
 
 
-@pytest.mark.parametrize("window", [16, 200, 1 << 20])
-def test_the_window_changes_nothing(window: int, held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Records begin and end in and beyond it."""
-    monkeypatch.setattr(mcap, "_WINDOW", window)
-    book = scanned(held, chunk(MESSAGES), index(7, (10, 0), (30, 64)), MESSAGES, channel(9), FOOTER)
-    assert set(book.channels) == {7, 8, 9}
-    assert book.counts == {7: 4, 8: 1}
-    assert lost(book) == 0
-
-
-def test_a_file_without_a_channel_is_none(held: Held) -> None:
-    """The reason why its index was not used is said too."""
-    file = held(MAGIC, schema(1), MESSAGES)
+def test_a_file_without_a_channel_is_refused(mcap_of: McapOf) -> None:
+    """The error also contains the reason why the index was not used."""
     with pytest.raises(ReadError) as caught:
-        scan(file, DamagedError("the end is missing"))
-    assert str(caught.value) == (
-        f"{file.path}: the end is missing, and no whole record was found; expected an MCAP file"
+        mcap_of(MAGIC, schema(1), MESSAGES)
+    assert str(caught.value).endswith(
+        ".log: the end of the file is missing, and no channel was found; expected an MCAP file, copy it again"
     )
-
-
-def test_a_file_is_read_a_window_at_a_time(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not a record at a time: one read for a small file, up to its last byte."""
-    reads: list[tuple[int, int]] = []
-    read = LogFile.read
-
-    def noted(file: LogFile, position: int, size: int) -> bytes:
-        reads.append((position, size))
-        return read(file, position, size)
-
-    monkeypatch.setattr(LogFile, "read", noted)
-    file = held(*HEAD)
-    scan(file, DamagedError("?"))
-    assert reads == [(0, file.size)]

@@ -90,7 +90,7 @@ def test_a_message_of_no_connection_is_lost_with_a_word(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compression", ["none", "lz4"])
 def test_a_cut_bag_gives_what_is_whole(compression: str, tmp_path: Path) -> None:
-    """Also of the chunk in which it is cut."""
+    """The chunk in which it is cut is lost."""
     path = bag(tmp_path, compression=compression)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])

@@ -1,4 +1,4 @@
-"""The chunks of a ROS 1 bag, byte by byte: by their index records, and walked where they are wrong."""
+"""The chunks of a ROS 1 bag, byte by byte: read by their index records, or walked if they are wrong."""
 
 import bz2
 import struct
@@ -7,9 +7,19 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.ros1 import BagChunk, load_chunk, unpack, walk
+from imucal.readers.containers.ros1 import BagFile, unpack, walk
 from imucal.readers.files import DamagedError, LogFile
-from tests.readers.containers.ros1_bytes import chunk, connection, index, message, record, stamp
+from tests.readers.containers.ros1_bytes import (
+    MAGIC,
+    bag_head,
+    chunk,
+    chunk_info,
+    connection,
+    index,
+    message,
+    record,
+    stamp,
+)
 
 Held = Callable[..., LogFile]
 SECOND = 10**9
@@ -20,19 +30,30 @@ FIRST = len(CONNECTION)
 SECOND_AT, THIRD = FIRST + len(MESSAGES[0]), FIRST + len(MESSAGES[0]) + len(MESSAGES[1])
 ONE, TWO = index(1, (SECOND + 5, FIRST), (2 * SECOND + 6, THIRD)), index(2, (7, SECOND_AT))
 WALKED = "an index record is missing; all records of its chunk were read instead"
-ELSEWHERE = "an index points to wrong records; all records of its chunk were read instead"
+ELSEWHERE = "an index record points to wrong records; all records of its chunk were read instead"
+BEYOND = "a message extends beyond its chunk; all records of its chunk were read instead"
 
 
 def payloads(batch: Batch) -> list[bytes]:
-    """Return what the messages of a batch hold."""
+    """Return the payloads of a batch."""
     return [bytes(data) for data in batch.messages()]
 
 
-def loaded(held: Held, *parts: bytes, indexed: bool = True, cut: bool = False) -> dict[int, Batch]:
-    """Return connection -> its messages in a chunk and the index records behind it."""
-    data = b"".join(parts)
-    about = BagChunk(start=3, size=len(data), counts={1: 2, 2: 1, 3: 5}, indexed=indexed, cut=cut)
-    return dict(load_chunk(held(b"???", data), about, frozenset({1, 2})))
+def bag(held: Held, *parts: bytes, closed: bool = True) -> BagFile:
+    """Return a bag of one chunk and its index records; a bag that was not closed has no index section."""
+    start = len(MAGIC + bag_head(0))
+    end = start + len(b"".join(parts))
+    section = connection(1) + connection(2) + chunk_info(start, {1: 2, 2: 1})
+    head = bag_head(end if closed else 0, 2, 1)
+    file = held(MAGIC, head, *parts, *([section] if closed else []))
+    return BagFile(file.path, file)
+
+
+def loaded(held: Held, *parts: bytes, closed: bool = True) -> dict[int, Batch]:
+    """Return connection -> its messages in the chunk of a bag."""
+    file = bag(held, *parts, closed=closed)
+    (task,) = file.tasks(frozenset({1, 2}))
+    return dict(task.load())
 
 
 def test_a_chunk_gives_the_messages_of_its_index_records(held: Held) -> None:
@@ -57,12 +78,29 @@ def test_a_connection_may_stand_in_front_of_its_first_message(held: Held) -> Non
     assert (payloads(found[1]), found[1].loss) == ([b"abcd", b"efgh"], None)
 
 
-def test_messages_of_other_sizes_are_each_their_own(held: Held) -> None:
-    """Their headers differ, so that each is looked at; nothing is lost, and nothing said."""
+def test_messages_may_have_different_sizes(held: Held) -> None:
+    """Nothing is lost or reported."""
     raw = message(1, 5, b"abc") + message(1, 6, b"") + message(1, 7, b"defgh")
     first, second = len(message(1, 5, b"abc")), len(message(1, 5, b"abc") + message(1, 6))
     batch = loaded(held, chunk(raw), index(1, (5, 0), (6, first), (7, second)))[1]
     assert (payloads(batch), batch.loss) == ([b"abc", b"", b"defgh"], None)
+
+
+def test_the_fields_of_a_header_have_any_order(held: Held) -> None:
+    """Such a message is parsed by itself; nothing is reported."""
+    other = record(2, {b"time": stamp(5), b"conn": b"\x01\0\0\0"}, b"abc")
+    batch = loaded(held, chunk(other + message(1, 6, b"def")), index(1, (5, 0), (6, len(other))))[1]
+    assert (payloads(batch), batch.loss) == ([b"abc", b"def"], None)
+
+
+@pytest.mark.parametrize("at", range(len(message(1, 5)) - 4))
+def test_a_damaged_header_is_reported(at: int, held: Held) -> None:
+    """Any byte of the first of two headers may differ, except the size of the data."""
+    raw = bytearray(message(1, 5, b"abc") + message(1, 6, b"def"))
+    raw[at] ^= 1
+    batch = loaded(held, chunk(bytes(raw)), index(1, (5, 0), (6, len(raw) // 2)))[1]
+    # A time of seven bytes: the last one is zero anyway.
+    assert (batch.loss is None) == (at == 25)
 
 
 @pytest.mark.parametrize(
@@ -73,22 +111,24 @@ def test_messages_of_other_sizes_are_each_their_own(held: Held) -> None:
         (SECOND_AT, THIRD),
         (FIRST, SECOND_AT),
         (SECOND_AT, SECOND_AT),
+        (THIRD, THIRD),
         (FIRST, len(RAW)),
         (FIRST, 1 << 31),
         (1 << 31, THIRD),
     ],
 )
-def test_an_index_that_points_elsewhere_is_walked_around(first: int, last: int, held: Held) -> None:
-    """Beyond the chunk, into a record, or to messages of another connection."""
-    batch = loaded(held, chunk(RAW), index(1, (0, first), (0, last)), TWO)[1]
+def test_an_index_record_that_points_elsewhere_is_not_used(first: int, last: int, held: Held) -> None:
+    """It points beyond the chunk, into a record, to another connection, or twice to a message."""
+    batch = loaded(held, chunk(RAW), index(1, (SECOND + 5, first), (2 * SECOND + 6, last)), TWO)[1]
     assert payloads(batch) == [b"abcd", b"efgh"]
     assert batch.log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
     assert batch.loss is not None
-    assert (batch.loss.code, batch.loss.text) == ("index", ELSEWHERE)
+    assert batch.loss.code == "index"
+    assert batch.loss.text in {ELSEWHERE, BEYOND}
 
 
-def test_only_a_connection_is_passed_over(held: Held) -> None:
-    """A record of another kind in front of a message is not where the index should point."""
+def test_only_connections_are_skipped(held: Held) -> None:
+    """An index record must not point to another record before the message."""
     other = record(9, {})
     raw = other + message(1, 5, b"abc") + message(1, 6, b"def")
     entries = index(1, (5, 0), (6, len(other) + len(message(1, 5, b"abc"))))
@@ -100,17 +140,15 @@ def test_only_a_connection_is_passed_over(held: Held) -> None:
 @pytest.mark.parametrize(
     "parts",
     [
-        (),
         (TWO[:-1],),
         (TWO, ONE[:-1]),
-        (TWO, index(1, (0, FIRST), (0, THIRD), count=1)),
         (TWO, record(9, {}), ONE),
         (TWO, bytes(8), ONE),
         (TWO, record(4, {b"conn": bytes(3), b"count": bytes(4)}), ONE),
     ],
 )
-def test_a_missing_index_record_is_walked_around(parts: tuple[bytes, ...], held: Held) -> None:
-    """They end at the first that is cut, damaged, or something else; those before it count."""
+def test_a_missing_index_record_is_reported(parts: tuple[bytes, ...], held: Held) -> None:
+    """Index records end at the first incomplete, damaged or other record; those before it are used."""
     found = loaded(held, chunk(RAW), *parts)
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b""]}
     assert found[1].loss is not None
@@ -118,26 +156,31 @@ def test_a_missing_index_record_is_walked_around(parts: tuple[bytes, ...], held:
     assert (found[2].loss is None) == (parts[:1] == (TWO,))
 
 
-def test_a_chunk_without_index_records_is_walked_in_silence(held: Held) -> None:
-    """As those of an unindexed bag are; what stands behind it is not looked at."""
-    found = loaded(held, chunk(RAW), index(1, (0, 0)), indexed=False)
+def test_a_part_of_an_entry_is_damage(held: Held) -> None:
+    """The chunk is walked."""
+    damaged = record(4, {b"conn": b"\x01\0\0\0", b"count": b"\x02\0\0\0"}, bytes(23))
+    batch = loaded(held, chunk(RAW), damaged)[1]
+    assert payloads(batch) == [b"abcd", b"efgh"]
+    assert batch.loss is not None
+    assert batch.loss.text == "an index record is damaged; all records of its chunk were read instead"
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_chunk_without_index_records_is_walked(held: Held, closed: bool) -> None:  # noqa: FBT001
+    """Nothing is lost, so nothing is reported."""
+    found = loaded(held, chunk(RAW), closed=closed)
     assert payloads(found[1]) == [b"abcd", b"efgh"]
     assert found[1].loss is None
     assert found[1].log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
 
 
-def test_what_is_left_of_a_cut_chunk_is_walked(held: Held) -> None:
-    """A cut one that should be whole is damage."""
-    found = loaded(held, chunk(RAW)[:-1], indexed=False, cut=True)
-    assert payloads(found[1]) == [b"abcd"]
-    with pytest.raises(DamagedError, match=r"^a chunk is cut off$") as caught:
-        loaded(held, chunk(RAW)[:-1], indexed=False)
-    assert caught.value.code == "truncated"
+def test_a_truncated_chunk_is_damage(held: Held) -> None:
+    with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
+        loaded(held, chunk(RAW)[:-1])
 
 
-def test_chunks_are_unpacked(held: Held) -> None:
-    """And end where their record ends; another record is none."""
-    del held
+def test_chunks_are_unpacked() -> None:
+    """They end where their record ends."""
     for data in (chunk(RAW), chunk(bz2.compress(RAW), b"bz2", len(RAW))):
         raw, end = unpack(memoryview(data + b"more"))
         assert (bytes(raw), end) == (RAW, len(data))
@@ -150,14 +193,13 @@ def test_chunks_are_unpacked(held: Held) -> None:
 
 
 @pytest.mark.parametrize("end", [b"", MESSAGES[0][:-1], MESSAGES[0][:3], bytes(8), record(9, {})[:-1]])
-def test_a_walk_ends_at_the_first_record_that_is_not_whole(end: bytes) -> None:
-    """Those before it are given, of whatever kind."""
+def test_a_walk_ends_at_the_first_incomplete_record(end: bytes) -> None:
+    """It includes all kinds of records before."""
     assert [opcode for opcode, _ in walk(memoryview(RAW + end))] == [7, 2, 2, 2]
 
 
-def test_a_walk_takes_a_time_that_is_short_for_none(held: Held) -> None:
-    """As where a scan counts it; a message without a time is one of the year 1970."""
-    odd = record(2, {b"conn": b"\x01\0\0\0", b"time": stamp(3 * SECOND)[:4]}, b"x")
+def test_a_message_without_a_time_is_read(held: Held) -> None:
+    """Its recording time is 0."""
     bare = record(2, {b"conn": b"\x01\0\0\0"}, b"yz")
-    batch = loaded(held, chunk(odd + bare + record(9, {b"conn": b"\x01\0\0\0"})), indexed=False)[1]
-    assert (payloads(batch), batch.log_ns.tolist()) == ([b"x", b"yz"], [0, 0])
+    batch = loaded(held, chunk(bare + record(9, {b"conn": b"\x01\0\0\0"})))[1]
+    assert (payloads(batch), batch.log_ns.tolist()) == ([b"yz"], [0])

@@ -7,8 +7,8 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.containers import ros1
-from imucal.readers.containers.ros1 import BagFile, time_ns
-from imucal.readers.files import LogFile
+from imucal.readers.containers.ros1 import BagFile, Chunk, Record
+from imucal.readers.files import DamagedError, LogFile
 from tests.readers.containers.ros1_bytes import (
     MAGIC,
     bag_head,
@@ -25,7 +25,12 @@ Held = Callable[..., LogFile]
 SECOND = 10**9
 RAW = connection(1) + message(1, SECOND + 5, b"ab") + message(2, 2 * SECOND) + message(1, 3 * SECOND, b"cd")
 AT = len(connection(1))
-CHUNK = chunk(RAW) + index(1, (SECOND + 5, AT), (3 * SECOND, AT))
+GPS_AT = AT + len(message(1, SECOND + 5, b"ab"))
+CHUNK = (
+    chunk(RAW)
+    + index(1, (SECOND + 5, AT), (3 * SECOND, GPS_AT + len(message(2, 2 * SECOND))))
+    + index(2, (2 * SECOND, GPS_AT))
+)
 HEAD = len(MAGIC + bag_head(0))
 SECTION = connection(1) + connection(2, b"/gps")
 
@@ -65,7 +70,7 @@ def test_the_index_section_says_what_is_in_a_bag(held: Held) -> None:
     assert (first.count, second.count, second.topic) == (4, 2, "/gps")
     span = (SECOND + 5 + HEAD, 3 * SECOND + HEAD + len(CHUNK))
     assert (first.first_ns, first.last_ns) == (found.start_ns, found.end_ns) == span
-    assert [chunk.size for chunk in found._chunks] == [len(CHUNK), len(CHUNK)]
+    assert sorted(chunk.end - chunk.start for chunk in found._chunks) == [len(CHUNK), len(CHUNK)]
     assert (found.compression, found.parallel, found.format) == ("none", True, "rosbag1")
     found = bag(held, SECTION + infos(HEAD, HEAD + len(CHUNK)))
     tasks = list(found.tasks(frozenset({2})))
@@ -80,9 +85,9 @@ def test_the_index_section_says_what_is_in_a_bag(held: Held) -> None:
         (SECTION + infos(HEAD), {}, "the index is cut off"),
         (SECTION + infos(HEAD, HEAD + len(CHUNK)), {"connections": 3}, "the index is cut off"),
         ((SECTION + infos(HEAD, HEAD + len(CHUNK)))[:-1], {}, "the index is cut off"),
-        (SECTION + infos(HEAD, HEAD), {}, "the index lists chunks twice"),
-        (SECTION + infos(len(MAGIC), HEAD), {}, "the index points beyond the file"),
-        (SECTION + infos(HEAD, HEAD + 2 * len(CHUNK)), {}, "the index points beyond the file"),
+        (SECTION + infos(HEAD, HEAD), {}, "the index points to wrong chunks"),
+        (SECTION + infos(len(MAGIC), HEAD), {}, "the index points to wrong chunks"),
+        (SECTION + infos(HEAD, HEAD + 2 * len(CHUNK)), {}, "the index points to wrong chunks"),
         (SECTION + record(6, {}, bytes(7)), {}, "a chunk's entry in the index is damaged"),
         (SECTION, {"at": 10**6}, "the index is beyond the end of the file"),
         (SECTION, {"at": len(MAGIC) - 1}, "the index is beyond the end of the file"),
@@ -111,8 +116,8 @@ def test_an_index_right_behind_the_head_is_one(held: Held) -> None:
     assert found.findings[-1].text.startswith("The index can't be used (")
 
 
-def test_a_scan_counts_the_messages_and_their_times(held: Held) -> None:
-    """Of each chunk, where connections may be defined, and between chunks too."""
+def test_a_scan_counts_the_messages_by_index_records(held: Held) -> None:
+    """Connections may be defined between chunks too."""
     found = scanned(held, CHUNK, connection(2, b"/gps"), CHUNK)
     found.close()
     assert lost(found) == 0
@@ -120,17 +125,33 @@ def test_a_scan_counts_the_messages_and_their_times(held: Held) -> None:
     assert (finding.level, finding.code) == ("warning", "unindexed")
     assert {c.topic: c.count for c in found.channels} == {"/imu": 4, "/gps": 2}
     assert {(c.first_ns, c.last_ns) for c in found.channels} == {(SECOND + 5, 3 * SECOND)}
-    size = len(chunk(RAW))
-    assert [(c.start, c.size, c.indexed, c.cut) for c in found._chunks] == [
-        (HEAD, size, False, False),
-        (HEAD + len(CHUNK) + len(connection(2, b"/gps")), size, False, False),
+    counts, second = {1: 2, 2: 1}, HEAD + len(CHUNK) + len(connection(2, b"/gps"))
+    assert found._chunks == [
+        Chunk(HEAD, HEAD + len(CHUNK), counts, SECOND + 5, 3 * SECOND),
+        Chunk(second, second + len(CHUNK), counts, SECOND + 5, 3 * SECOND),
     ]
 
 
-def test_the_first_record_of_a_connection_stands(held: Held) -> None:
-    """It is repeated in each chunk; a damaged one is as good as none."""
+def test_a_scan_counts_the_messages_of_a_chunk_without_index_records(held: Held) -> None:
+    """An index record after another record belongs to no chunk."""
+    found = scanned(held, chunk(RAW), connection(2, b"/gps"), index(1, (SECOND, 0)))
+    found.close()
+    assert found._chunks == [Chunk(HEAD, HEAD + len(chunk(RAW)), {1: 2, 2: 1}, SECOND + 5, 3 * SECOND)]
+
+
+def test_a_damaged_index_record_has_no_times(held: Held) -> None:
+    """Its connection still has messages in the chunk."""
+    damaged = record(4, {b"conn": b"\x01\0\0\0"}, bytes(25))
+    found = scanned(held, chunk(RAW), damaged)
+    found.close()
+    assert [(c.counts, c.first_ns, c.last_ns) for c in found._chunks] == [({1: 2}, 0, 0)]
+    assert [task.keys for task in found.tasks(frozenset({1, 2}))] == [{1}]
+
+
+def test_the_first_record_of_a_connection_is_used(held: Held) -> None:
+    """Chunks repeat it; a damaged one is ignored."""
     damaged = record(7, {b"conn": bytes(3)})
-    found = scanned(held, damaged, CHUNK, connection(1, b"/other"))
+    found = scanned(held, damaged, connection(1), CHUNK, connection(1, b"/other"))
     found.close()
     assert [channel.topic for channel in found.channels] == ["/imu"]
 
@@ -158,26 +179,25 @@ def test_a_scan_ends_at_the_first_record_that_is_not_whole(end: bytes, left: int
         assert f" {left} of {found.size} bytes are cut off or damaged." in found.findings[-1].text
 
 
-def test_what_is_left_of_a_cut_chunk_is_counted(held: Held) -> None:
-    """The end of the file cuts it; that its last message is gone is not a second finding."""
+def test_a_truncated_chunk_is_lost(held: Held) -> None:
+    """The finding counts its bytes; the chunks before it are read."""
     found = scanned(held, CHUNK, chunk(RAW)[:-1])
     found.close()
     assert lost(found) == len(chunk(RAW)) - 1
     assert len(found.findings) == 1
-    assert [(c.size, c.cut) for c in found._chunks] == [(len(chunk(RAW)), False), (len(chunk(RAW)) - 1, True)]
-    assert [channel.count for channel in found.channels] == [3]
-
-
-def test_a_damaged_chunk_is_told_with_its_reason(held: Held) -> None:
-    """The next one is scanned all the same."""
-    found = scanned(held, chunk(RAW, size=1), CHUNK)
-    found.close()
-    assert [finding.code for finding in found.findings] == ["damaged", "unindexed"]
-    assert (
-        found.findings[0].text
-        == f"The log is damaged in one place: a chunk of {len(RAW)} bytes has a declared size of 1."
-    )
     assert [channel.count for channel in found.channels] == [2]
+
+
+def test_a_damaged_chunk_without_index_records_is_tried_when_messages_are_read(held: Held) -> None:
+    """Its loss is reported then; the number of its messages is unknown."""
+    found = scanned(held, chunk(RAW, size=1), CHUNK)
+    assert [finding.code for finding in found.findings] == ["unindexed"]
+    assert [channel.count for channel in found.channels] == [None]
+    first, second = found.tasks(frozenset({1}))
+    with pytest.raises(DamagedError, match="has a declared size of 1"):
+        list(first.load())
+    assert [batch.n for _, batch in second.load()] == [2]
+    found.close()
 
 
 def test_a_bag_whose_compression_is_not_known_is_refused(held: Held) -> None:
@@ -192,7 +212,7 @@ def test_a_bag_whose_compression_is_not_known_is_refused(held: Held) -> None:
 
 
 def test_a_time_has_eight_bytes() -> None:
-    """Seconds and nanoseconds; anything else is none."""
-    assert time_ns({b"time": stamp(3 * SECOND + 4)}, b"time") == 3 * SECOND + 4
-    assert time_ns({b"time": bytes(7)}, b"time") == time_ns({}, b"time") == 0
+    """They are seconds and nanoseconds; a missing time is 0."""
+    assert Record({b"time": stamp(3 * SECOND + 4)}, 0, 0).time_ns(b"time") == 3 * SECOND + 4
+    assert Record({}, 0, 0).time_ns(b"time") == 0
     assert ros1._MAX_INDEX == 2**31
