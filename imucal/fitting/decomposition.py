@@ -32,6 +32,8 @@ from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import Quantization, RateRandomWalk, term_keys
 from imucal.recording import AxisSeries
 
+#: Ordinates whose variances are computed at a time.
+_PART = 1 << 16
 #: Key of the sum of all components.
 BIAS = "bias"
 #: Terms that stay in the residual.
@@ -206,7 +208,7 @@ def smooth(
     unknown = _Unknown.of(law, seen, quantization)
     mean = float(samples[seen].mean())
     values = {key: np.zeros(n) for key in filters}
-    variances = {key: one.variance(law) for key, one in filters.items()}
+    variances = {key: one.variance for key, one in filters.items()}
     done, steps = 0, len(filters) * (1 + unknown.count)
     for part in chain([unknown.complete(np.where(seen, samples - mean, 0.0))], unknown.errors()):
         ordinates = dct2(part)
@@ -215,7 +217,7 @@ def smooth(
             if done < len(filters):
                 values[key] = value + one.gain[0] * mean
             else:
-                variances[key] += value**2
+                variances[key] = variances[key] + value**2
             done += 1
             if progress:
                 progress(n * done // steps, n)
@@ -252,7 +254,8 @@ class _Law:
     def weigh(self, samples: FloatArray) -> FloatArray:
         """Return the precision matrix of the samples times `samples`, shape (n,)."""
         ordinates = dct2(samples)
-        ordinates -= (self.slope @ ordinates) * self.ramp
+        if self.slope_variance:
+            ordinates -= (self.slope @ ordinates) * self.ramp
         return idct2(self.weight * ordinates)
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
@@ -263,33 +266,39 @@ class _Law:
 
 @frozen_alone
 class _Filter:
-    """One component: its share `gain` of each ordinate, and the variance `left` of its error, shape (n,).
+    """One component: its `gain` at each ordinate, and its `variance` at each sample, shape (n,) each.
 
     A component that `rises` contains the ramp.
     """
 
     gain: FloatArray
-    left: FloatArray
+    variance: FloatArray
     rises: bool
+
+    @classmethod
+    def of(cls, law: _Law, own: FloatArray, *, level: bool, left: float, rises: bool = False) -> "_Filter":
+        """Return the filter of a component with variances `own` of the ordinates, shape (n,).
+
+        `left` is the variance of its error at ordinate 0. A component with the `level` contains all of it.
+        """
+        n, gain = own.size, own * law.weight
+        error = own * (1 - gain)
+        gain[0], error[0] = level, left
+        # The square of a cosine is 1/2 plus half a cosine of twice its frequency, folded at n.
+        twice = np.zeros(n)
+        twice[2::2] = error[1 : (n + 1) // 2]
+        twice[2 * n - 2 * np.arange(n // 2 + 1, n)] -= error[n // 2 + 1 :]
+        variance = error.sum() / n + idct2(twice) / np.sqrt(2 * n)
+        if law.slope_variance:
+            variance += law.slope_variance * idct2((rises - gain) * law.ramp) ** 2
+        return cls(gain=gain, variance=np.asarray(variance), rises=rises)
 
     def mean(self, ordinates: FloatArray, law: _Law) -> FloatArray:
         """Return the component's mean given the ordinates of all samples, shape (n,)."""
-        slope = law.slope @ ordinates
-        return idct2(self.gain * ordinates + slope * (self.rises - self.gain) * law.ramp)
-
-    def variance(self, law: _Law) -> FloatArray:
-        """Return the variance of the component given all samples, shape (n,).
-
-        The square of a cosine is 1/2 plus half a cosine of twice its frequency, folded at n.
-        """
-        n, half = self.left.size, (self.left.size + 1) // 2
-        twice = np.zeros(n)
-        twice[2::2] = self.left[1:half]
-        twice[2 * n - 2 * np.arange(n // 2 + 1, n)] -= self.left[n // 2 + 1 :]
-        variance = self.left.sum() / n + idct2(twice) / np.sqrt(2 * n)
+        filtered = self.gain * ordinates
         if law.slope_variance:
-            variance += law.slope_variance * idct2((self.rises - self.gain) * law.ramp) ** 2
-        return np.asarray(variance)
+            filtered += (law.slope @ ordinates) * (self.rises - self.gain) * law.ramp
+        return idct2(filtered)
 
 
 def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter], _Law]:
@@ -304,22 +313,15 @@ def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter]
     total, bias = sum(spectra.values(), np.zeros(n)), sum(slow.values(), np.zeros(n))
     law = _Law.of(total, has_ramp="R" in keys)
 
-    def of(own: FloatArray, *, level: bool, left: float, rises: bool = False) -> _Filter:
-        """Return a filter; `left` is the variance of its error at ordinate 0, which has the `level`."""
-        gain = own * law.weight
-        variance = own * (1 - gain)
-        gain[0], variance[0] = level, left
-        return _Filter(gain=gain, left=variance, rises=rises)
-
     # The prior of the level is flat: it is what the other terms leave of ordinate 0.
     filters = {}
     if "K" not in slow:
-        filters["level"] = of(np.zeros(n), level=True, left=float(total[0]))
+        filters["level"] = _Filter.of(law, np.zeros(n), level=True, left=float(total[0]))
     for key, own in slow.items():
-        filters[key] = of(own, level=key == "K", left=float(total[0] if key == "K" else own[0]))
+        filters[key] = _Filter.of(law, own, level=key == "K", left=float(total[0] if key == "K" else own[0]))
     if "R" in keys:
-        filters["R"] = of(np.zeros(n), level=False, left=0.0, rises=True)
-    filters[BIAS] = of(bias, level=True, left=float(total[0] - bias[0]), rises=True)
+        filters["R"] = _Filter.of(law, np.zeros(n), level=False, left=0.0, rises=True)
+    filters[BIAS] = _Filter.of(law, bias, level=True, left=float(total[0] - bias[0]), rises=True)
     return filters, law
 
 
@@ -332,7 +334,9 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     first = np.arange(1, n, dtype=np.int64)
     if isinstance(term, Quantization):
         return np.concatenate([[0.0], term.psd(first / (2 * n * tau0), tau0) / tau0])
-    expected, _ = term.dct_slopes(n, first, np.ones_like(first), tau0)
+    # In parts that fit in the cache.
+    parts = np.array_split(first, 1 + n // _PART)
+    expected = np.concatenate([term.dct_slopes(n, part, np.ones_like(part), tau0)[0] for part in parts])
     if not expected.any():
         msg = (
             f"{term.symbol} ({term.names[0]}) has no spectral density, so it can't be separated; leave it out"
@@ -343,7 +347,8 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     # n times the variance of the mean: half the structure function at a long lag is the variance of a sample.
     # That of flicker grows with the lag; for the level, its cycles of more than 3 n samples do not matter.
     far = np.array([(3.0 if isinstance(term, PowerLawTerm) else 1e9) * n])
-    own = n * term.structure(far, tau0) / 2 + NoiseTerm.sum_variance(term, np.array([n]), tau0) / n
+    lags = np.arange(1.0, n)
+    own = n * term.structure(far, tau0) / 2 - term.structure(lags, tau0) @ (1 - lags / n)
     return np.concatenate([np.maximum(own, 0.0), expected])
 
 
