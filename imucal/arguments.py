@@ -7,10 +7,14 @@ from typing import ParamSpec, TypeAlias, TypeVar
 
 from imucal.errors import ArgumentError
 
-__all__ = ["takes"]
+__all__ = ["REMOVED", "takes"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
+#: Removed argument -> sentence of the error.
+REMOVED = {
+    "verify": "verify was removed: imucal's tests compare fits with the exact likelihood; leave it out"
+}
 #: A class, several, or a list of one for a sequence of its values.
 _Kind: TypeAlias = type | tuple[type, ...] | list[type]
 
@@ -39,7 +43,8 @@ def takes(example: str, **kinds: _Kind) -> Callable[[Callable[P, T]], Callable[P
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as error:
-                raise ArgumentError(f"{called}: {error}; type {example}") from error
+                problem = next((text for name, text in REMOVED.items() if name in kwargs), error)
+                raise ArgumentError(f"{called}: {problem}; type {example}") from error
             for name, kind in kinds.items():
                 if name in given and not _is(given[name], kind):
                     found = f"{name} is {_article(type(given[name]).__name__)}"

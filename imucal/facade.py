@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 import numpy as np
 
 from imucal.allan import AllanCurve
-from imucal.arguments import takes
+from imucal.arguments import REMOVED, takes
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
 from imucal.calibration.document import load_calibration, to_document
@@ -55,7 +55,6 @@ class FitOptions(TypedDict, total=False):
     criterion: str
     weights: str
     clean: bool
-    verify: bool
     max_gm: int
     segments: int
 
@@ -106,7 +105,7 @@ def fit(
     temperature
         In degrees Celsius, shape (n,), at the samples: its linear effect is taken out with the fit.
     options
-        ``model``, ``method``, ``level``, ``criterion``, ``weights``, ``clean``, ``verify``, ``max_gm`` and
+        ``model``, ``method``, ``level``, ``criterion``, ``weights``, ``clean``, ``max_gm`` and
         ``segments``, as in `imucal.fitting.fit`.
 
     Returns
@@ -122,8 +121,8 @@ def fit(
     """
     if unknown := [name for name in options if name not in FitOptions.__annotations__]:
         known = ", ".join(FitOptions.__annotations__)
-        msg = f"fit: there is no option {unknown[0]!r}; expected one of {known}; {_ONE_AXIS}"
-        raise ArgumentError(msg)
+        problem = f"there is no option {unknown[0]!r}; expected one of {known}; {_ONE_AXIS}"
+        raise ArgumentError(f"fit: {REMOVED.get(unknown[0], problem)}")
     with _refusals():
         if isinstance(source, Recording):
             if rate_hz is not None:

@@ -42,7 +42,7 @@ _MODULES = ("scipy.fft", "scipy.special", "imucal.fitting.moments")
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
-    *("max_gm", "clean", "verify", "second_opinion", "segments", "bins"),
+    *("max_gm", "clean", "second_opinion", "segments", "bins"),
 )
 
 #: Minimum number of measured temperatures.

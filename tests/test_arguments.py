@@ -36,6 +36,8 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.simulate("N=1e-4", rate_hz=-1.0), "type simulate(model, rate_hz=200.0)"),
     (lambda: imucal.simulate("Z=1e-4"), "is not understood; write a sum such as"),
     (lambda: imucal.Settings(modl="N"), "Settings: got an unexpected keyword argument 'modl'"),  # type: ignore[call-arg]
+    (lambda: imucal.Settings(verify=True), "Settings: verify was removed: imucal's tests compare"),  # type: ignore[call-arg]
+    (lambda: imucal.fit(RECORDING, verify=True), "fit: verify was removed: imucal's tests compare"),  # type: ignore[call-overload]
     (lambda: REPORT["gyro_x"]["N"].in_units("deg"), "'deg' is no unit of N; expected one of rad/s/sqrt(Hz)"),
 ]  # fmt: skip
 

@@ -9,8 +9,7 @@ import pytest
 
 from imucal import pipeline, processes, screening
 from imucal.errors import DataError
-from imucal.fitting.spectral import mle
-from imucal.pipeline import Settings, characterize, screen
+from imucal.pipeline import characterize, screen
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries, Recording, Source
 from imucal.report import figure, html_page
@@ -100,15 +99,6 @@ def test_a_second_opinion_costs_no_result(
     texts = {finding.code: finding.text for finding in axis.findings}
     assert texts["second-opinion"] == f"The fit of the Allan curve failed: {said}."
     assert texts["record-length"].startswith("The required record length is unknown: ")
-
-
-@pytest.mark.usefixtures("as_a_user")
-def test_a_verification_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The exact likelihood is a second opinion too."""
-    monkeypatch.setattr(mle, "verify_findings", _failing(ZeroDivisionError("by zero")))
-    (axis,) = characterize(_one_axis(), Settings(verify=True)).axes
-    (finding,) = [f for f in axis.findings if f.code == "verified"]
-    assert finding.text.startswith("The exact likelihood was not computed: the calculation failed ")
 
 
 _TABLES = ("_LOG_CHECKS", "_REST_CHECKS", "_AXIS_CHECKS")

@@ -16,7 +16,7 @@ _GROUPS = {
     "Which samples": "topic skip_s take_s rests time rate_hz columns fields message_definition join strict",
     "Units": "time_unit gyro_unit accel_unit gyro_scale accel_scale",
     "Model": "model level method",
-    "Advanced": "taus edf no_clean criterion weights segments verify bins",
+    "Advanced": "taus edf no_clean criterion weights segments bins",
 }
 #: Commands that read a report, or a log with the options of `imucal fit`, which their help only mentions.
 _OF_REPORTS = {"export", "check", "drift", "plan", "compare"}
@@ -132,9 +132,9 @@ def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
     )
 
 
-def flag(said: str) -> Any:  # noqa: ANN401
+def flag(said: str, **more: Any) -> Any:  # noqa: ANN401
     """Declare an option that is given or not."""
-    return option(said, is_flag=True)
+    return option(said, is_flag=True, **more)
 
 
 def together(make: Callable[..., Any], declared: dict[str, Any]) -> Any:  # noqa: ANN401

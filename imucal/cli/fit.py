@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucal.arguments import REMOVED
 from imucal.cli._declared import declared, flag, is_set, misuse, option, together
 from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, refuse, say, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
@@ -51,7 +52,7 @@ def command(
         },
     ),
     no_clean: bool = flag("--no-clean  Keep spikes instead of leaving them out."),
-    verify: bool = flag("--verify  Check the fit against the exact likelihood (slower)."),
+    _verify: bool = flag("--verify  (removed)", hidden=True),
     datasheet: bool = DATASHEET,
     formats: tuple[str, ...] = PICTURES,
     figure: str = option(
@@ -99,9 +100,11 @@ def command(
     from imucal.report.json_node import dumps
     from imucal.report.writer import check_folder, write_report
 
+    if is_set("verify"):
+        misuse(f"--{REMOVED['verify']}")
     try:
         reading = request.settings() | ({"rests": True} if rests else {})
-        settings = Settings(clean=not no_clean, verify=verify, bins=bins, reading=reading, **choices)
+        settings = Settings(clean=not no_clean, bins=bins, reading=reading, **choices)
     except ValueError as error:
         misuse(error)
     folder = out or report_folder(request.logs[0])

@@ -26,7 +26,6 @@ def fit(
     criterion: str = "chance",
     weights: str = "full",
     clean: bool = True,
-    verify: bool = False,
     temperature: FloatArray | None = None,
     curve: AllanCurve | None = None,
     max_gm: int = 2,
@@ -53,8 +52,6 @@ def fit(
         For gmwm: ``full`` covariance of the curve, or ``eta3``, the published diagonal.
     clean
         Replace spikes before fitting; they are counted in a finding.
-    verify
-        Report the distance to the maximum of the exact state-space likelihood.
     temperature
         In degrees Celsius, shape (n,), at the samples: the fit takes out its linear effect.
     curve
@@ -85,7 +82,6 @@ def fit(
         weights=weights,
         max_gm=max_gm,
         clean=clean,
-        verify=verify,
         segments=segments,
     )
     result = fit_axis(series, settings, temperature=temperature, curve=curve)

@@ -1,12 +1,11 @@
-"""Checks of a fit by other views of the same samples: another fit, the exact likelihood, the spectrum.
+"""Checks of a fit by other views of the same samples: another fit, the spectrum.
 
 `second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve. If the
 model is right, both estimate the same numbers, and the variance of their difference is the difference of
 their variances, because the maximum-likelihood fit is efficient. If the model is wrong, they weigh
 frequencies differently and disagree. Both must describe the same noise: `fit_of_curve` subtracts the shapes
 that the first fit took out, such as cycles, steps and the temperature. It also corrects the curve for the
-output filter and lines, and leaves out averaging times that these dominate. `verify_findings` compares
-the fit with the maximum of the exact state-space likelihood.
+output filter and lines, and leaves out averaging times that these dominate.
 
 `ambiguity_findings` reports a wrong spectrum that the Allan curve hides: different spectra can have the same
 curve. With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to
@@ -28,11 +27,10 @@ from imucal.allan.dct import Spectrum
 from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.findings import Finding, Level
+from imucal.findings import Finding
 from imucal.fitting.noise_fit import MISFIT, Estimate, NoiseFit
 from imucal.fitting.settings import FitSettings
-from imucal.noise.model import NoiseModel
-from imucal.noise.terms import TERMS, term_keys
+from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
 #: Standard deviations beyond which a disagreement of two estimates is reported.
@@ -43,8 +41,6 @@ _LEAST = 1 / 300
 _OF_SHORT_TIMES = {"Q", "N"}
 #: Lower limit of the difference's variance, relative to the second fit's: both variances are estimates.
 _LEAST_SHARE = 0.25
-#: Distance of the two maxima, in standard errors, above which the finding is a warning.
-_FAR = 0.5
 
 
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
@@ -97,50 +93,6 @@ def _value(estimate: Estimate) -> str:
     if estimate.value is None:
         return f"below {estimate.high:.3g}"
     return f"{estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
-
-
-def verify_findings(
-    series: AxisSeries, model: NoiseModel, names: tuple[str, ...], covariance: FloatArray
-) -> tuple[Finding, ...]:
-    """Return how far the exact likelihood's maximum is from `model`, in standard errors.
-
-    Takes some seconds for 1e5 samples. `names` and `covariance`, shape (p, p), are the fit's own.
-    """
-    distance = distances(series, model, names, covariance)
-    worst = max(distance, key=lambda name: distance[name], default="")
-    if not worst:
-        return ()
-    far = distance[worst] > _FAR
-    level: Level = "warning" if far else "info"
-    away = f"{distance[worst]:.2g} standard errors away ({worst})"
-    text = f"The maximum of the exact state-space likelihood is up to {away}."
-    advice = "Look for lines, a filter or a misfit before you use either result." if far else ""
-    return (Finding(level, "verified", text, advice, axis=series.name),)
-
-
-def distances(
-    series: AxisSeries, model: NoiseModel, names: tuple[str, ...], covariance: FloatArray
-) -> dict[str, float]:
-    """Return how far each parameter is from the exact likelihood's maximum, in standard errors."""
-    from imucal.fitting.state_space import fit_exact
-
-    here, there = _values(model), _values(fit_exact(series, model)[0])
-    deviation = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    return {
-        name: abs(there[name] - here[name]) / deviation[name]
-        for name in here
-        if np.isfinite(deviation[name]) and deviation[name] > 0
-    }
-
-
-def _values(model: NoiseModel) -> dict[str, float]:
-    """Return the model's parameters under the names that a fit's covariance uses."""
-    keys = term_keys(term.symbol for term in model.terms)
-    return {
-        name: abs(value)
-        for term, key in zip(model.terms, keys, strict=True)
-        for name, value in zip(term.parameter_names(key), term.values, strict=True)
-    }
 
 
 #: Points are used if the ratio of the noise's to the curve's variance is between this and its inverse.

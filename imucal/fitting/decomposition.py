@@ -1,43 +1,47 @@
-"""decompose: what the parts of a fitted model did in a record, each with its standard error.
+"""decompose: what each term of a fitted model did during a record, with standard errors.
 
-The conditional mean of the states given all samples, in O(n). Given the states at its start and at
-its end, a block of samples is independent of the others. So a filter and a smoother run from block
-to block (`imucal.fitting.state_space`), and each block's inside is a linear map of its samples and
-its ends, the same for all blocks that miss the same samples. Nothing is approximated: the result is
-that of one dense conditioning of the whole record.
+In the basis of the likelihood, the DCT-II, the terms of a model are independent at each ordinate, with
+variances S_c that add up to S. The mean of a component given all samples is the Wiener filter S_c / S, and
+the variance of its error is S_c - S_c² / S at each ordinate. This is exact for white noise, quantization,
+random walk, ramp and level; for the other terms it is as accurate as the likelihood.
 
-Source: Rauch, Tung & Striebel (1965), AIAA J. 3, 1445 (the smoother); Anderson & Moore (1979),
-"Optimal filtering", sec. 7.3. It is the E-step of EM for these models, Shumway & Stoffer (1982),
-J. Time Ser. Anal. 3, 253.
+Missing samples are completed by their mean given the others. Their errors, filtered in the same way, add to
+the standard errors. If they are many, conjugate gradients give the mean and random draws of the errors.
+
+Source: Wiener (1949), "Extrapolation, interpolation, and smoothing of stationary time series"; draws:
+Papandreou & Yuille (2010), NIPS 23.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 
+from imucal.allan.dct import dct2, idct2, ramp_ordinates
 from imucal.arguments import takes
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit, keyed
 from imucal.fitting.robust import find_spikes
-from imucal.fitting.state_space import (
-    BIAS,
-    BlockLaw,
-    Blocks,
-    StateSpace,
-    Step,
-    Told,
-    filtered,
-    inverse_of,
-    on_grid,
-)
 from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
+from imucal.noise.term import NoiseTerm, PowerLawTerm
+from imucal.noise.terms import Quantization, RateRandomWalk, term_keys
 from imucal.recording import AxisSeries
 
-#: Blocks whose insides are computed at once; so few that each is computed by itself.
-_AT_ONCE, _FEW = 512, 4
+#: Ordinates whose variances are computed at a time.
+_PART = 1 << 16
+#: Key of the sum of all components.
+BIAS = "bias"
+#: Terms that stay in the residual.
+_NOISE = frozenset({"Q", "N"})
+#: Samples in all draws of the errors of missing samples, and limits of the number of draws.
+_DRAWN, _DRAWS = 2_000_000, (12, 200)
+#: Conjugate gradients stop at an error of this fraction of the standard error; largest number of their steps.
+_CLOSE, _STEPS = 1e-3, 5000
 #: Rates of samples and model that differ by more belong to two records.
 _SAME_RATE = 0.01
 #: Most places on the clock's grid for each sample: beyond, the record is mostly a gap.
@@ -115,66 +119,60 @@ class Decomposition(ReadOnlyArrays):
 def decompose(
     series: AxisSeries, fit: NoiseFit | NoiseModel, *, clean: bool = True, progress: Progress | None = None
 ) -> Decomposition:
-    """Return what the bias of a record did: the smoothed parts of its noise model.
+    """Return what the bias of a record did: the smoothed components of its noise model.
 
-    Each part is its mean given all samples, before and after, and the model; the standard errors hold
-    for that model. White noise N is what the samples are measured with; quantization noise Q stays
-    with it in the residual, its correlation taken into account. A ramp R is estimated anew, with a
-    flat prior. Flicker B is its bank of Gauss-Markov terms, within 1 % of its density (12 % near half
-    the rate). The level is part of the random walk K where there is one, since a walk may start
-    anywhere; else it is a component of its own.
+    Each component is its mean given the model and all samples, before and after. The standard errors assume
+    that the model is true. White noise N and quantization noise Q are in the residual. A ramp R is estimated
+    again. The level is part of the random walk K, or a component of its own in a model without K.
 
     Parameters
     ----------
     series
-        The samples; gaps are bridged, and the standard errors say how well.
+        The samples; gaps are bridged, and the standard errors include the missing samples.
     fit
-        A fit of them, or a model. What the fit took for an output filter or lines, a warm-up, steps,
-        cycles or the effect of temperature is not modelled here: what is slow shows in the bias.
+        A fit of the samples, or a model. An output filter, lines, a warm-up, steps, cycles or the effect of
+        temperature are not in the model: slow ones appear in the bias.
     clean
-        Take spikes for missing samples.
+        Treat spikes as missing samples.
     progress
-        Called with the number of places done and of all.
+        Called with the number of samples done and of all.
 
     Returns
     -------
     Decomposition
-        Exact for the model: equal to one conditioning of all samples at once, in O(n). With no N and
-        no Q in the model the samples are their own bias.
+        If the model has neither N nor Q, the bias is equal to the samples.
 
     Raises
     ------
     ValueError
-        If the fit is of another rate, or a term of its model has no states.
+        If the fit has another rate, or a term of its model has no spectral density.
     DataError
-        If there are fewer than 2 finite samples, the model has no terms, or gaps are 20 times as
-        long as the samples.
+        If there are fewer than 2 finite samples, the model has no noise, less than a twentieth of the
+        samples are left, or too many are missing to estimate them.
     """
     model = fit.model if isinstance(fit, NoiseFit) else fit
     if isinstance(fit, NoiseFit) and abs(fit.rate_hz / series.rate_hz - 1) > _SAME_RATE:
         msg = f"{series.name}: samples at {series.rate_hz:.6g} Hz, but the fit is for {fit.rate_hz:.6g} Hz"
         raise ValueError(msg)
-    if not any(term.coefficient for term in model.terms):
-        msg = f"{series.name}: the model has no terms, so there is nothing to separate; fit a longer record"
+    if not any(term.coefficient for term in model.terms if term.symbol != "R"):
+        msg = f"{series.name}: the model has no noise, so there is nothing to separate; fit a longer record"
         raise DataError(msg)
     good = _good(series, clean=clean)
-    samples, seen = on_grid(good, "a decomposition")
-    states = StateSpace.of(model, rate_hz=series.rate_hz, n=samples.size)
-    # The mean costs no digits; what holds the level holds it.
-    mean = float(samples[seen].mean())
-    found = smooth(states, np.where(seen, samples - mean, 0.0), seen, progress=progress)
-    holders = {BIAS, "level" if "level" in states.flat else "K"}
-    parts = [
-        Component(key=key, value=value + mean if key in holders else value, error=error)
-        for key, (value, error) in found.items()
-    ]
+    if good.n < 2:
+        raise DataError(f"{series.name}: a decomposition needs at least 2 samples, got {good.n}")
+    samples, seen = np.zeros(good.clock.grid_size), np.zeros(good.clock.grid_size, dtype=bool)
+    samples[good.clock.grid()], seen[good.clock.grid()] = good.samples, True
+    try:
+        components = smooth(model, samples, seen, series.tau0, progress=progress)
+    except (ArgumentError, DataError) as error:
+        raise type(error)(f"{series.name}: {error}") from error
     return Decomposition(
         series=series,
         model=model,
         start_s=float((good.clock.segments[0].offset - series.clock.segments[0].offset) * series.tau0),
         samples=np.where(seen, samples, np.nan),
-        components=tuple(part for part in parts if part.key != BIAS),
-        bias=next(part for part in parts if part.key == BIAS),
+        components=components[:-1],
+        bias=components[-1],
     )
 
 
@@ -193,129 +191,263 @@ def _good(series: AxisSeries, *, clean: bool) -> AxisSeries:
 
 
 def smooth(
-    states: StateSpace, samples: FloatArray, seen: BoolArray, *, progress: Progress | None = None
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return the components given the samples: key -> conditional means and standard errors, shapes (n,).
+    model: NoiseModel,
+    samples: FloatArray,
+    seen: BoolArray,
+    tau0: float,
+    *,
+    progress: Progress | None = None,
+) -> tuple[Component, ...]:
+    """Return the components given the `seen` samples, shape (n,): ``level``, the terms, ``R``, ``bias``.
 
-    In the order ``level``, the groups of states, ``R`` (the slope times the time since the first sample), as
-    far as they are there, and ``bias``, their sum. Samples, shape (n,), count where they are `seen`, shape
-    (n,), as the first one is. `progress` is called after some blocks.
+    The first and the last sample must be seen. `progress` is called after each filter.
     """
-    n, scale = samples.size, float(np.sqrt(states.white))
-    blocks = Blocks.of(samples / scale, seen)
-    unit = states.in_unit_of_white()
-    block = BlockLaw.of(unit, blocks.length, 1 / blocks.count)
-    ends = _Ends.smoothed(list(filtered(unit, blocks, block)), states.size)
-    level, slope = ([name for name in states.flat if name == key] for key in ("level", "R"))
-    keys = (*level, *states.groups, *slope, BIAS)
-    found = {key: np.empty((2, *blocks.samples.shape)) for key in keys}
-    done = 0
-    for members, holes in blocks.alike():
-        inside = _insides(unit, block, holes)
-        for some in np.array_split(members, -(-members.size // _AT_ONCE)):
-            for key, value, variance in _components(unit, inside, blocks, ends, some):
-                found[key][0, some] = scale * value
-                found[key][1, some] = scale * np.sqrt(np.maximum(variance, 0.0))
-            done += some.size
+    n = samples.size
+    filters, law = _filters(model, n, tau0)
+    quantization = sum(term.variance(tau0) for term in model.terms if isinstance(term, Quantization))
+    unknown = _Unknown.of(law, seen, quantization)
+    mean = float(samples[seen].mean())
+    values = {key: np.zeros(n) for key in filters}
+    variances = {key: one.variance for key, one in filters.items()}
+    done, steps = 0, len(filters) * (1 + unknown.count)
+    for part in chain([unknown.complete(np.where(seen, samples - mean, 0.0))], unknown.errors()):
+        ordinates = dct2(part)
+        for key, one in filters.items():
+            value = one.mean(ordinates, law)
+            if done < len(filters):
+                values[key] = value + one.gain[0] * mean
+            else:
+                variances[key] = variances[key] + value**2
+            done += 1
             if progress:
-                progress(min(done * blocks.length, n), n)
-    return {key: (both[0].reshape(-1)[:n], both[1].reshape(-1)[:n]) for key, both in found.items()}
-
-
-#: A component inside blocks that miss the same samples: its key, of_samples, of_ends, left. Its mean is
-#: of_samples @ samples + of_ends @ (extended start, end), its variance `left` when all of these are known.
-_Inside: TypeAlias = tuple[str, FloatArray, FloatArray, FloatArray]
-
-
-def _insides(states: StateSpace, block: BlockLaw, seen: BoolArray) -> list[_Inside]:
-    """Return every component's inside of the blocks of which the samples `seen`, shape (B,), are there."""
-    told = Told.of(block, seen)
-    inverse_rest = inverse_of(told.rest)
-    d, B = states.size, seen.size
-    insides = []
-    for key, group in (*states.groups.items(), (BIAS, states.everything)):
-        # Given the start: what that adds to the component, its covariance with the end and the samples.
-        start = np.zeros((B, d + 2))
-        start[:, :d] = np.where(group, states.decay ** np.arange(B)[:, np.newaxis], 0.0)
-        if key == BIAS:
-            start[:, d:] = block.trace[:, d:]
-        with_end = np.where(group, block.own[:, :B, B].T, 0.0)
-        cross = block.sampled[group][:, seen, :B].sum(axis=0).T
-        alone = cross @ told.inverse
-        to_end = (with_end - alone @ block.with_end[seen]) @ inverse_rest
-        to_samples = alone - to_end @ told.gain
-        start -= to_samples @ block.trace[seen] + to_end @ block.passed
-        left = np.einsum("dii->i", block.own[group])[:B]
-        left = left - np.sum(to_samples * cross, axis=1) - np.sum(to_end * with_end, axis=1)
-        insides.append((key, to_samples, np.concatenate([start, to_end], axis=1), left))
-    return insides
+                progress(n * done // steps, n)
+    return tuple(
+        Component(key=key, value=value, error=np.sqrt(np.maximum(variances[key], 0.0)))
+        for key, value in values.items()
+    )
 
 
 @frozen_alone
-class _Ends:
-    """What all samples tell of each block's ends: the states at its start and at its end, level and slope.
+class _Law:
+    """Distribution of the ordinates of all samples: variance 1 / `weight`, flat prior on level and slope.
 
-    Their mean and covariance have shapes (b, 2d + p) and (b, 2d + p, 2d + p).
+    The slope multiplies the ordinates of a `ramp`. Its estimate is the sum of `slope` times the ordinates,
+    with variance `slope_variance`; all are zero if the model has no ramp. Arrays have shape (n,).
     """
 
-    mean: FloatArray
-    covariance: FloatArray
+    weight: FloatArray
+    ramp: FloatArray
+    slope: FloatArray
+    slope_variance: float
 
     @classmethod
-    def smoothed(cls, steps: Sequence[Step], d: int) -> "_Ends":
-        """Smooth: each block's start given its end, whose mean and covariance are known from the last on."""
-        size = d + steps[-1].mean.size
-        means, covariances = np.empty((len(steps), size)), np.empty((len(steps), size, size))
-        end_mean, end_covariance = steps[-1].predicted, steps[-1].ahead
-        for block in range(len(steps) - 1, -1, -1):
-            step = steps[block]
-            gain = step.cross.T @ step.inverse
-            start_mean = step.mean + gain @ (end_mean - step.predicted)
-            start_covariance = step.covariance + gain @ (end_covariance - step.ahead) @ gain.T
-            joint = gain @ end_covariance
-            # Level and slope are the same at both ends, to the last digit.
-            start_mean[d:], start_covariance[d:, d:] = end_mean[d:], end_covariance[d:, d:]
-            start_covariance[:d, d:], start_covariance[d:, :d] = joint[:d, d:], joint[:d, d:].T
-            means[block] = np.concatenate([start_mean[:d], end_mean])
-            covariances[block, :d, :d] = start_covariance[:d, :d]
-            covariances[block, :d, d:], covariances[block, d:, :d] = joint[:d], joint[:d].T
-            covariances[block, d:, d:] = end_covariance
-            end_mean, end_covariance = start_mean, start_covariance
-        return cls(mean=means, covariance=covariances)
+    def of(cls, spectrum: FloatArray, *, has_ramp: bool) -> "_Law":
+        n = spectrum.size
+        weight = np.concatenate([[0.0], 1 / spectrum[1:]])
+        ramp, slope, variance = np.zeros(n), np.zeros(n), 0.0
+        if has_ramp:
+            ramp = np.concatenate([[np.sqrt(n) * (n - 1) / 2], ramp_ordinates(n, n - 1)])
+            variance = 1 / float(ramp @ (weight * ramp))
+            slope = variance * weight * ramp
+        return cls(weight=weight, ramp=ramp, slope=slope, slope_variance=variance)
 
-    def extended(self, states: StateSpace, members: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and covariance of some blocks' extended starts and their ends, shape (b, 2d + 2)."""
-        d = states.size
-        maps = np.zeros((members.size, 2 * d + 2, self.mean.shape[1]))
-        for map_, place in zip(maps, members.tolist(), strict=True):
-            extension = states.extension(place / len(self.mean))
-            map_[: d + 2, :d], map_[: d + 2, 2 * d :] = extension[:, :d], extension[:, d:]
-        maps[:, d + 2 :, d : 2 * d] = np.eye(d)
-        mean = np.einsum("bij,bj->bi", maps, self.mean[members])
-        return mean, maps @ self.covariance[members] @ np.swapaxes(maps, 1, 2)
+    def weigh(self, samples: FloatArray) -> FloatArray:
+        """Return the precision matrix of the samples times `samples`, shape (n,)."""
+        ordinates = dct2(samples)
+        if self.slope_variance:
+            ordinates -= (self.slope @ ordinates) * self.ramp
+        return idct2(self.weight * ordinates)
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Return a vector whose covariance is the precision matrix, shape (n,)."""
+        ordinates = np.sqrt(self.weight) * rng.standard_normal(self.weight.size)
+        return idct2(ordinates - (self.ramp @ ordinates) * self.slope)
 
 
-def _components(
-    states: StateSpace, insides: list[_Inside], blocks: Blocks, ends: _Ends, members: IntArray
-) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Yield each component's key, means and variances in some blocks, shapes (b, length)."""
-    own = blocks.samples[members][:, blocks.seen[members[0]]]
-    extended, covariance = ends.extended(states, members)
-    for key, of_samples, of_ends, left in insides:
-        yield key, own @ of_samples.T + extended @ of_ends.T, _spread(covariance, of_ends) + left
-    for i, name in enumerate(states.flat, start=2 * states.size):
-        time = np.ones((members.size, blocks.length))
-        if name == "R":
-            time = (members[:, np.newaxis] + np.arange(blocks.length) / blocks.length) / blocks.count
-        mean, variance = ends.mean[members, i], ends.covariance[members, i, i]
-        yield name, mean[:, np.newaxis] * time, variance[:, np.newaxis] * time**2
+@frozen_alone
+class _Filter:
+    """One component: its `gain` at each ordinate, and its `variance` at each sample, shape (n,) each.
+
+    A component that `rises` contains the ramp.
+    """
+
+    gain: FloatArray
+    variance: FloatArray
+    rises: bool
+
+    @classmethod
+    def of(cls, law: _Law, own: FloatArray, *, level: bool, left: float, rises: bool = False) -> "_Filter":
+        """Return the filter of a component with variances `own` of the ordinates, shape (n,).
+
+        `left` is the variance of its error at ordinate 0. A component with the `level` contains all of it.
+        """
+        n, gain = own.size, own * law.weight
+        error = own * (1 - gain)
+        gain[0], error[0] = level, left
+        # The square of a cosine is 1/2 plus half a cosine of twice its frequency, folded at n.
+        twice = np.zeros(n)
+        twice[2::2] = error[1 : (n + 1) // 2]
+        twice[2 * n - 2 * np.arange(n // 2 + 1, n)] -= error[n // 2 + 1 :]
+        variance = error.sum() / n + idct2(twice) / np.sqrt(2 * n)
+        if law.slope_variance:
+            variance += law.slope_variance * idct2((rises - gain) * law.ramp) ** 2
+        return cls(gain=gain, variance=np.asarray(variance), rises=rises)
+
+    def mean(self, ordinates: FloatArray, law: _Law) -> FloatArray:
+        """Return the component's mean given the ordinates of all samples, shape (n,)."""
+        filtered = self.gain * ordinates
+        if law.slope_variance:
+            filtered += (law.slope @ ordinates) * (self.rises - self.gain) * law.ramp
+        return idct2(filtered)
 
 
-def _spread(covariance: FloatArray, of_ends: FloatArray) -> FloatArray:
-    """Return the variances, shape (b, length), of `of_ends`, shape (length, e), times the blocks' ends."""
-    if covariance.shape[0] < _FEW:
-        return np.asarray(np.sum(of_ends @ covariance * of_ends, axis=2))
-    # One product for all blocks: of the pairs of columns with the covariances' upper halves.
-    row, column = np.triu_indices(of_ends.shape[1])
-    pairs = of_ends[:, row] * of_ends[:, column] * np.where(row == column, 1.0, 2.0)
-    return np.asarray(covariance[:, row, column] @ pairs.T)
+def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter], _Law]:
+    """Return the filter of each component, and the distribution of the samples."""
+    keys = term_keys(term.symbol for term in model.terms)
+    spectra = {
+        key: _spectrum(term, n, tau0)
+        for key, term in zip(keys, model.terms, strict=True)
+        if term.symbol != "R" and term.coefficient
+    }
+    slow = {key: own for key, own in spectra.items() if key not in _NOISE}
+    total, bias = sum(spectra.values(), np.zeros(n)), sum(slow.values(), np.zeros(n))
+    law = _Law.of(total, has_ramp="R" in keys)
+
+    # The prior of the level is flat: it is what the other terms leave of ordinate 0.
+    filters = {}
+    if "K" not in slow:
+        filters["level"] = _Filter.of(law, np.zeros(n), level=True, left=float(total[0]))
+    for key, own in slow.items():
+        filters[key] = _Filter.of(law, own, level=key == "K", left=float(total[0] if key == "K" else own[0]))
+    if "R" in keys:
+        filters["R"] = _Filter.of(law, np.zeros(n), level=False, left=0.0, rises=True)
+    filters[BIAS] = _Filter.of(law, bias, level=True, left=float(total[0] - bias[0]), rises=True)
+    return filters, law
+
+
+def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
+    """Return the variances of the ordinates 0 … n-1 of a term, shape (n,).
+
+    Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. Without its part in the first and the
+    last sample, quantization noise has independent ordinates, which its psd gives.
+    """
+    first = np.arange(1, n, dtype=np.int64)
+    if isinstance(term, Quantization):
+        return np.concatenate([[0.0], term.psd(first / (2 * n * tau0), tau0) / tau0])
+    # In parts that fit in the cache.
+    parts = np.array_split(first, 1 + n // _PART)
+    expected = np.concatenate([term.dct_slopes(n, part, np.ones_like(part), tau0)[0] for part in parts])
+    if not expected.any():
+        msg = (
+            f"{term.symbol} ({term.names[0]}) has no spectral density, so it can't be separated; leave it out"
+        )
+        raise ArgumentError(msg)
+    if isinstance(term, RateRandomWalk):
+        return np.concatenate([[0.0], expected])
+    # n times the variance of the mean: half the structure function at a long lag is the variance of a sample.
+    # That of flicker grows with the lag; for the level, its cycles of more than 3 n samples do not matter.
+    far = np.array([(3.0 if isinstance(term, PowerLawTerm) else 1e9) * n])
+    lags = np.arange(1.0, n)
+    own = n * term.structure(far, tau0) / 2 - term.structure(lags, tau0) @ (1 - lags / n)
+    return np.concatenate([np.maximum(own, 0.0), expected])
+
+
+@frozen_alone
+class _Unknown:
+    """The samples to estimate: missing ones, and the first and the last one if they have extra noise.
+
+    Quantization noise of q² per sample is a process with independent ordinates, and noise of q² in the first
+    and the last sample. `places`, shape (u,), are their indices and `known` the precision of their
+    observation, zero for missing ones. `covariance` is that of their errors, shape (u, u), or None if they
+    are more than `count`, the number of draws. `runs` are used for preconditioning: the indices in `places`
+    of all runs of one length, shape (r, length), and the variances of their sines, shape (length,).
+    """
+
+    law: _Law
+    places: IntArray
+    known: FloatArray
+    count: int
+    runs: list[tuple[IntArray, FloatArray]]
+    covariance: FloatArray | None = None
+
+    @classmethod
+    def of(cls, law: _Law, seen: BoolArray, quantization: float) -> "_Unknown":
+        """Return the unknown samples of a record with the `seen` samples, shape (n,)."""
+        n, unknown, precision = seen.size, ~seen, np.zeros(seen.size)
+        if quantization:
+            unknown[[0, -1]], precision[[0, -1]] = True, 1 / quantization
+        places = np.flatnonzero(unknown)
+        starts = np.flatnonzero(np.diff(places, prepend=-2) > 1)
+        lengths = np.diff(starts, append=places.size)
+        runs = []
+        for length in np.unique(lengths).tolist():
+            own = starts[lengths == length, np.newaxis] + np.arange(length)
+            at = np.arange(1, length + 1) * n / (length + 1)
+            runs.append((own, 1 / np.interp(at, np.arange(n), law.weight)))
+        count = int(min(places.size, np.clip(_DRAWN // n, *_DRAWS)))
+        result = cls(law=law, places=places, known=precision[places], count=count, runs=runs)
+        if places.size > count:
+            return result
+        matrix = np.array([result._weigh(one) for one in np.eye(count)]).reshape(count, count)
+        return replace(result, covariance=np.linalg.inv(matrix))
+
+    def complete(self, samples: FloatArray) -> FloatArray:
+        """Return samples of shape (n,) with the unknown ones replaced by their means given the others."""
+        full, missing = samples.copy(), self.places[self.known == 0]
+        others = np.delete(np.arange(samples.size), missing)
+        full[missing] = np.interp(missing, others, samples[others])
+        full[self.places] -= self._solve(self.law.weigh(full)[self.places])
+        return full
+
+    def errors(self) -> Iterator[FloatArray]:
+        """Yield errors of the completed samples, shape (n,); their squares add up to the variances.
+
+        They are exact if there are no more unknown samples than draws.
+        """
+        if self.covariance is not None:
+            yield from map(self._padded, np.linalg.cholesky((self.covariance + self.covariance.T) / 2).T)
+            return
+        rng = np.random.default_rng(2024)
+        for _ in range(self.count):
+            right = self.law.draw(rng)[self.places]
+            right += np.sqrt(self.known) * rng.standard_normal(right.size)
+            yield self._padded(self._solve(right) / np.sqrt(self.count))
+
+    def _padded(self, values: FloatArray) -> FloatArray:
+        full = np.zeros(self.law.weight.size)
+        full[self.places] = values
+        return full
+
+    def _weigh(self, values: FloatArray) -> FloatArray:
+        """Return the precision matrix of the unknown samples times `values`, shape (u,)."""
+        return self.law.weigh(self._padded(values))[self.places] + self.known * values
+
+    def _solve(self, right: FloatArray) -> FloatArray:
+        """Solve precision @ x = right, by conjugate gradients if there is no covariance."""
+        if self.covariance is not None:
+            return np.asarray(self.covariance @ right)
+        x, rest = np.zeros(right.size), right.copy()
+        direction = self._nearly(rest)
+        size = rest @ direction
+        for _ in range(_STEPS):
+            if size <= _CLOSE**2:
+                return x
+            image = self._weigh(direction)
+            step = size / (direction @ image)
+            x += step * direction
+            rest -= step * image
+            near = self._nearly(rest)
+            previous, size = size, rest @ near
+            direction = near + size / previous * direction
+        msg = (
+            f"{right.size} missing samples could not be estimated in {_STEPS} steps of conjugate gradients; "
+        )
+        raise DataError(f"{msg}use a part of the record with fewer gaps, or add N to the model")
+
+    def _nearly(self, right: FloatArray) -> FloatArray:
+        """Return nearly the solution: sines that end with a run are nearly independent of each other."""
+        result = np.empty(right.size)
+        for places, variance in self.runs:
+            waves = scipy.fft.dst(right[places], type=1, norm="ortho") * variance
+            result[places] = scipy.fft.idst(waves, type=1, norm="ortho")
+        return result

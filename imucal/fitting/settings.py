@@ -56,7 +56,6 @@ class FitSettings:
     weights: str = "full"
     max_gm: int = 2
     clean: bool = True
-    verify: bool = False
     segments: int = 8
 
     def __post_init__(self) -> None:

@@ -359,7 +359,7 @@ def _missing(name: str, n: int, rng: np.random.Generator) -> np.typing.NDArray[n
 
 def exact(n: int, repeats: int, seed: int, only: list[str]) -> None:
     """Print how far the exact likelihood's maximum is, in standard errors."""
-    from imucal.fitting.cross_checks import distances
+    from tests.fitting.state_space import distances
 
     print(f"\nn = {n}, {repeats} repeats\n\n| setting | median | greatest |\n|---|---|---|")
     for name, text in SETTINGS.items():

@@ -9,7 +9,7 @@ from imucal.allan import allan_curve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting import FitSettings, cross_checks
+from imucal.fitting import FitSettings
 from imucal.fitting import fit as fit_samples
 from imucal.fitting.cross_checks import _distance, fit_of_curve, second_opinion
 from imucal.fitting.moments import fit_gmwm
@@ -118,29 +118,6 @@ def test_a_distance_is_in_units_of_the_difference_of_variances(
     # Three times as wide an interval, and its covariance: a third of the distance.
     wider = replace(first, covariance=9 * first.covariance)
     assert _distance(wider, second, replace(moved, widening=3.0), fit["N"]) == pytest.approx(expected / 3)
-
-
-@pytest.mark.parametrize(
-    ("distance", "level"), [({}, None), ({"N": 0.1, "K": 0.5}, "info"), ({"N": 0.51, "K": 0.1}, "warning")]
-)
-def test_a_maximum_half_a_standard_error_away_is_near(
-    distance: dict[str, float], level: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The farthest parameter is named; a warning has advice; without parameters nothing is said."""
-    monkeypatch.setattr(cross_checks, "distances", lambda *_: distance)
-    series = AxisSeries.from_samples(np.arange(3.0), rate_hz=1.0)
-    found = cross_checks.verify_findings(series, NoiseModel.parse("N=1"), (), np.zeros((0, 0)))
-    if level is None:
-        assert found == ()
-        return
-    (finding,) = found
-    worst = "K" if level == "info" else "N"
-    assert finding.level == level
-    assert bool(finding.advice) == (level == "warning")
-    assert finding.text == (
-        "The maximum of the exact state-space likelihood is up to "
-        f"{distance[worst]:.2g} standard errors away ({worst})."
-    )
 
 
 def _opinion(samples: FloatArray, rate_hz: float) -> tuple[NoiseFit, tuple[Finding, ...]]:

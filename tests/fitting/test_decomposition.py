@@ -1,7 +1,8 @@
-"""The smoothed parts of a model: against one dense conditioning, their laws, their errors' coverage."""
+"""The components of a model: compared with one dense conditioning, their laws, coverage of their errors."""
 
 import re
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.testing as npt
@@ -9,25 +10,29 @@ import pytest
 
 from imucal import DataError, Decomposition, NoiseModel, decompose, fit
 from imucal.arrays import BoolArray, FloatArray
-from imucal.fitting import state_space
-from imucal.fitting.decomposition import smooth
-from imucal.fitting.state_space import StateSpace
+from imucal.fitting import decomposition
+from imucal.fitting.decomposition import Component, smooth
 from imucal.recording import AxisSeries
+from tests.fitting.state_space import StateSpace
 
 N = 300
-MODELS = [
+#: Models whose terms are independent at each ordinate, and models for which this is nearly true.
+EXACT = [
     "N=1",
     "N=1 + R=0.1",
     "N=1 + K=0.1",
     "N=1 + K=1e-9",
+    "Q=1 + N=0.5 + K=0.05 + R=0.01",
+    "Q=1 + K=0.01",
+]
+NEARLY = [
     "N=1 + B=0.5",
     "N=1 + GM(sigma=0.5, T=20)",
     "N=1 + B=0.5 + K=0.05 + GM(sigma=0.5, T=20)",
     "N=1 + GM(sigma=0.5, T=20) + GM(sigma=1, T=200) + R=0.01",
-    "Q=1 + N=0.5 + K=0.05 + R=0.01",
-    "Q=1 + K=0.01",
     "Q=0.3 + N=0.5 + B=0.5",
 ]
+KINDS = ["none", "scattered", "gap", "one, then nothing"]
 
 
 def dense(
@@ -75,7 +80,7 @@ def _missing(kind: str, rng: np.random.Generator) -> BoolArray:
     seen = np.ones(N, dtype=bool)
     if kind == "scattered":
         seen = rng.random(N) > 0.2
-        seen[0] = True
+        seen[[0, -1]] = True
     elif kind == "gap":
         seen[100:180] = False
     elif kind == "one, then nothing":
@@ -83,26 +88,50 @@ def _missing(kind: str, rng: np.random.Generator) -> BoolArray:
     return seen
 
 
-@pytest.mark.parametrize(
-    ("length", "kind"),
-    [(256, "scattered"), (16, "none"), (16, "scattered"), (16, "gap"), (16, "one, then nothing")],
-)
-@pytest.mark.parametrize("text", MODELS)
-def test_it_is_one_dense_conditioning(
-    text: str, kind: str, length: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Means and standard errors of every part, over many blocks and two, with samples missing anywhere."""
-    monkeypatch.setattr(state_space, "_WHOLE", length)
-    monkeypatch.setattr(state_space, "_HOLED", length)
+def _both(text: str, kind: str) -> Iterator[tuple[str, Component, FloatArray, FloatArray]]:
+    """Yield key, component, and the mean and standard error that one dense conditioning gives."""
     rng = np.random.default_rng(41)
     model = NoiseModel.parse(text)
     samples, seen = model.simulate(N, rate_hz=1.0, rng=rng), _missing(kind, rng)
-    states = StateSpace.of(model, rate_hz=1.0, n=N)
-    found, expected = smooth(states, samples, seen), dense(states, samples, seen)
+    found = {part.key: part for part in smooth(model, samples, seen, 1.0)}
+    expected = dense(StateSpace.of(model, rate_hz=1.0, n=N), samples, seen)
     assert set(found) == set(expected)
     for key, (mean, error) in expected.items():
-        npt.assert_allclose(found[key][0], mean, atol=1e-8)
-        npt.assert_allclose(found[key][1], error, atol=1e-8)
+        yield key, found[key], mean, error
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("text", EXACT)
+def test_it_is_one_dense_conditioning(text: str, kind: str) -> None:
+    """Means and standard errors of every component, with samples missing anywhere."""
+    for _, part, mean, error in _both(text, kind):
+        npt.assert_allclose(part.value, mean, atol=1e-8)
+        npt.assert_allclose(part.error, error, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("text", NEARLY)
+def test_flicker_and_gauss_markov_are_nearly_one_dense_conditioning(text: str, kind: str) -> None:
+    """The difference is a fraction of the standard error, and largest at the ends of the record."""
+    for key, part, mean, error in _both(text, kind):
+        inside = error > 0  # the ramp starts at 0
+        away, ratio = (part.value - mean)[inside] / error[inside], part.error[inside] / error[inside]
+        # The parts differ more than their sum: in a record of 1.5 T, a level resembles Gauss-Markov noise.
+        rms, least, most = (0.07, 0.97, 1.25) if key == "bias" else (0.5, 0.92, 1.35)
+        found = float(np.sqrt(np.mean(away**2)))
+        assert found < rms, f"{key}: {found}"
+        assert np.abs(away).max() < 0.6, f"{key}: {np.abs(away).max()}"
+        assert least < ratio.min() <= ratio.max() < most, f"{key}: {ratio.min()} to {ratio.max()}"
+
+
+@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize("text", ["N=1 + K=0.1", "Q=1 + N=0.5 + K=0.05 + R=0.01", "Q=1 + K=0.01"])
+def test_many_missing_samples_are_drawn(text: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conjugate gradients find the mean; the scatter of 30 draws is 13 % of the standard error."""
+    monkeypatch.setattr(decomposition, "_DRAWS", (30, 30))
+    for _, part, mean, error in _both(text, kind):
+        assert np.abs(part.value - mean).max() < 2e-3 * error.max()
+        npt.assert_allclose(part.error, error, rtol=0.45, atol=1e-6)
 
 
 def _decomposed(text: str, n: int, seed: int, *, rate_hz: float = 10.0) -> Decomposition:
@@ -111,8 +140,8 @@ def _decomposed(text: str, n: int, seed: int, *, rate_hz: float = 10.0) -> Decom
     return decompose(AxisSeries.from_samples(samples, rate_hz=rate_hz), model)
 
 
-def test_flicker_by_its_bank_is_nearly_flicker() -> None:
-    """The bias under exact flicker's covariance is the same within a tenth of its standard error."""
+def test_the_bias_is_nearly_that_of_exact_flicker() -> None:
+    """The bias under exact flicker's covariance is the same within a tenth of its standard error or so."""
     from imucal.powerlaw import odd_harmonic
 
     model, rate = NoiseModel.parse("N=1 + B=0.5"), 10.0
@@ -125,7 +154,7 @@ def test_flicker_by_its_bank_is_nearly_flicker() -> None:
     ones = np.ones(N)
     level = float(ones @ inverse @ samples) / float(ones @ inverse @ ones)
     exact = level + cross @ inverse @ (samples - level)
-    assert np.max(np.abs(bias.value - exact) / bias.error) < 0.1
+    assert np.max(np.abs(bias.value - exact) / bias.error) < 0.15
 
 
 def test_the_parts_add_up_to_the_samples() -> None:
@@ -251,11 +280,11 @@ def test_refuses_a_model_of_another_rate() -> None:
         decompose(AxisSeries.from_samples(samples, rate_hz=100.0), found)
 
 
-@pytest.mark.parametrize("model", ["N=0", "N=0 + R=0"])
+@pytest.mark.parametrize("model", ["N=0", "N=0 + R=0", "N=0 + R=1"])
 def test_refuses_silence(model: str) -> None:
     """There is nothing to tell apart."""
     series = AxisSeries.from_samples(np.arange(9.0), rate_hz=1.0)
-    with pytest.raises(DataError, match="gyro_x: the model has no terms, so there is nothing"):
+    with pytest.raises(DataError, match="gyro_x: the model has no noise, so there is nothing to separate"):
         decompose(series, NoiseModel.parse(model))
 
 
@@ -276,3 +305,27 @@ def test_an_unknown_part_is_named() -> None:
     """With those that there are."""
     with pytest.raises(KeyError, match="'K'; the decomposition has level, B, bias"):
         _ = _decomposed("N=1 + B=1", 100, 52)["K"]
+
+
+def test_missing_samples_that_are_not_found_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conjugate gradients that stop too early would give wrong numbers."""
+    monkeypatch.setattr(decomposition, "_STEPS", 3)
+    monkeypatch.setattr(decomposition, "_DRAWS", (12, 12))
+    keep = np.random.default_rng(53).random(2000) < 0.5
+    series = AxisSeries.from_samples(np.arange(2000.0) ** 2, rate_hz=1.0).keeping(keep)
+    message = (
+        r"^gyro_x: \d+ missing samples could not be estimated in 3 steps of conjugate gradients; use a part"
+    )
+    with pytest.raises(DataError, match=message):
+        decompose(series, NoiseModel.parse("Q=1 + N=0.1 + K=0.1"), clean=False)
+
+
+def test_units_change_nothing_with_many_gaps() -> None:
+    """Conjugate gradients stop at a share of the standard error, in any unit."""
+    model, small = NoiseModel.parse("N=1 + B=0.5"), NoiseModel.parse("N=1e-7 + B=5e-8")
+    rng = np.random.default_rng(54)
+    samples, keep = model.simulate(2000, rate_hz=10.0, rng=rng), rng.random(2000) < 0.7
+    base = decompose(AxisSeries.from_samples(samples, rate_hz=10.0).keeping(keep), model)
+    scaled = decompose(AxisSeries.from_samples(1e-7 * samples, rate_hz=10.0).keeping(keep), small)
+    npt.assert_allclose(scaled.bias.value, 1e-7 * base.bias.value, atol=1e-15)
+    npt.assert_allclose(scaled.bias.error, 1e-7 * base.bias.error, rtol=1e-9)

@@ -75,13 +75,6 @@ def test_temperature_goes_with_the_samples_that_are_finite() -> None:
     assert result["N"].value == pytest.approx(1e-3, rel=0.05)
 
 
-def test_verify_adds_the_distance_of_the_exact_maximum() -> None:
-    """The finding `verified` is there when it was asked for, and only then."""
-    data = AxisSeries.from_samples(simulated(TEXT, 5000, 3, rate_hz=100.0), rate_hz=100.0)
-    assert "verified" in {f.code for f in fit(data, model="N + K", verify=True).findings}
-    assert "verified" not in {f.code for f in fit(data, model="N + K").findings}
-
-
 def test_a_line_is_named_and_left_out() -> None:
     """A tone of the size of the noise does not change N, and its frequency is in a sentence."""
     data = series()
@@ -129,4 +122,4 @@ def test_what_is_not_asked_for_is_decided_so() -> None:
     """The defaults of the facade and of the command line."""
     asked = FitSettings()
     assert (asked.model, asked.method, asked.level, asked.criterion) == ("auto", "mle", 0.95, "chance")
-    assert (asked.weights, asked.max_gm, asked.clean, asked.verify) == ("full", 2, True, False)
+    assert (asked.weights, asked.max_gm, asked.clean) == ("full", 2, True)

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.fitting import state_space as module
-from imucal.fitting.state_space import fit_exact
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import PowerLawTerm
 from imucal.noise.terms import GaussMarkov, RateRamp
 from imucal.powerlaw import odd_harmonic
 from imucal.recording import AxisSeries
+from tests.fitting import state_space as module
+from tests.fitting.state_space import fit_exact
 
 N = 300
 

@@ -16,7 +16,6 @@ from imucal.cli import imucal as command
 from imucal.fitting import METHODS
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.precision import relative_deviations
-from imucal.fitting.state_space import StateSpace
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.term import NoiseTerm, Stroke, Words
 from imucal.noise.terms import TERMS, term_keys
@@ -183,10 +182,20 @@ def test_planning_knows_how_well_it_can_be_told() -> None:
     assert np.isfinite(lost["N"])
 
 
-def test_the_exact_likelihood_refuses_it() -> None:
-    """It has no state for it, and says so."""
-    with pytest.raises(ValueError, match=r"no state for S \(sinusoid\); leave it out"):
-        StateSpace.of(NoiseModel.parse(f"N=1 + {NEW['S']}"), rate_hz=1.0, n=100)
+def test_it_is_separated_from_other_noise() -> None:
+    """The bias is 95 % of the time within 1.96 standard errors; a line without density is rejected."""
+    model, rng = NoiseModel.parse("N=0.01 + SGM(sigma=0.3, T=0.5)"), np.random.default_rng(9)
+    inside = []
+    for _ in range(20):
+        noise, bias = (term.simulate(600, 0.1, rng) for term in model.terms)
+        found = imucal.decompose(AxisSeries.from_samples(noise + bias, rate_hz=10.0), model)
+        assert [part.key for part in found.components] == ["level", "SGM"]
+        inside.append(np.mean(np.abs(found.bias.value - bias) < 1.96 * found.bias.error))
+    assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.std(inside) / np.sqrt(20) + 0.005)
+    series, line = AxisSeries.from_samples(noise, rate_hz=10.0), NoiseModel.parse(f"N=1 + {NEW['S']}")
+    message = r"^gyro_x: S \(sinusoid\) has no spectral density, so it can't be separated; leave it out$"
+    with pytest.raises(ValueError, match=message):
+        imucal.decompose(series, line)
 
 
 def test_units_page_and_pictures_take_it_from_the_class() -> None:

@@ -18,7 +18,6 @@ from imucal.allan.intervals import power_response
 from imucal.allan.variance import ESTIMATORS
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
-from imucal.fitting.cross_checks import verify_findings
 from imucal.fitting.homogeneity import (
     VarianceChange,
     find_variance_change,
@@ -47,7 +46,7 @@ from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import GaussMarkov
-from imucal.processes import findings_or_why_not, try_side_work
+from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 
 
@@ -141,13 +140,6 @@ def fit_mle(
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
-    if settings.verify:
-        findings += findings_or_why_not(
-            lambda: verify_findings(series, model, names, covariance),
-            what="The exact likelihood was not computed",
-            code="verified",
-            axis=series.name,
-        )
     nyquist = series.rate_hz / 2
     coefficients = (fitted.maximum.beta[0] * view.whole.scale).tolist()
     taken_out = dict(zip(view.whole.names[1:], coefficients[1:], strict=True))

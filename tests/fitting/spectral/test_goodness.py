@@ -1,15 +1,15 @@
-"""Goodness of fit, tails, verification."""
+"""Goodness of fit, tails, the exact likelihood."""
 
 import numpy as np
 import pytest
 
-from imucal.fitting.cross_checks import distances, verify_findings
 from imucal.fitting.robust import heavy_tails
 from imucal.fitting.spectral.likelihood import candidates_of, evaluate
 from imucal.fitting.spectral.scoring import misfit
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, ordinates_of, simulated
+from tests.fitting.state_space import distances
 
 
 def test_score_of_the_truth_is_standard_normal() -> None:
@@ -67,6 +67,3 @@ def test_maximum_is_that_of_the_exact_likelihood(text: str) -> None:
     found = distances(series, result.model, result.parameters, result.covariance)
     assert parse_structure(structure) == tuple(term.symbol for term in result.model.terms)
     assert max(found.values()) < 0.2 if "GM" in text else max(found.values()) < 0.1
-    finding = verify_findings(series, result.model, result.parameters, result.covariance)[0]
-    assert finding.text.startswith("The maximum of the exact state-space likelihood is up to ")
-    assert finding.level == "info"

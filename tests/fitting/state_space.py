@@ -7,8 +7,8 @@ closed form that depends only on which samples are missing. One set of small mat
 blocks, without approximation.
 
 The likelihood is that of all contrasts between samples, since the level is unknown, as in
-`imucal.fitting.spectral.likelihood`. ``verify`` compares a fit with `fit_exact`; the tests compare the
-faster likelihood with this one.
+`imucal.fitting.spectral.likelihood`. The tests compare fits with `fit_exact`, and decompositions with one
+dense conditioning of the states.
 
 Source: Anderson & Moore (1979), "Optimal filtering", sec. 6.3 and 7.3; the likelihood equals the
 diffuse Kalman filter's, de Jong (1991), Ann. Statist. 19, 1073.
@@ -385,6 +385,29 @@ def fit_exact(series: AxisSeries, start: NoiseModel) -> tuple[NoiseModel, float]
     value, ramp = log_likelihood(best, samples, seen, series.rate_hz)
     terms = (RateRamp(value=ramp) if term.symbol == "R" else term for term in best.terms)
     return NoiseModel(terms=tuple(terms)), value
+
+
+def distances(
+    series: AxisSeries, model: NoiseModel, names: tuple[str, ...], covariance: FloatArray
+) -> dict[str, float]:
+    """Return how far each parameter is from the exact likelihood's maximum, in standard errors."""
+    here, there = _values(model), _values(fit_exact(series, model)[0])
+    deviation = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    return {
+        name: abs(there[name] - here[name]) / deviation[name]
+        for name in here
+        if np.isfinite(deviation[name]) and deviation[name] > 0
+    }
+
+
+def _values(model: NoiseModel) -> dict[str, float]:
+    """Return the model's parameters under the names that a fit's covariance uses."""
+    keys = term_keys(term.symbol for term in model.terms)
+    return {
+        name: abs(value)
+        for term, key in zip(model.terms, keys, strict=True)
+        for name, value in zip(term.parameter_names(key), term.values, strict=True)
+    }
 
 
 def on_grid(series: AxisSeries, purpose: str) -> tuple[FloatArray, BoolArray]:
