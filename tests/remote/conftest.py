@@ -67,6 +67,8 @@ def bucket(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN4
         "AWS_EC2_METADATA_DISABLED": "true",
     }.items():
         monkeypatch.setenv(name, value)
+    # Another test may have left a connection without these credentials.
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
     files = fsspec.filesystem("s3", use_listings_cache=False)
     if files.exists("logs"):
         files.rm("logs", recursive=True)
