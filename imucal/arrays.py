@@ -1,9 +1,7 @@
-"""The array types every stage speaks, and the read-only view that values hold.
+"""Types of arrays, read-only views, and blocks of arrays in mapped files.
 
-Arrays that lie in a mapped file: worked on in blocks, their pages handed back to the system.
-
-A mapped array is used like any other. Its pages count as memory of the process as long as they are in it, so
-whoever has gone through one hands them back; they are read again when they are used.
+A mapped array is used like any other. Its pages count as memory of the process, so they are released after
+use; the system reads them again if necessary.
 """
 
 import mmap
@@ -18,7 +16,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-#: Annotation of a field -> what its array holds.
+#: Annotation of a field -> type of its array.
 _HELD_AS: dict[object, Any] = {FloatArray: np.float64, IntArray: np.int64, BoolArray: np.bool_}
 #: Bytes of a line of the cache.
 _LINE = 64
@@ -34,7 +32,7 @@ def read_only(array: NDArray[T]) -> NDArray[T]:
 
 
 class ReadOnlyArrays:
-    """A frozen dataclass whose arrays can't be written through, and hold what their annotations say."""
+    """A frozen dataclass whose arrays are read-only and have the types of their annotations."""
 
     __slots__ = ()
 
@@ -47,9 +45,9 @@ class ReadOnlyArrays:
 
 
 def aligned(n: int) -> FloatArray:
-    """Return an array of n floats, not set, that begins where a line of the processor's cache does.
+    """Return an uninitialised array of n floats that starts at a cache line.
 
-    NumPy's own begin 16 bytes behind one; passes that write to them then take twice as long.
+    NumPy's arrays start 16 bytes after one, and passes that write to them take twice as long.
     """
     memory = np.empty(8 * n + _LINE, dtype=np.uint8)
     start = -int(memory.__array_interface__["data"][0]) % _LINE
@@ -57,10 +55,10 @@ def aligned(n: int) -> FloatArray:
 
 
 def median(values: NDArray[Any] | Sequence[float]) -> float:
-    """Return the median of finite numbers, shape (n,), n >= 1: to the bit what `numpy.median` returns.
+    """Return the median of finite numbers, shape (n,), n >= 1, bit-identical to `numpy.median`.
 
-    That one, like `numpy.percentile` and `numpy.unique`, imports masked arrays, which takes as long as
-    reading 50 000 messages.
+    `numpy.median`, `numpy.percentile` and `numpy.unique` import masked arrays, which takes as long as reading
+    50 000 messages.
     """
     array = np.sort(np.asarray(values))
     middle = array.size // 2
@@ -88,22 +86,19 @@ def distinct(values: IntArray) -> IntArray:
     return found
 
 
-#: Values of an array worked on at once: what fits the processor's cache, and makes up for Python's loop.
+#: Values per block: few enough for the processor's cache, many enough for a loop in Python.
 BLOCK = 1 << 18
-#: Values of an array after which pages are handed back.
+#: Values after which pages are released.
 _HELD = 1 << 21
 
 
 def release(*arrays: NDArray[Any]) -> None:
-    """Hand the pages of arrays that lie in mapped files back to the system; does nothing to others."""
+    """Release the pages of arrays in mapped files; other arrays are not changed."""
     _hand_back(_mappings(arrays))
 
 
 def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
-    """Yield the blocks of arrays of n values; the pages of mapped ones are handed back behind them.
-
-    They hold `size` values, or as many as are usual.
-    """
+    """Yield slices of `size` values (default: `BLOCK`) of arrays of n values; release pages of past slices."""
     size = size or BLOCK
     held = _mappings(arrays)
     passed = 0
@@ -117,14 +112,14 @@ def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
 
 
 def never_changes(values: NDArray[Any]) -> bool:
-    """Return whether values, of which there is one at least, are all what the first one is; so are NaN."""
+    """Return whether all of at least one value are equal to the first; NaN equals NaN."""
     first = values[0]
     parts = (values[part] for part in blocks(values.size, values))
     return all(bool((np.isnan(part) if np.isnan(first) else part == first).all()) for part in parts)
 
 
 def _mappings(arrays: tuple[NDArray[Any], ...]) -> list[mmap.mmap]:
-    """Return the maps in which arrays lie, each once."""
+    """Return the maps of arrays, each once."""
     found = {id(held): held for array in arrays if (held := _mapping(array)) is not None}
     return list(found.values())
 

@@ -1,4 +1,4 @@
-"""Write a file so that it is complete or unchanged, whatever fails."""
+"""Write files that are complete or unchanged after any failure."""
 
 import os
 import shutil
@@ -10,22 +10,22 @@ from tempfile import mkdtemp
 
 from imucal.errors import WriteError
 
-#: How much of an existing file is searched for the words that make it ours, in bytes.
+#: Number of bytes at the start of an existing file that are searched for the mark of imucal.
 _START = 4096
-#: Words in the comment of every config file.
+#: Mark in the comment of every config file.
 _OURS = "written by imucal "
-#: A scratch folder older than this, in s, was left by a run that was killed.
+#: A scratch folder older than this, in s, is left from a killed run.
 _ABANDONED_S = 3600.0
 
 
 @contextmanager
 def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
-    """Yield a scratch path to write to; on success what was written there takes the place of `path`.
+    """Yield a scratch path to write to; on success this file replaces `path`.
 
-    The scratch path has the same name in a folder beside the target, which is removed whatever happens,
-    Ctrl-C included; an existing file stays as it was until the new one is complete. An existing file
-    without the words `ours` near its start is somebody's own and is not replaced; None replaces any. A
-    WriteError says that the file can't be written, or that what is in its place is not to be replaced.
+    The scratch path has the same name, in a folder next to the target that is always removed, also after
+    Ctrl-C. An existing file is not changed until the new one is complete. A file without the text `ours`
+    near its start is not replaced; None replaces any. Raises WriteError if the file can't be written or must
+    not be replaced.
     """
     _refuse_foreign(path, ours)
     try:
@@ -49,7 +49,7 @@ def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
 
 
 def _refuse_foreign(path: Path, ours: str | None) -> None:
-    """Raise where something stands that must stay: a device, or a file of somebody else."""
+    """Raise WriteError if the path is a device or a file that imucal did not write."""
     if not path.exists() or path.is_dir():
         return
     if not path.is_file():
@@ -69,10 +69,7 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
 
 @contextmanager
 def alone(path: Path) -> Iterator[None]:
-    """Hold the lock of a folder, or of a file that is made for it, where the file system has locks.
-
-    Whoever else asks for it waits.
-    """
+    """Hold the lock of a folder or a new file, if the file system has locks; other processes wait for it."""
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT, 0o666)
     try:
         with suppress(ImportError, OSError):
@@ -85,7 +82,7 @@ def alone(path: Path) -> Iterator[None]:
 
 
 def sweep(scratch: Iterable[Path]) -> None:
-    """Remove those of some scratch folders that killed runs have left."""
+    """Remove old scratch folders, which are left from killed runs."""
     for folder in scratch:
         with suppress(OSError):
             if time.time() - folder.stat().st_mtime > _ABANDONED_S:
@@ -93,7 +90,7 @@ def sweep(scratch: Iterable[Path]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Force a folder's entries to disk, where the operating system can."""
+    """Force a folder's entries to disk, if the operating system can."""
     with suppress(OSError, AttributeError):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:

@@ -1,4 +1,4 @@
-"""When samples were taken: an even grid, of which unbroken segments are filled."""
+"""The times of samples: an even grid with continuous segments of samples."""
 
 from bisect import bisect_left
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0
 
 
 def seconds_of(text: str | float) -> float:
-    """Return a duration in s of a number alone, or with s, min, m, h or d; else an ArgumentError."""
+    """Return a duration in s from a number, alone or with s, min, m, h or d; raises ArgumentError."""
     text = str(text).strip()
     number = text.rstrip("smindh")
     try:
@@ -28,9 +28,9 @@ def seconds_of(text: str | float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A run of unbroken samples, ``samples[start:stop]``.
+    """A run of samples without a gap, ``samples[start:stop]``.
 
-    `offset` is the place of the first of them on the clock's even grid: it was taken at ``offset * tau0``.
+    `offset` is the place of the first one on the clock's even grid; its time is ``offset * tau0``.
     """
 
     start: int
@@ -45,7 +45,7 @@ class Segment:
 
 @frozen
 class Gap:
-    """So many `missing` samples between two segments: ``duration_s = missing * tau0``.
+    """Missing samples between two segments: ``duration_s = missing * tau0``.
 
     `start_s` is the time of the first missing sample, in s from the first sample.
     """
@@ -57,23 +57,22 @@ class Gap:
 
 @frozen
 class Clock:
-    """When the samples were taken: an even grid, of which segments are filled.
+    """The times of samples on an even grid.
 
     Attributes
     ----------
     source
-        What the stamps are, in words: ``header stamp``, ``log time``, ``column time_us``, ``given rate``.
+        Origin of the times: ``header stamp``, ``log time``, ``column time_us``, ``given rate``.
     rate_hz
         Measured sampling rate: the inverse of tau0.
     segments
-        Runs of unbroken samples, in order; they do not overlap on the grid.
+        Runs of samples without a gap, in order; they do not overlap on the grid.
     start_ns
-        Time of the first sample, in ns of the stamps' own epoch; None where the log has no stamps.
+        Time of the first sample, in ns of the stamps' own epoch; None without stamps.
     jitter_s
-        Standard deviation of the stamps about the even grid, in s; None where there are no stamps.
+        Standard deviation of the stamps about the even grid, in s; None without stamps.
     apart
-        Whether each unbroken run stands for itself, because the sensor was moved between them: then no
-        difference of an Allan variance spans two.
+        Whether the sensor was moved between segments: then no difference of an Allan variance spans two.
     """
 
     source: str
@@ -150,7 +149,7 @@ class Clock:
 
     def index_at(self, time_s: float) -> int:
         """Return the index of the first sample taken at `time_s` or later, in s from the first; n if none."""
-        # A stamp on the grid counts as on time even when the product rounds up.
+        # The product may round up for a time on the grid.
         return self.index_from(float(np.ceil(time_s * self.rate_hz - 1e-6)))
 
     def index_from(self, place: float) -> int:
@@ -188,7 +187,7 @@ class Clock:
         return self._of(segments)
 
     def _of(self, segments: list[Segment]) -> "Clock":
-        """Return a clock of some of the samples, which starts when the first of them was taken."""
+        """Return the clock of some segments; it starts at the first one's time."""
         start_ns = self.start_ns
         if start_ns is not None and segments:
             start_ns += round((segments[0].offset - self.segments[0].offset) * self.tau0 * 1e9)

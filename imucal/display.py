@@ -1,6 +1,6 @@
-"""Values that a notebook shows: a few lines of text, the page's own table, a data frame.
+"""Values that a notebook shows: a few lines of text, the page's table, a data frame.
 
-What draws them stands above every value, so that it is loaded by its name, when a person looks.
+The module that draws them imports the modules of all values, so it is loaded by name when it is needed.
 """
 
 from importlib import import_module
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Displayed:
-    """A value that says in at most twelve lines what it holds."""
+    """A value with a text of at most twelve lines, a table and a data frame."""
 
     __slots__ = ()
     #: Module with `text_of`, `html_of` and `frame_of`, which take the value.
@@ -24,6 +24,6 @@ class Displayed:
         return str(import_module(self.drawn_by).html_of(self))
 
     def to_frame(self) -> "pl.DataFrame":
-        """Return it as a polars data frame; ``.to_pandas()`` makes it one of pandas, where that is there."""
+        """Return a polars data frame; ``.to_pandas()`` converts it if pandas is installed."""
         frame: pl.DataFrame = import_module(self.drawn_by).frame_of(self)
         return frame

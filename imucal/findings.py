@@ -1,4 +1,4 @@
-"""A finding: something the user should know about a log or a result, as data."""
+"""Findings: observations about a log or a result for the user."""
 
 from dataclasses import KW_ONLY, dataclass
 from functools import cache
@@ -16,16 +16,16 @@ class Finding:
     level
         "info", "warning" (look before you use the numbers) or "error" (the numbers are wrong).
     code
-        A short, stable, lower-case name with hyphens, such as ``gaps``; scripts match on it.
+        A short, stable, lower-case name with hyphens for scripts, such as ``gaps``.
     text
-        What was seen, with its figure, as one sentence.
+        The observation with its figure, as one sentence.
     advice
-        What to do about it, as one sentence; empty where nothing needs doing.
+        What to do, as one sentence; empty if nothing.
     axis
-        The axis it is about, such as ``gyro_x``; a sensor, such as ``gyro``; or None for the log.
+        An axis, such as ``gyro_x``; a sensor, such as ``gyro``; or None for the log.
     keep_s
-        Start and end of the part worth keeping, in s from the start of the log; None for all of it. In what
-        `imucal.screen` returns they count from the first sample of its recording.
+        Start and end of the good part, in s from the start of the log (for `imucal.screen`: of its
+        recording); None for all of it.
     """
 
     level: Level
@@ -45,7 +45,7 @@ def options_to_keep(keep_s: tuple[float, float]) -> str:
 
 
 class CodeText(NamedTuple):
-    """What docs/messages.md and the verdict say of a code.
+    """Texts about a code in docs/messages.md and in the verdict.
 
     `phrase` is for the sentence of the verdict, empty for the code itself. `found` and `advice` are a row of
     the page's table below `section`; codes without `found` share the row of the code above.
@@ -59,7 +59,7 @@ class CodeText(NamedTuple):
 
 @cache
 def code_texts() -> dict[str, CodeText]:
-    """Return every code that a finding may have, in the order of docs/messages.md."""
+    """Return all codes of findings, in the order of docs/messages.md."""
     from importlib.resources import files
 
     texts, section = {}, ""
@@ -73,6 +73,6 @@ def code_texts() -> dict[str, CodeText]:
 
 
 def phrase_of(code: str) -> str:
-    """Return what the sentence of the verdict says of a code; old reports may have others."""
+    """Return the phrase of a code for the verdict; a code of an old report is its own phrase."""
     text = code_texts().get(code)
     return text.phrase if text and text.phrase else code.replace("-", " ")
