@@ -98,7 +98,7 @@ def release(*arrays: NDArray[Any]) -> None:
 
 
 def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
-    """Yield slices of `size` values (default: `BLOCK`) of arrays of n values; release pages of past slices."""
+    """Yield slices of `size` values (or `BLOCK`) of arrays of n values; release the pages of past ones."""
     size = size or BLOCK
     held = _mappings(arrays)
     passed = 0

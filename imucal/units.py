@@ -1,4 +1,4 @@
-"""The only module that knows units other than SI: what logs hold, and what data sheets print."""
+"""Units other than SI, of logs and of data sheets; no other module converts units."""
 
 import ast
 import math
@@ -111,7 +111,7 @@ class _Unit:
         return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
 
 
-#: What units are made of, in small letters; an arc second as `_WORDS` cut it.
+#: Base units in small letters; an arc second in the spelling of `_WORDS`.
 _BASES: dict[str, _Unit] = {
     "rad": _Unit(1.0, rad=1),
     "deg": _Unit(_DEGREE, rad=1),
