@@ -47,7 +47,7 @@ def test_the_tables_know_codes_that_exist_only() -> None:
 
 def test_every_code_of_the_source_is_known() -> None:
     """Each string that the package gives as a code, so that no finding can escape the table."""
-    found: set[object] = set()
+    found: set[str] = set()
     for path in Path(imucal.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             codes = [node.value] if isinstance(node, ast.keyword) and node.arg == "code" else []
@@ -58,7 +58,8 @@ def test_every_code_of_the_source_is_known() -> None:
                 codes += node.args[at : at + 1]
             for code in codes:
                 if not isinstance(code, ast.Subscript | ast.Call):  # report.json's own, read back
-                    found |= {each.value for each in ast.walk(code) if isinstance(each, ast.Constant)}
+                    constants = [each.value for each in ast.walk(code) if isinstance(each, ast.Constant)]
+                    found |= {value for value in constants if isinstance(value, str)}
     assert len(found) > 40
     assert found - OF_A_FLEET <= FINDING_CODES
 

@@ -59,7 +59,7 @@ STAGES = {
     "segments": ("imucal/fitting/spectral/segments.py", "fit_segments"),
     "second opinion": ("imucal/fitting/cross_checks.py", "fit_of_curve"),
     "record length": ("imucal/planning.py", "resolution_findings"),
-    "document and JSON": ("imucal/report/json_file.py", "dumps"),
+    "document and JSON": ("imucal/report/json_node.py", "dumps"),
     "pictures and page": ("imucal/report/writer.py", "write_report"),
     "of these: transforms": ("imucal/allan/dct.py", "_transform"),
     "of these: blind starts": ("imucal/fitting/spectral/starts.py", "find_starts"),
