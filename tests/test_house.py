@@ -4,6 +4,7 @@ import ast
 from pathlib import Path
 
 from tests.house import Size, complexity, cycles, files_in_folders, modules, modules_of_a_fit, sizes
+from tests.plain_english import awkward, counts
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 
@@ -111,3 +112,20 @@ def test_paths_are_counted_as_mccabe_does() -> None:
     """Each branch, condition and filter is one more."""
     text = "def f(x):\n if x and x > 1:\n  return [y for y in x if y]\n return 1 if x else 2\n"
     assert complexity(ast.parse(text).body[0]) == 6
+
+
+#: Awkward constructions, as `tests.plain_english` counts them. A number may fall and not rise.
+AWKWARD = {"code": 0, "messages": 0, "docs": 0}
+
+
+def test_awkward_constructions_are_counted() -> None:
+    """Clauses in place of nouns, things that speak, and rare words; plain sentences have none."""
+    assert awkward("It writes what the model has. A message says so; else it stands beside those of x.") >= 5
+    assert awkward("A message explains the problem. Return the number of samples, or None.") == 0
+
+
+def test_the_language_stays_as_plain_as_it_is() -> None:
+    """Rewrite the sentence if this fails; lower the number if it has become smaller."""
+    found = counts()
+    assert {kind: number for kind, number in found.items() if number > AWKWARD[kind]} == {}
+    assert {kind: number for kind, number in found.items() if number < 0.9 * AWKWARD[kind]} == {}
