@@ -180,7 +180,7 @@ class Target:
     - `kind`: whether the numbers are continuous or discrete
     - `formulas`: how each value follows from the coefficients
     - `text`: template of the file without the comment (see `Target._known`)
-    - `about`: what the consumers of the family do with the numbers
+    - `about`: how the consumers of the family use the numbers
     - `keys`: keys that contain one term each
     - `every`: symbols of the terms that the file contains for every axis - `bias`: whether the file describes
       each axis as white noise and a Gauss-Markov bias, with one correlation time for ``each axis`` or for
