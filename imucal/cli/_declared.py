@@ -134,7 +134,7 @@ def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
 
 
 def flag(said: str) -> Any:  # noqa: ANN401
-    """Declare an option without a value."""
+    """Declare an option that is given or not."""
     return option(said, is_flag=True)
 
 

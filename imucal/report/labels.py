@@ -1,7 +1,7 @@
 """Place labels next to their points, inside the plot and without overlap.
 
 Each label tries positions on circles of increasing radius around its anchor, and takes the position with the
-lowest cost. All lengths are display pixels, so the layout of the figure must be final.
+lowest cost. Positions are in display pixels, so the layout of the figure must be final.
 """
 
 import math

@@ -99,8 +99,9 @@ class Options(TypedDict, total=False):
 class Number:
     """One positive coefficient for a file, in SI, with the inflation applied.
 
-    - `symbol`: symbol of the term - `value`: the coefficient. If `covers`, it is from the pair that covers
-      the spectra of the axes; all other attributes describe the fitted coefficient
+    - `symbol`: symbol of the term
+    - `value`: the coefficient
+    - `covers`: whether `value` is from a covering pair; the other attributes describe the fitted coefficient
     - `axes`: names of the axes that were used: one, or several with the policy ``rms`` or a covering pair
     - `bounded`: names of the axes whose upper bound replaced the value
     - `level`: confidence level of the interval or the bound

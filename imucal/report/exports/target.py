@@ -37,8 +37,7 @@ def name_key(name: str) -> str:
 def real(value: float) -> str:
     """Return a number with eight digits and a decimal point: ``200.0``, ``1.0e-05``.
 
-    A factor just below 1, such as phi of a Gauss-Markov process, keeps all digits: its distance from 1
-    matters.
+    A factor just below 1, such as phi of a Gauss-Markov process, keeps all digits for its distance from 1.
 
     The point makes both OpenCV's FileStorage and YAML 1.1 read a real number. Without it OpenCV reads ``200``
     as an integer, and YAML reads ``1e-05`` as a string. Raises ValueError if the number is not finite.
@@ -74,7 +73,7 @@ _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """Computes a number from a coefficient c and the rate f of the file's stream, in Hz; with its unit.
+    """Compute a number from a coefficient c and the rate f of the file's stream, in Hz; with its unit.
 
     ``{u}`` in the unit is replaced by the unit of the samples (N) or of their rate of change (K).
     """
@@ -182,14 +181,13 @@ class Target:
     - `text`: template of the file without the comment (see `Target._known`)
     - `about`: how the consumers of the family use the numbers
     - `keys`: keys that contain one term each
-    - `every`: symbols of the terms that the file contains for every axis - `bias`: whether the file describes
-      each axis as white noise and a Gauss-Markov bias, with one correlation time for ``each axis`` or for
-      ``all axes``; empty if not
+    - `every`: symbols of the terms that the file contains for every axis
+    - `bias`: whether ``each axis`` has a bias with its own T, or ``all axes`` share one T; empty without bias
     - `read_back`: whether `imucal` recognises a user's file by its keys and checks them
     - `documented`: key -> lowest and highest value that the consumer documents
     - `carries`: symbols of the terms that the format supports
-    - `per_axis`: whether the file contains a number for each axis - `own_rates`: whether each sensor has its
-      own rate; otherwise the file describes one stream of both sensors
+    - `per_axis`: whether the file contains a number for each axis
+    - `own_rates`: whether each sensor has its own rate; otherwise both sensors share one stream
     - `notes`: further lines of the comment
     - `layout`: ``json``, ``xml``, ``opencv``, or the sign that starts a comment
     - `horizon_s`: how long a filter may coast unless the user chooses otherwise, in s
