@@ -1,4 +1,4 @@
-"""The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
+"""The command line: parse, call, print. Each command has a file and a line in `COMMANDS`."""
 
 import difflib
 import errno
@@ -30,9 +30,9 @@ __all__ = ["COMMANDS", "main", "options_for"]
 class LazyGroup(click.Group):
     """A group that imports a command when it is called.
 
-    `table` has for each command the module of `imucal.cli` that has it, as `command` or ``module:name``,
-    and its line of help; `of_a_log` is what was meant where a log stands in place of a command, and the
-    command for it.
+    `table` is command -> (module of `imucal.cli`, line of help). The module defines `command`;
+    ``module:name`` chooses another name. `of_a_log` is (purpose, command) for the hint if the user types a
+    log instead of a command.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class LazyGroup(click.Group):
             hint = f"did you mean {near[0]!r}?"
         elif Path(name).exists() or is_url(name):
             purpose, command = self._of_a_log
-            # What stands behind the question mark of a URL may be a secret.
+            # The query of a URL may contain a secret.
             name = shown(name) if is_url(name) else name
             hint = f"to {purpose}, type '{ctx.command_path} {command} {shlex.quote(name)}'"
         else:
@@ -76,7 +76,7 @@ class LazyGroup(click.Group):
         raise click.UsageError(f"No such command {name!r}; {hint}", ctx)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Offer commands without importing them, so that the Tab key answers at once."""
+        """Return completions without importing the commands, so that the Tab key responds at once."""
         names = [
             CompletionItem(name, help=summary)
             for name, (_, summary) in self.table.items()
@@ -95,7 +95,7 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(str(code), meaning) for code, (meaning, _) in EXIT_CODES.items()])
 
 
-#: Command -> module that holds it, and the line that --help prints; a module is imported when called.
+#: Command -> its module, and the line that --help prints.
 COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("info", "List the topics, rates, duration, units and gaps of a log."),
     "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
@@ -112,7 +112,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
 
-#: What a message of the library asks for, which knows no options -> the option that says it.
+#: Pattern of a message of the library, which does not mention options -> the option to use.
 _OPTIONS = (
     (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",
      "--topic NAME"),
@@ -129,11 +129,11 @@ _OPTIONS = (
     (r"parts of one recording$", "--join"),
 )  # fmt: skip
 
-#: What writing to a full disk, or to a place that takes no more, ends with.
+#: Error numbers of writing to a full or broken disk.
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
-#: Files that contained default options of commands, and the content that shows it.
+#: Files whose default options are ignored, and a pattern of the content with options.
 _UNREAD = (("imucal.toml", re.compile(b"")), ("pyproject.toml", re.compile(rb"(?m)^\s*\[tool\.imucal[.\]]")))
 _INSTEAD = (
     "default options in a file are no longer read; remove them, and define an alias in the shell, such as "
@@ -170,7 +170,7 @@ def imucal() -> None:
     for name, used in _UNREAD:
         with suppress(OSError):
             if used.search(Path(name).read_bytes()):
-                # Also with --quiet: without these options, the results may differ.
+                # Warn even with --quiet: without these options, the results may differ.
                 click.echo(f"warning: {name}: {_INSTEAD}", err=True)
 
 
@@ -178,21 +178,21 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and end the process with its exit code."""
     _fill_streams()
     single_matrix_thread()
-    # What a command makes is needed to its end; to look through it for circles takes a tenth of the time.
+    # A command needs its objects to the end, so searching them for cycles wastes a tenth of the time.
     gc.set_threshold(200_000)
     sys.exit(_run(arguments))
 
 
 def _fill_streams() -> None:
-    """Give a process that was started with closed streams empty ones; Python has None for them."""
+    """Replace closed standard streams, for which Python has None, by the null device."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            # The descriptors are free, and files opened later would take them: so these stay open.
+            # Keep them open: files opened later would otherwise get the standard descriptors.
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    """Run a command; the one place that turns exceptions into messages and exit codes."""
+    """Run a command and return its exit code; exceptions become messages here."""
     typed = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in typed
     try:
@@ -200,12 +200,12 @@ def _run(arguments: Sequence[str] | None) -> int:
             args=arguments,
             prog_name="imucal",
             standalone_mode=False,
-            # What was typed, for a command that says how to go on.
+            # For commands that print how to continue.
             obj=typed,
         )
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of our output has left, as in `imucal adev LOG | head`: nobody is there to be told.
+        # The reader of the output is gone, as in `imucal adev LOG | head`: print no message.
         _drop_output()
         return 141
     except OSError as error:
@@ -215,7 +215,7 @@ def _run(arguments: Sequence[str] | None) -> int:
                 click.UsageError(f"a name of {len(name)} characters is too long for a file: {name}"),
                 as_json=as_json,
             )
-        # Files of the library's own end in a WriteError; what is left is the stream of results.
+        # Errors of files are WriteErrors, so this is an error of standard output.
         if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
             return _explain(error, as_json=as_json)
         _drop_output()
@@ -228,12 +228,12 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _drop_output() -> None:
-    """Let what is still buffered go nowhere, so that Python does not complain about it at its end."""
+    """Discard buffered output, so that Python prints no error at its exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _explain(error: BaseException, *, as_json: bool = False) -> int:
-    """Print what went wrong, as JSON too where that was asked for; return the exit code."""
+    """Print an error, with --json also as JSON; return the exit code."""
     match error:
         case click.ClickException():
             said = io.StringIO()
@@ -257,7 +257,7 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
             code = 70
     click.echo(printable(message), err=True)
     if as_json and not getattr(error, "told", False):
-        # Whoever parses standard output learns there what went wrong, unless the results are there already.
+        # Programs parse standard output; it must not contain an error after the results.
         document = {
             "schema": "imucal/error/1",
             "error": {
@@ -271,7 +271,7 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
 
 
 def options_for(message: str) -> str:
-    """Return the options that answer a message, such as ``--rate HZ``; empty where none does."""
+    """Return the options for a message, such as ``--rate HZ``; empty if there are none."""
     asked = (
         " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, part))
         for part in message.split(ALSO)
@@ -279,13 +279,13 @@ def options_for(message: str) -> str:
     return " and ".join(filter(None, dict.fromkeys(asked)))
 
 
-#: This distribution, and another project's that installs a package of the same name: pip puts both into one
-#: folder, so that the one that came last overwrites files of the other.
+#: This distribution, and one of another project with a package of the same name: pip installs both into one
+#: folder, where one overwrites files of the other.
 OURS, OTHER = "imucal-noise", "imucal"
 
 
 def _version_lines() -> str:
-    """Return this version, where it stands and what runs it; and a warning where files may be mixed."""
+    """Return version, folder and Python version; warn if files of two distributions may be mixed."""
     from importlib.metadata import PackageNotFoundError, version
 
     folder = Path(__file__).resolve().parent.parent

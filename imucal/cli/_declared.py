@@ -1,4 +1,4 @@
-"""Declare a command: a function whose keyword arguments have their options as defaults."""
+"""Declare commands as functions: the defaults of the keyword arguments declare the options."""
 
 import functools
 import inspect
@@ -18,7 +18,7 @@ _GROUPS = {
     "Model": "model level method",
     "Advanced": "taus edf no_clean criterion weights segments bins",
 }
-#: Commands that read a report, or a log with the options of `imucal fit`, which their help only mentions.
+#: Commands that read a report or a log; their help only mentions the options for logs.
 _OF_REPORTS = {"export", "check", "drift", "plan", "compare"}
 #: A range such as ``[x>=1]``, which click adds to the help: the error message states it.
 _RANGE = re.compile(r"  \[{0}\]|; {0}(?=\])".format(r"(?:[^\s;[]+<=?)?x(?:[<>]=?[^\s;\]]+)?"))
@@ -61,7 +61,7 @@ class _Command(click.Command):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Declared:
-    """A parameter of a command, as the default of the argument that takes it."""
+    """A parameter of a command, declared as the default of an argument."""
 
     kind: type[click.Parameter]
     names: str
@@ -76,7 +76,7 @@ class _Declared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Together:
-    """Parameters of a command that make one value; each may be changed for a command."""
+    """Parameters of a command from which `make` makes one value; `change` adapts them to the command."""
 
     make: Callable[..., Any]
     declared: dict[str, Any]
@@ -94,10 +94,11 @@ class _Together:
 
 
 def declared(function: Callable[..., None]) -> click.Command:
-    """Make a click command of a function: the defaults of its arguments declare the parameters, in order.
+    """Make a click command from a function: the defaults of its arguments declare the parameters, in order.
 
-    Its docstring is the help; from the first line on that ends in two colons it stands below the options,
-    line by line. An argument whose name begins with an underscore is not passed: `is_set` tells of it.
+    The docstring is the help. From the first line that ends in two colons, it is printed below the options
+    without wrapping. Arguments whose names start with an underscore are not passed; use `is_set` to read
+    them.
     """
     arguments = inspect.signature(function).parameters
     whole = _Together(function, {name: argument.default for name, argument in arguments.items()})
@@ -118,8 +119,8 @@ def declared(function: Callable[..., None]) -> click.Command:
 def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
     """Declare an option by its line of help, such as ``-o --out DIR=fleet  Folder of it.``.
 
-    After the names stand what its value is called and, behind a sign of equality, the default that the help
-    shows; two spaces part them from the sentence. `kind` is its type, `more` is click's.
+    The line contains the names, the metavar, optionally an equals sign and the default for the help, then two
+    spaces and the sentence. `kind` is click's type, `more` are other arguments of click.
     """
     head, _, text = said.partition("  ")
     head, equals, default = head.partition("=")
@@ -138,7 +139,7 @@ def flag(said: str, **more: Any) -> Any:  # noqa: ANN401
 
 
 def together(make: Callable[..., Any], declared: dict[str, Any]) -> Any:  # noqa: ANN401
-    """Declare what a function makes of several parameters."""
+    """Declare a value that a function makes from several parameters."""
     return _Together(make, declared)
 
 
@@ -148,11 +149,11 @@ def argument(metavar: str | None, kind: object = None, **more: Any) -> Any:  # n
 
 
 def is_set(name: str) -> bool:
-    """Return whether the command that runs was given a flag, such as quiet; False where none runs."""
+    """Return whether the running command has a flag, such as quiet; False if no command runs."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.params.get(name))
 
 
 def misuse(text: object, *options: str) -> NoReturn:
-    """Raise what ends a command with exit code 2: what was typed, for an option or not, can't be meant."""
+    """Raise a usage error, exit code 2, for the command or for some `options`."""
     raise click.BadParameter(str(text), param_hint=options) if options else click.UsageError(str(text))

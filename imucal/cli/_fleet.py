@@ -1,4 +1,4 @@
-"""What the commands of a fleet share: what they print, and what their options take."""
+"""Output and types of options that the fleet commands share."""
 
 import re
 import sys
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from imucal.fleet_report.answers import Ask
     from imucal.fleet_run import FleetPlan
 
-#: So many logs of each kind of failure are named.
+#: Number of failed logs that are listed per kind of failure.
 _NAMED = 3
 
 
 def print_plan(plan: "FleetPlan", workers: int) -> None:
-    """Print a line for each log: what would be done with it, its labels."""
+    """Print one line per log, with its state and labels; then the total and the expected time."""
     for log in plan.own():
         labels = " ".join(f"{name}={value}" for name, value in log.labels.items())
         copy = f"same content as {log.copy_of}" if log.copy_of else ""
         echo("\t".join((log.state, log.path, *filter(None, (labels, copy)))))
     tasks = plan.tasks
-    # What logs take differs by more than what rounding to a minute hides.
+    # Estimates are less accurate than a minute.
     seconds = sum(task.seconds for task in tasks) / workers
     about = duration(60 * round(seconds / 60) if seconds > 60 else float(f"{seconds:.2g}"))
     size = data_size(sum(task.size for task in tasks))
@@ -44,7 +44,7 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
 
 
 def say_plan(plan: "FleetPlan", store: "FleetStore") -> None:
-    """Say what is to be done, what stands twice, and what labels would bring."""
+    """Print the number of logs to do, the duplicates, and advice if no log has a unit label."""
     copies = [log for log in plan.own() if log.copy_of]
     done, again = plan.own("done"), plan.own("again")
     parts = {
@@ -56,16 +56,16 @@ def say_plan(plan: "FleetPlan", store: "FleetStore") -> None:
     say("; ".join(text for text, said in parts.items() if said))
     for log in copies:
         say(f"  {log.path}: same content as {log.copy_of}")
-    # Labels that the store has stay where a run gives none.
+    # A run without labels keeps those in the store.
     if not any(log.labels.get("unit") for log in plan.logs) and not store.logs()["unit"].count():
         example = "label the units with --labels '{model}/{unit}/*.mcap'"
         say(f"No log has the label unit, so logs are not grouped; {example}")
 
 
 def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> None:
-    """Print what became of the logs asked for, and end with the exit code of it.
+    """Print the results of the logs of this run; exit with code 3 if none is readable, 4 if too many failed.
 
-    Where nothing is left to do, the report is written; one that is newer than the store is left as it is.
+    Write the report if no log of the manifest is left, unless the report is newer than the store.
     """
     from imucal.fleet.store import FleetStore
     from imucal.fleet_report import load_fleet
@@ -99,9 +99,10 @@ def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> 
 def write_files(
     fleet: "Fleet", *, page_alone: bool = False, html: bool = True, pictures: bool = True
 ) -> None:
-    """Write the report of a fleet; print its files, or the page alone, its findings, and which units are odd.
+    """Write the report of a fleet; print its files (or only the page), its findings, and odd units.
 
-    That is broken between words on a terminal; elsewhere it is one line for who searches it.
+    The sentence about odd units is wrapped on a terminal; otherwise it is one line, which is easier to
+    search.
     """
     from imucal.fleet_report import write_fleet
     from imucal.fleet_report.pages import verdict
@@ -118,7 +119,7 @@ def write_files(
 
 
 def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
-    """Print how many logs ended how, and what they took."""
+    """Print the number of logs per result, and their size and time."""
     from imucal.fleet.store import STATUSES
 
     grades = {"good": "good", "look": "to look at", "not-noise": "not noise"}
@@ -131,7 +132,7 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
 
 
 def print_failures(logs: "pl.DataFrame") -> int:
-    """Print the logs that gave no numbers which may be used, by kind, of many the first; return how many."""
+    """Print the logs without usable numbers, the first of each kind of failure; return how many failed."""
     from imucal.fleet_run.plan import has_failed
 
     groups: dict[str, list[str]] = {}
@@ -155,7 +156,7 @@ def number_of(things: int | Sized, one: str, many: str = "") -> str:
 
 
 def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
-    """Return how many logs ended so."""
+    """Return the number of logs with a status and a verdict."""
     return logs.filter(status=status, **({} if verdict is None else {"verdict": verdict})).height
 
 
@@ -169,7 +170,7 @@ def _patience(text: str) -> float | None:
 
 
 def _shard(text: str) -> tuple[int, int]:
-    """Return i and n of ``i/n``, i from 1."""
+    """Return i and n of ``i/n``; i starts at 1."""
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
     if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"{text!r} is not a part; write I/N with I from 1 to N, such as 1/8")
@@ -178,17 +179,17 @@ def _shard(text: str) -> tuple[int, int]:
 
 #: Types of the options of ``imucal fleet run``.
 PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
-#: Option of commands that take a fleet.
+#: Option of commands that accept a fleet.
 FLEET_MODEL = option("--fleet-model NAME  Sensor model, if the fleet has several.")
 
 
 def is_fleet(path: str | Path) -> bool:
-    """Return whether a path is the folder of a fleet; a URL is none."""
+    """Return whether a path is the folder of a fleet; a URL never is."""
     return not is_url(path) and (Path(path) / "manifest.parquet").is_file()
 
 
 def read_fleet(path: str | Path, model: str | None) -> "Fleet":
-    """Load a fleet, as far as exports, checks and comparisons need it: one sensor model, without its logs."""
+    """Load one sensor model of a fleet without its logs, for exports, checks and comparisons."""
     from imucal.fleet_report.summary import load_model
 
     try:

@@ -1,4 +1,4 @@
-"""Printing: texts that fit the terminal and never steer it, findings, progress, and what ends a command."""
+"""Print texts that fit the terminal, findings and progress; end commands with an error."""
 
 import json
 import shlex
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 
 
 def echo(text: str, *, err: bool = False) -> None:
-    """Print text for people, signs that steer a terminal escaped."""
+    """Print text for people, with control characters escaped."""
     click.echo(printable(text), err=err)
 
 
 def print_json(document: object, *, indent: int = 2, ascii_only: bool = True) -> None:
-    """Print a document as JSON on standard output; what would steer a terminal stands as JSON's escapes."""
+    """Print a document as JSON on standard output; control characters are JSON escapes."""
     text = json.dumps(document, indent=indent, ensure_ascii=ascii_only, allow_nan=False)
     click.echo(printable_json(text))
 
 
 def can_print(text: str, encoding: str | None = None) -> bool:
-    """Return whether an encoding has all signs of a text; by default that of standard output."""
+    """Return whether an encoding, by default the one of standard output, can represent a text."""
     try:
         text.encode(encoding or sys.stdout.encoding or "ascii")
     except (UnicodeEncodeError, LookupError):
@@ -43,31 +43,31 @@ def can_print(text: str, encoding: str | None = None) -> bool:
 
 
 def picked(value: object, names: str) -> dict[str, object]:
-    """Return attributes of a value as JSON values; see `imucal.report.json_node.picked`."""
+    """Return attributes of a value as JSON values, by `imucal.report.json_node.picked`."""
     from imucal.report import json_node
 
     return json_node.picked(value, names)
 
 
 def say(text: object) -> None:
-    """Print a line for people, on standard error, so that standard output holds results only."""
+    """Print a line for people on standard error, because standard output contains only results."""
     if not is_set("quiet"):
         echo(str(text), err=True)
 
 
-#: Widest table: what fits a terminal, a mail and a log of CI.
+#: Columns of the widest table, which fits a terminal, a mail and a log of CI.
 FULL = 80
-#: Narrower than this nothing is made to fit.
+#: Texts are never wrapped to fewer columns.
 _LEAST = 30
 
 
 def width() -> int:
-    """Return the columns of the terminal, 80 at most; 80 where the output is no terminal."""
+    """Return the columns of the terminal, 30 to 80; 80 if the output is no terminal."""
     return max(_LEAST, min(FULL, shutil.get_terminal_size((FULL, 24)).columns))
 
 
 def wrapped(text: str, *, indent: int = 0) -> list[str]:
-    """Break a text into lines of the page's width; line breaks of its own are kept."""
+    """Break a text into lines that fit the terminal; existing line breaks are kept."""
     lines = []
     for line in text.rstrip().split("\n"):
         own = indent + len(line) - len(line.lstrip())
@@ -81,13 +81,13 @@ def wrapped(text: str, *, indent: int = 0) -> list[str]:
     return lines
 
 
-#: Level, code and sentence of a finding: what it says, whatever axis it is about.
+#: Level, code and sentence of a finding, without its axis.
 Words: TypeAlias = tuple[str, str, str]
 _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
 
 def words(finding: Finding, text: str | None = None) -> Words:
-    """Return level, code and sentence of a finding, its own text or another, with what to do."""
+    """Return level, code and sentence of a finding: its text (or `text`), the advice, and the option."""
     option = f"Try {options_to_keep(finding.keep_s)}." if finding.keep_s else ""
     option = "Use --columns." if "columns text" in finding.advice else option
     parts = (finding.text if text is None else text, finding.advice, option)
@@ -101,9 +101,9 @@ def said_of(axes: Sequence[str], said: Words) -> str:
 
 
 def print_findings(findings: Sequence[Finding]) -> None:
-    """Print findings, the grave ones first; axes that share a sentence stand together.
+    """Print findings, errors first; axes with the same sentence share a line.
 
-    Of warnings and remarks that differ in their figures alone, one stands for all without --verbose.
+    Without --verbose, only the first warning or remark of each code is printed, with the number of others.
     """
     if is_set("quiet") or not findings:
         return
@@ -122,7 +122,7 @@ def print_findings(findings: Sequence[Finding]) -> None:
 
 
 def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[Words, list[str], list[list[str]]]]:
-    """Yield what findings say, of which axes, and the axes of those that each of them stands for."""
+    """Yield findings to print, errors first: text, axes, and the axes of each finding that it replaces."""
     about: dict[Words, list[str]] = {}
     for finding in findings:
         said = words(finding, finding.text.removeprefix(f"{finding.axis}: "))
@@ -132,20 +132,20 @@ def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[Words, list[str]
     others: dict[Words, list[list[str]]] = {}
     for said, axes in ordered:
         first = lead.setdefault(said[:2], said)
-        # The first of a level and code stands for the others that are about an axis; errors stay.
+        # The first finding of a level and code replaces others about an axis, except errors.
         folds = first is not said and said[0] != "error" and axes and not is_set("verbose")
         others.setdefault(first if folds else said, []).extend([axes] if folds else [])
     yield from ((said, axes, others[said]) for said, axes in ordered if said in others)
 
 
 def as_typed(path: Path) -> str:
-    """Return a path as a shell takes it for one argument: quoted where it needs to be, never an option."""
+    """Return a path as one argument for a shell: quoted if necessary, and never like an option."""
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
 def name_of_log(log: str) -> str:
-    """Return the own name of a log as it was typed: of a path, a URL, or standard input."""
+    """Return the file name of a log, which may be a path, a URL, or standard input."""
     from imucal.remote.addresses import is_url, name_of, shown
 
     if log == "-":
@@ -162,10 +162,10 @@ def refuse(
     remedy: str = "record again at rest, or --force",
     told: bool = False,
 ) -> None:
-    """End a command with exit code 4, by a DataError; `told` is whether its results were printed.
+    """Raise a DataError, exit code 4, if data are not noise at rest (unless forced) or --strict forbids them.
 
-    So end data that are not noise at rest, unless forced, with `consequence` (what was written or not) and
-    `remedy`; and, with --strict, those of which one of the `findings` is more than a remark.
+    --strict forbids warnings and errors among the `findings`. The message contains `where`, the `consequence`
+    (such as whether a file was written) and the `remedy`. `told` is true if the results were already printed.
     """
     if not verdict.usable and not is_set("force"):
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
@@ -179,19 +179,19 @@ def refuse(
     raise error
 
 
-#: What a bar yields: called with what is done, of what, and a word; None where nobody watches.
+#: Function that updates a progress bar, called with done, total and a word; None without a terminal.
 _Update: TypeAlias = Callable[..., None] | None
-#: Columns of a terminal that has room for a bar, bytes and the time left beside the words.
+#: Narrowest terminal with space for the bar, its columns and the time left.
 _WIDE = 80
-#: Columns of bytes.
+#: Rich's columns for bytes.
 BYTES = ("DownloadColumn", "TransferSpeedColumn")
-#: The bar that shows which axis is being fitted.
+#: Arguments of `progress` for the axis that is being fitted.
 FITTING = ("fitting {task.fields[word]:8}", "MofNCompleteColumn")
 
 
 @contextmanager
 def progress(text: str, *columns: str, when: bool = True) -> Iterator[_Update]:
-    """Yield what updates a bar with some of rich's columns, or None where nobody watches."""
+    """Yield a function that updates a progress bar with some of rich's columns; None without a terminal."""
     if not when or is_set("quiet") or not sys.stderr.isatty():
         yield None
         return
@@ -213,11 +213,11 @@ def progress(text: str, *columns: str, when: bool = True) -> Iterator[_Update]:
 
 @contextmanager
 def fleet_progress(*, when: bool = True) -> Iterator[Callable[["RunCount"], None] | None]:
-    """Show logs done, failed and in hand, bytes and time left on a terminal; nothing elsewhere."""
+    """Show the numbers of done, failed and running logs, bytes and time left, on a terminal only."""
     with progress("{task.fields[word]}", "DownloadColumn", when=when) as update:
         yield update and (
             lambda count: update(
-                # A byte at least, so that logs of unknown size are seen too.
+                # One more byte per log, so that logs of unknown size count too.
                 count.done_size + count.done,
                 count.size + count.logs,
                 f"{count.done} of {count.logs} logs, {count.failed} failed, {count.running} running",

@@ -1,4 +1,4 @@
-"""REPORT of a command: a report.json, its folder, a log, which is characterised first, or a model."""
+"""The REPORT argument: a report.json, its folder, a log, which is characterised first, or a model."""
 
 import os
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from imucal.remote.addresses import shown
 from imucal.report.json_node import Node
 from imucal.report.result import Report
 
-#: What a REPORT is, for the help of an option that takes no log.
+#: Description of a REPORT in the help of options that accept no log.
 REPORT = "report.json or its folder"
 
 
@@ -28,7 +28,7 @@ def _model(sensor: Sensor, option_name: str, example: str) -> Any:  # noqa: ANN4
     return option(text, model_of(sensor))
 
 
-#: The options of models in place of a report, which make a model for each sensor that has one.
+#: The options of models instead of a report, which make sensor -> model.
 MODELS = together(
     lambda **texts: {Sensor(name): text for name, text in texts.items() if text},
     {
@@ -45,12 +45,12 @@ def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
     if given is None and request.logs and not models:
         return request
     models = with_model(given or next(iter(request.logs), None), models)
-    # Messages name what was given where a log's path would stand.
+    # Messages contain the model in place of the log's path.
     return replace(request, logs=tuple(models.values())[:1], models=models)
 
 
 def _of_a_log(parameter: click.Parameter) -> None:
-    """Let LOG be a REPORT, and adapt the help of two options of reading a log."""
+    """Turn LOG into REPORT, and adapt the help of two options for reading a log."""
     if isinstance(parameter, click.Argument):
         parameter.metavar, parameter.required = "REPORT", False
         parameter.type = click.Path()  # the shell completes it
@@ -60,19 +60,19 @@ def _of_a_log(parameter: click.Parameter) -> None:
         parameter.help = f"{parameter.help} Required with a model."
 
 
-#: REPORT, the options of reading a log, and those of models, which make a `LogRequest`.
+#: REPORT, with the options for reading a log and for models, which make a `LogRequest`.
 REPORT_OR_LOG = together(_request, {"request": replace(LOG, change=_of_a_log), "models": MODELS})
 
 
 def is_model(text: str) -> bool:
-    """Return whether a text is meant as a model and not as a path or a URL."""
+    """Return whether a text is a model and not a path or a URL."""
     return "=" in text and not is_url(text) and not os.path.exists(text)  # noqa: PTH110 - never raises
 
 
 def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "REPORT") -> dict[Sensor, str]:
-    """Return the models of the options, and that of the argument of a name, which is the gyroscope's.
+    """Return the models of the options and of the named argument, which is the gyroscope's.
 
-    A usage error says that there is no model, that the argument is none, or that the gyroscope has two.
+    A usage error if there is no model, if the argument is no model, or if the gyroscope has two.
     """
     from imucal.noise.model import NoiseModel
 
@@ -101,16 +101,16 @@ def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
 
 
 def report_or_model(source: str | None, models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
-    """Load a report by its file, folder or URL, or make one of models."""
+    """Load a report by its file, folder or URL, or make one from models."""
     if source is None or models or is_model(source):
         return given_report(with_model(source, models), rate_hz)
     return read_report(source)
 
 
 def load_report(request: LogRequest) -> Report:
-    """Load a report, read and characterise a log, or make a report of models.
+    """Load a report, read and characterise a log, or make a report from models.
 
-    Options of reading are refused beside a report: they would change nothing.
+    Reading options are refused with a report, because they would have no effect.
     """
     asked = sorted(request.settings())
     if request.models:
@@ -126,7 +126,7 @@ def load_report(request: LogRequest) -> Report:
 
 
 def load_calibrated(request: LogRequest) -> Node:
-    """Load the document of a calibration; refuse options of reading a log."""
+    """Load the document of a calibration; refuse options for reading a log."""
     from imucal.calibration.document import load_calibration
 
     first = request.logs[0]
@@ -141,7 +141,7 @@ def _refuse_reading(asked: list[str], what: str) -> None:
 
 
 def read_report(report: str | Path) -> Report:
-    """Load a report by its file, folder or URL; a log is refused, with what to do."""
+    """Load a report by its file, folder or URL; for a log, the error explains what to do."""
     from imucal.readers.remote_logs import local_logs
     from imucal.report.json_file import load
 

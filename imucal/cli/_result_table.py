@@ -1,4 +1,4 @@
-"""The table that a run prints: the verdict, then both sensors side by side, all with intervals."""
+"""The table that a run prints: the verdict, then both sensors side by side, with intervals."""
 
 import re
 import textwrap
@@ -11,9 +11,9 @@ from imucal.report.result import AxisReport, Report
 from imucal.report.view import Row, View, ordered_keys, views
 from imucal.units import duration, pretty
 
-#: Two columns and the space between them make 80; a narrower table has one column after the other.
+#: Width of a column, and of the space between two: 80 in all. Narrower tables have one column.
 _COLUMN, _SPACE = 39, 2
-#: Blanks where no line breaks: of a number and its unit, and of ``3 h 2 min``.
+#: Spaces at which no line may break: between a number and its unit, and in ``3 h 2 min``.
 _KEPT = re.compile(r"(?<=\d) (?=[A-Za-z%])|(?<= h) (?=\d)|(?<= d) (?=\d)|(?<= min) (?=\d)")
 _Block = list[str]
 
@@ -23,11 +23,10 @@ def summary_table(
 ) -> str:
     """Return the table as text of at most 80 columns, or 40, without a newline at its end.
 
-    It is in data-sheet units or in SI. An axis that could not be analysed is missing, and unless `forced`
-    so is one whose numbers are not those of noise at rest; of a log that was moved no axis is left. Where
-    the place it is printed to, by default standard output, has an `encoding` that can't hold signs such as
-    √ the units are written in ASCII. With less than 80 `columns` the sensors stand one after the other, 39
-    columns wide.
+    The values are in data-sheet units or in SI. Axes that could not be analysed are missing. Axes that are
+    not noise at rest, such as all axes of a log that was moved, are missing too unless `forced`. If the
+    `encoding`, by default the one of standard output, lacks signs such as √, the units are ASCII. With less
+    than 80 `columns`, the sensors are one below the other, 39 columns wide.
     """
     plain, verdict = not can_print("√²³µ", encoding), report.verdict
     usable = [axis for axis in report.axes if forced or axis.name in verdict.axes]
@@ -52,7 +51,7 @@ def summary_table(
 
 
 def _beside_each_other(sensors: Sequence[dict[str, _Block]], keys: Sequence[str]) -> list[str]:
-    """Return the blocks of sensors in columns, those of one key side by side, an empty line below each."""
+    """Return the sensors' blocks in columns: blocks of one key side by side, then an empty line."""
     lines = []
     for key in keys:
         if not any(key in sensor for sensor in sensors):
@@ -64,13 +63,13 @@ def _beside_each_other(sensors: Sequence[dict[str, _Block]], keys: Sequence[str]
 
 
 def _wrapped(text: str, columns: int) -> list[str]:
-    """Break a text into lines; a number keeps its unit: lines break after commas and before brackets."""
+    """Break a text into lines, after commas or before brackets, but not between a number and its unit."""
     kept = _KEPT.sub("\N{NO-BREAK SPACE}", text)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, columns)]
 
 
 def _blocks(seen: View, axes: Sequence[AxisReport], *, datasheet: bool, plain: bool) -> dict[str, _Block]:
-    """Return each block of a sensor's column by its key, in data-sheet units or in SI."""
+    """Return key -> block of a sensor's column, in data-sheet units or in SI."""
     rows = {row.key: _block(row, seen.names, datasheet=datasheet, plain=plain) for row in seen.rows}
     return {"": _heading(axes), **rows}
 
@@ -89,7 +88,7 @@ def _heading(axes: Sequence[AxisReport]) -> _Block:
 
 
 def _block(row: Row, names: Sequence[str], *, datasheet: bool, plain: bool) -> _Block:
-    """Return a title with its unit and one line an axis, all in the same power of ten."""
+    """Return a title with the unit, and one line per axis, all with the same power of ten."""
     column = row.column(datasheet=datasheet)
     unit = column.unit if plain else pretty(column.unit)
     unit = f"1e{column.exponent} {unit}" if column.exponent else unit

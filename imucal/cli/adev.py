@@ -1,4 +1,4 @@
-"""``imucal adev``: the curves alone."""
+"""``imucal adev``: only the Allan curves."""
 
 from typing import Any
 
@@ -89,7 +89,7 @@ def command(
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:
-    """Return what `imucal fit` would say too: of reading, of screening, and of axes without a curve."""
+    """Return the findings of reading, of screening, and of axes without a curve, as in `imucal fit`."""
     from imucal.advice import advised
     from imucal.pipeline import screen
 
@@ -99,7 +99,7 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
 
 
 def _axis(series: AxisSeries, how: dict[str, Any], *, level: float, spectrum: bool) -> dict[str, Any]:
-    """Return what is printed of one axis, as JSON values; `how` its curve is made, for `allan_curve`."""
+    """Return the entry of one axis as JSON values; `how` contains arguments of `allan_curve`."""
     from imucal import allan
 
     if series.n and not series.usable.any():
@@ -126,7 +126,7 @@ def _axis(series: AxisSeries, how: dict[str, Any], *, level: float, spectrum: bo
 
 
 def _lines(axis: dict[str, Any]) -> list[str]:
-    """Return the CSV lines of one axis: nine digits, which is more than an interval supports."""
+    """Return the CSV lines of one axis, with nine digits, more than an interval supports."""
     columns = zip(*axis["curve"].values(), strict=True)
     return [
         f"{axis['name']},{tau:.12g},{m},{adev:.9g},{low:.9g},{high:.9g},{edf:.6g}"

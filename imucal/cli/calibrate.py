@@ -104,13 +104,13 @@ def command(
 
 
 def _noise_report(path: Path) -> "Report":
-    """Load the report of the noise; refuse one that is not of noise at rest, unless forced."""
+    """Load the report of the noise; refuse data that are not noise at rest, unless forced."""
     report = read_report(path)
     refuse(report.verdict, str(path), "nothing was calibrated", remedy=remedy(report.all_findings))
     return report
 
 
-#: How a message of the library ends -> the option that helps.
+#: End of a message of the library -> the option to use.
 _OPTIONS = {
     r"its unit is g$": "--accel-unit g",
     r"rests last 0\.4 s or longer$": "--rest-at-least 0.4s",
@@ -120,7 +120,7 @@ _OPTIONS = {
 
 @contextmanager
 def _with_options() -> Iterator[None]:
-    """Add the option to type to the message of a log that can't be calibrated."""
+    """Add the option to use to the message about a log that can't be calibrated."""
     try:
         yield
     except DataError as error:
@@ -165,7 +165,7 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
 
 
 def _end(verdict: str, where: str, codes: list[str]) -> None:
-    """End with exit code 4 if the result is not usable, or by --strict if there is a warning."""
+    """End with exit code 4 if the result is not usable, or if --strict forbids a warning."""
     listed = ", ".join(dict.fromkeys(codes))
     if verdict == "not usable" and not is_set("force"):
         advice = "try --no-gyro for the accelerometer alone, or --force"
@@ -174,6 +174,6 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
         error = DataError(f"{where}: {listed} found; --strict allows no warning")
     else:
         return
-    # The result is on standard output already.
+    # The result was already printed on standard output.
     error.told = True
     raise error

@@ -1,4 +1,4 @@
-"""``imucal check``: the gate that a CI runs."""
+"""``imucal check``: compare a report with limits, for CI."""
 
 import textwrap
 from dataclasses import replace
@@ -130,7 +130,7 @@ def _of_report(
 
     limits = _limits(limits_file, baseline, fleet, fleet_model, config=config)
     older = _older(limits, baseline)
-    # What it lacks is said before the log is read.
+    # Report errors of the fleet before reading the log.
     units = None if fleet is None else read_fleet(fleet, fleet_model)
     report = load_report(request)
     result = check(report, limits, baseline=older)
@@ -154,7 +154,7 @@ def _of_calibration(request: LogRequest, limits_file: Path | None, other: object
 
 
 def _older(limits: Limits, baseline: str | None) -> Report | None:
-    """Return the report that the limits measure from; None where they don't."""
+    """Return the baseline of the limits; None if there is none."""
     if limits.baseline is None or limits.baseline.report is None:
         return None
     return read_report(baseline or limits.baseline.report)
@@ -168,7 +168,7 @@ def _limits(
     *,
     config: Path | None,
 ) -> Limits:
-    """Return the limits to check against: none where a fleet or a config is all there is."""
+    """Return the limits; none if only a fleet or a config is given."""
     from imucal.checking import read_limits
 
     if fleet is None and model is not None:
@@ -189,7 +189,7 @@ def _limits(
 
 
 def _table(result: CheckResult) -> str:
-    """Return the verdicts as lines that fit the terminal, and what they come to; the colours are our own."""
+    """Return the verdicts as coloured lines that fit the terminal, and the overall result."""
     where = max((len(row.where) for row in result.rows), default=0)
     rule = min(max((len(row.rule) for row in result.rows), default=0), 32)
     lines = [line for row in result.rows for line in _lines(row, where, rule)]
@@ -199,7 +199,7 @@ def _table(result: CheckResult) -> str:
     if result.count("undecided"):
         note = "; undecided fails" if result.undecided_fails else "; undecided doesn't fail"
     word, colour = ("PASS", "green") if result.passed else ("FAIL", "red")
-    # Broken before it is coloured: colours take no room.
+    # Wrap before colouring: colour codes have no width.
     total = textwrap.wrap(f"{word}: {counts} (intervals at {result.level:.0%}{note})", width())
     total[0] = total[0].replace(word, click.style(word, fg=colour, bold=True), 1)
     return "\n".join(lines + total)
@@ -215,7 +215,7 @@ def _lines(row: Row, where: int, rule: int) -> list[str]:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, measured.text()))]
     text = printable(row.text).partition(": ")[2]  # without the place, which has its column
-    # What is to be copied stays on one line.
+    # The line to copy must not be wrapped.
     text = text.removesuffix(f" '{row.instead}'") if row.instead else text
     first, *rest = [*textwrap.wrap(text, width() - start), *([row.instead] if row.instead else [])] or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

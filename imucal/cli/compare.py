@@ -1,4 +1,4 @@
-"""``imucal compare``: what differs between two reports."""
+"""``imucal compare``: the differences between two reports."""
 
 import shlex
 from pathlib import Path
@@ -66,7 +66,7 @@ def command(
     if as_json:
         print_json(to_document(result))
     else:
-        # Its colours are our own; names of files stand in the lines below it.
+        # Not `echo`, which escapes colours; the table contains no file names.
         click.echo(_table(result))
     for name, path in (("A", result.a), ("B", result.b)):
         say(f"{name}: {path}")
@@ -77,7 +77,7 @@ def command(
 
 
 def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -> tuple[Report, Report]:
-    """Return two reports: of logs, of models, or the median units of two fleets."""
+    """Return two reports: from files, from models, or the median units of two fleets."""
     fleets = [path is not None and is_fleet(path) for path in (a, b)]
     if fleet is not None and not any(fleets):
         misuse(f"{shown_address(a)} is not a fleet; omit --fleet-model")
@@ -98,7 +98,7 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
 
 
 def _with_models(a: str, b: str | None, models: dict[Sensor, str]) -> tuple[Report, Report]:
-    """Return two reports of which at least one is a model: at the other's rate, since it has none."""
+    """Return two reports, at least one of them a model, which gets the rate of the other."""
     read = [None if text is None or is_model(text) else read_report(text) for text in (a, b)]
     rate_hz = next((axis.rate_hz for report in read if report for axis in report.axes), 1.0)
     second = read[1] or given_report(with_model(b, models, "B"), rate_hz)
@@ -106,7 +106,7 @@ def _with_models(a: str, b: str | None, models: dict[Sensor, str]) -> tuple[Repo
 
 
 def _typed(text: str) -> str:
-    """Return a path or a URL as a shell takes it, without the URL's secrets."""
+    """Return a path or a URL as one argument for a shell, without the URL's secrets."""
     return shlex.quote(shown_address(text)) if is_url(text) else as_typed(Path(text))
 
 
@@ -150,7 +150,7 @@ def _table(result: Comparison) -> str:
 
 
 def _lines(difference: Difference, *, narrow: bool) -> list[str]:
-    """Return a difference as a row of the table; as two lines where the terminal is narrow."""
+    """Return a difference as a row of the table, or as two lines on a narrow terminal."""
     unit = DatasheetUnit(difference.unit, 1.0)
     if is_set("datasheet") and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)

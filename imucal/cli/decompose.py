@@ -1,4 +1,4 @@
-"""``imucal decompose``: what the bias did in a log."""
+"""``imucal decompose``: the bias over time in a log."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from imucal.recording import AxisSeries, Recording, Sensor
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
 
-#: What a fit takes out beside the noise, by the first part of its name.
+#: First part of the name of a disturbance that a fit removes -> its description.
 _SHAPES = {
     "exp": "a warm-up",
     "step": "a step",
@@ -26,7 +26,7 @@ _SHAPES = {
     "sin": "a cycle",
     "temperature": "the effect of temperature",
 }
-#: What --axis takes.
+#: Values of --axis.
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
 
@@ -109,7 +109,7 @@ def command(
 
 
 def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
-    """Return the recording with these axes alone; with all where none is named."""
+    """Return the recording with only these axes; with all axes if none is named."""
     chosen = tuple(series for series in recording.series if not axes or series.name in axes)
     missing = [name for name in axes if name not in {series.name for series in recording.series}]
     if missing:
@@ -121,7 +121,7 @@ def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
 def _decompose_axis(
     series: AxisSeries, fit: "NoiseFit", folder: Path, *, clean: bool, **asked: Any  # noqa: ANN401
 ) -> dict[str, object]:  # fmt: skip
-    """Decompose one axis and write its files; return what is to say about it."""
+    """Decompose one axis and write its files; return its entry of the document."""
     from imucal.fitting.decomposition import decompose
     from imucal.report.figure_bias import axis_document, write_decomposition
 
@@ -139,9 +139,9 @@ def _decompose_axis(
 
 
 def _table(axes: list[dict[str, Any]]) -> str:
-    """Return a line for each axis and part: how far it moved, and how well that is known, in SI."""
+    """Return a table with one row per axis and part: range and standard error, in SI."""
     row = "{name:<9}{key:<7}{least:>12.4g}{greatest:>12.4g}{standard_error:>11.2g}  {unit}".format_map
     parts = (axis | part for axis in axes for part in axis["components"])
-    # A zero has no sign.
+    # Adding 0.0 turns -0.0 into 0.0.
     rows = (row(one | {name: one[name] + 0.0 for name in ("least", "greatest")}) for one in parts)
     return "\n".join([f"{'axis':<9}{'part':<7}{'least':>12}{'greatest':>12}{'± (1 sd)':>11}  unit", *rows])

@@ -17,7 +17,7 @@ SCHEMA = "imucal/drift/1"
 
 
 def _times(text: str) -> tuple[float, ...]:
-    """Return the times of ``1s,10s,5min``, each once and rising."""
+    """Return the times of ``1s,10s,5min`` in s, in increasing order, each once."""
     return tuple(sorted({seconds_of(part) for part in text.split(",")}))
 
 
@@ -77,7 +77,7 @@ def command(
 
 
 def to_document(found: Drift) -> dict[str, object]:
-    """Return a drift as JSON values, SI; null for what is not known."""
+    """Return a drift as JSON values, SI; null for unknown values."""
     names = "time_s axis value low high term share seen"
     return {
         "schema": SCHEMA,
@@ -97,7 +97,7 @@ def _table(found: Drift) -> str:
         lines += ["", quantity.name]
         for point in quantity.points:
             value = numbers.with_interval(numbers.drifted(point, quantity.unit), exponent=0)
-            # The term that makes most of both parts has its axis in its name.
+            # The dominant term of a total contains the axis already.
             makes = [] if " " in point.axis else [f"{point.axis:<8}"]
             makes += [f"{point.term} {100 * point.share:.0f} %"] if point.term else []
             makes += ["extrapolated"] if point.seen is False else []

@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 _FOLDER = Path("imucal-exports")
 
 
-#: What --to takes, with its title.
+#: Value of --to -> title.
 _TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 
 def _target_name(text: str) -> str:
-    """Return the name of a downstream format as it was typed, or all."""
+    """Return the name as typed; a ValueError if it is neither a downstream format nor all."""
     if text != "all" and name_key(text) not in map(name_key, CALIBRATION_TARGETS):
         try:
             exports.find_target(text)
@@ -196,7 +196,7 @@ def _write(texts: dict[str, str], out: Path | None, *, several: bool) -> None:
 def _export_calibration(
     path: Path, names: tuple[str, ...], out: Path | None, options: dict[str, Any]
 ) -> None:
-    """Write the files of a calibration; with ``all``, name the programs that it has no file for."""
+    """Write the files of a calibration; with ``all``, list the formats without a calibration."""
     found, every = load_intrinsics(path), "all" in names
     folder = path if path.is_dir() else path.parent
     noise = load(folder / NOISE_NAME) if (folder / NOISE_NAME).exists() else None
@@ -231,7 +231,7 @@ def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
 
 
 def _report(request: LogRequest, value: "FleetValue | None", model: str | None) -> Report:
-    """Return the report of a log, or what a fleet says of a sensor model in the form of one."""
+    """Return the report of a log, or the results of a fleet's sensor model in the same form."""
     folder = request.logs[0]
     if is_fleet(folder):
         if len(request.logs) > 1 or request.settings():
@@ -245,7 +245,7 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
 
 
 def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the formats' own names, each once; say which one another name stands for."""
+    """Return the names of the formats, each once; print the name for each alias."""
     found = {name: exports.find_target(name) for name in asked}
     for name, target in found.items():
         if not target.is_called(name):
@@ -254,7 +254,7 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
-    """Yield what the numbers are, which may be bounds, and which half of them the files lack."""
+    """Yield remarks: the kind of the numbers, those that are bounds, and sensors that the files lack."""
     if warned := dict.fromkeys(
         f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect"}
     ):

@@ -1,4 +1,4 @@
-"""``imucal fit``: the main job."""
+"""``imucal fit``: fit a noise model and write the report."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -136,7 +136,7 @@ def command(
 
 
 def _next_step(report: "Report", folder: Path) -> str:
-    """Return what to do next: name the unit, record for longer, or export."""
+    """Return the advice for the next step: give the unit, record for longer, or export."""
     from imucal.report.exports.config_numbers import vague_axes
 
     export = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
@@ -161,7 +161,7 @@ def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
 
 
 def _told(report: "Report") -> Sequence["Finding"]:
-    """Return the findings to print: of a log without a number to show, why, and not what that leads to."""
+    """Return the findings to print; if a log has no numbers, only their cause, without consequences."""
     every = report.all_findings
     if is_set("force") or is_set("verbose") or report.verdict.axes:
         return every
@@ -171,7 +171,7 @@ def _told(report: "Report") -> Sequence["Finding"]:
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:
-    """Return where the files of a log go: ``<log name>-imucal`` in the current folder."""
+    """Return the folder of a log's report: ``<log name>-imucal`` in the current folder."""
     name = name_of_log(log)
     stem = name
     while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():

@@ -1,7 +1,6 @@
 """``imucal fleet``: the commands for many logs of many units.
 
-``run`` fits one noise model to many logs; ``report`` says what the units of a fleet are like; ``status`` what
-of it is done.
+``run`` fits one noise model to many logs, ``report`` describes the units, and ``status`` lists the progress.
 """
 
 import contextlib
@@ -34,7 +33,7 @@ from imucal.cli.parameters import DURATION, FILE, LEVEL, PATH, QUIET, READING, S
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
 
-#: Command -> module that holds it, and the line that --help prints.
+#: Command -> its module, and the line that --help prints.
 _COMMANDS = {
     "run": ("fleet:run", "Fit one noise model to many logs, on this machine or a cluster."),
     "report": ("fleet:report", "Describe the units of each sensor model: page, JSON, CSV."),
@@ -60,12 +59,12 @@ def command() -> None:
     """
 
 
-#: As `imucal.fleet_run.plan` has them; to load that for a help text would take longer than the text.
+#: Copies of the defaults in `imucal.fleet_run.plan`, whose import would slow down --help.
 _MODEL, _LEVEL = "N + B + K", 0.95
 
 
 def _any_number(parameter: click.Parameter) -> None:
-    """Let the LOG argument be one for many logs, or none."""
+    """Let the LOG argument accept any number of logs, or none."""
     if isinstance(parameter, click.Argument):
         parameter.metavar, parameter.required = "LOGS...", False
 
@@ -164,7 +163,7 @@ def run(
 
 @contextlib.contextmanager
 def _saying_how_to_go_on(out: Path) -> Iterator[None]:
-    """Print the command that goes on where a run ends early: as typed, less what must not be done again."""
+    """If a run ends early, print the command to continue: as typed, without what must not be repeated."""
     from imucal.remote import addresses
 
     try:

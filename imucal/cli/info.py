@@ -1,4 +1,4 @@
-"""``imucal info``: what is in a log, from its index; gaps and clocks where the log is small."""
+"""``imucal info``: the contents of a log, from its index; gaps and clocks if the log is small."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -32,19 +32,19 @@ from imucal.remote.addresses import shown
 from imucal.screening import screen_units, worst_first
 from imucal.units import TIME_UNITS_NS, data_size, duration
 
-#: What ``--json`` prints follows this.
+#: Schema of the output of ``--json``.
 SCHEMA = "imucal/info/1"
-#: What it says of a finding.
+#: Keys of a finding.
 _FINDING = "level code axis text advice"
-#: What reading a topic gave: its recording, or why there is none; None of a topic that was not read.
+#: Recording of a topic, or the message of the error; None if the topic was not read.
 Reading: TypeAlias = Recording | str | None
-#: When several logs are read as one.
+#: Advice for a folder of logs.
 _JOINED_WHERE = "imucal fit joins them if each continues the one before, or with --join."
-#: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
+#: Logs up to this size, in bytes, are always read in full, which takes less than a second.
 _SMALL = 1 << 26
-#: The same of logs behind a URL, which are downloaded for it.
+#: The same for logs behind a URL, which must be downloaded.
 _SMALL_REMOTE = 1 << 20
-#: And up to so many samples, however well they are packed.
+#: Largest number of samples of a log that is always read: compression may hide very many.
 _MANY = 4_000_000
 
 
@@ -76,7 +76,7 @@ def command(
         with progress("downloading", *BYTES, when=is_url(log)) as update:
             contents = describe(log, options_of(progress=update, **reading))
         small = contents.size_bytes is not None and _is_small(contents, remote=is_url(log))
-        # Standard input is gone once it was described.
+        # Standard input can't be read a second time.
         wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
         found = _read_topics(log, contents, reading) if wanted else {}
         if as_json:
@@ -91,7 +91,7 @@ def command(
 
 
 def _is_small(contents: LogContents, *, remote: bool) -> bool:
-    """Return whether a log is read without being asked: a few bytes may hold very many samples."""
+    """Return whether a log has few bytes and few samples, so that it is read by default."""
     most = _SMALL_REMOTE if remote else _SMALL
     samples = sum(topic.count or 0 for topic in contents.imu_topics)
     size = max(contents.size_bytes or 0, contents.unpacked_bytes or 0)
@@ -99,7 +99,7 @@ def _is_small(contents: LogContents, *, remote: bool) -> bool:
 
 
 def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> dict[str, Reading]:
-    """Read every topic that carries IMU samples; a table is read as a whole."""
+    """Read every topic with IMU samples; a table is read as a whole."""
     found: dict[str, Reading] = {}
     with lent([log]) as logs:
         for topic in contents.imu_topics:
@@ -112,7 +112,7 @@ def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> di
 
 
 def _log_document(contents: LogContents, found: dict[str, Reading]) -> dict[str, object]:
-    """Return a log's entry: what it holds, and of the topics that were read their clocks and findings."""
+    """Return the entry of a log: its contents, and the clocks and findings of the topics that were read."""
     return {
         **picked(contents, "path format compression unpacked_bytes size_bytes start_ns duration_s"),
         "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
@@ -139,12 +139,12 @@ def _topic_json(topic: TopicContents, found: Reading) -> dict[str, object]:
 
 
 def _findings(found: Recording) -> tuple[Finding, ...]:
-    """Return the findings of a log that was read, and what `fit` would say of its accelerometer's unit."""
+    """Return the findings of reading a log, and those of `fit` about the accelerometer's unit."""
     return (*found.findings, *worst_first(found, screen_units(found)))
 
 
 def _without_repeated_note(topic: TopicContents, found: Reading) -> TopicContents:
-    """Return a topic without a note that only repeats how its samples were read."""
+    """Return a topic, without its note if that only repeats the decisions about units."""
     decisions = found.source.decisions if isinstance(found, Recording) else ()
     repeated = topic.note == "; ".join(
         f"{question} {answer}" for question, answer in decisions if "unit" in question
@@ -153,7 +153,7 @@ def _without_repeated_note(topic: TopicContents, found: Reading) -> TopicContent
 
 
 def _topic_table(topics: list[TopicContents]) -> Iterator[str]:
-    """Yield a line a topic, and a second one for a note or for a name that does not fit."""
+    """Yield one line per topic, and further lines for a note or a name that does not fit."""
     if width() < FULL:
         for topic in topics:
             yield from _topic_lines(topic)
@@ -164,7 +164,6 @@ def _topic_table(topics: list[TopicContents]) -> Iterator[str]:
     spare = width() - 2 - 2 * 5 - sum(widths[2:])
     widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
     widths[0] = min(widths[0], max(spare - widths[1], 8))
-    # Names on the left of their columns, figures on the right.
     line = "  ".join(["", *(f"{{:{side}{most}}}" for side, most in zip("<<>>>", widths, strict=False)), "{}"])
     yield line.format(*heads)
     for topic, row in zip(topics, rows, strict=True):
@@ -196,17 +195,17 @@ def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
 
 
 def _fit(text: str, most: int) -> str:
-    """Return a text that is cut in its middle where it is too long."""
+    """Return a text, shortened in its middle if it is too long."""
     left = (most - 1) // 2
     return text if len(text) <= most else f"{text[:left]}…{text[len(text) - (most - 1 - left) :]}"
 
 
-#: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
+#: 1 January 1980 in ns. Earlier stamps are no dates: they count from the start of a computer or a sensor.
 _NO_DATE = 315_532_800_000_000_000
 
 
 def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: bool) -> Iterator[str]:
-    """Yield the lines of a log: its table of topics, and of those that were read what was found."""
+    """Yield the lines of a log: the table of topics, and the results for topics that were read."""
     yield from wrapped(contents.path)
     yield from wrapped(", ".join(_head(contents)), indent=2)
     topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]
@@ -232,14 +231,14 @@ def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: b
 
 
 def _what_to_give(contents: LogContents) -> str:
-    """Return what would read a log of which nothing can be read as it is."""
+    """Return advice for a log without a readable topic."""
     hint = next(filter(None, (options_for(topic.note) for topic in contents.topics)), "")
     wanted = f"No samples can be read this way; give imucal fit {hint}."
     return wanted if hint else "Found no gyroscope or accelerometer."
 
 
 def _why_not(log: str) -> str:
-    """Return why samples are not read, and what would read them."""
+    """Return why samples were not read, and the option that reads them."""
     if log == STANDARD_INPUT:
         return "on standard input"
     if is_url(log):
@@ -260,7 +259,7 @@ def _head(contents: LogContents) -> Iterator[str]:
 
 
 def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> Iterator[str]:
-    """Yield rate, gaps, units and findings of a topic that was read; not those said of the whole log."""
+    """Yield rate, gaps, units and findings of a topic that was read, without findings of the whole log."""
     if found is None:
         return
     yield ""
@@ -274,7 +273,7 @@ def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> It
         text = f"{topic.name}: {clock.rate_hz:.6g} Hz by {clock.source}, {clock.n} samples, {gaps}{jitter}"
         yield from wrapped(text)
     for question, answer in found.source.decisions:
-        # Each topic is read by its name here, which says nothing about what fit would choose.
+        # Topics are read by name here, so their choice does not show the choice of `fit`.
         if question not in {"topic", "topics"}:
             yield from wrapped(f"{question}: {answer}", indent=2)
     about: dict[Words, list[str]] = {}
@@ -286,7 +285,7 @@ def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> It
 
 
 def _jitter(seconds: float) -> str:
-    """Return ``jitter 72 ns``; a stamp is a whole number of ns, so that less is none."""
+    """Return ``jitter 72 ns``; stamps are whole numbers of ns, so less is no jitter."""
     if seconds < 1e-9:
         return "no jitter"
     unit, in_ns = next(each for each in reversed(TIME_UNITS_NS.items()) if seconds * 1e9 >= each[1])

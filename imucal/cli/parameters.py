@@ -1,6 +1,6 @@
-"""Parameters of commands: types that say what is right, and options that several commands share.
+"""Parameters of commands: types that validate values, and options that several commands share.
 
-Among these are the options of how to read a log, where it doesn't say itself, and the LOG argument with them.
+These include the LOG argument and the options for reading logs that lack information.
 """
 
 import functools
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
 
 
 class Text(click.ParamType):  # type: ignore[type-arg,unused-ignore] # generic from click 8.4 on
-    """What a function makes of a text; the sentence of its ValueError is the message."""
+    """A type whose values a function parses from a text; its ValueError becomes the message."""
 
     def __init__(self, name: str, parse: Callable[[str], object]) -> None:
         self.name, self._parse = name, parse
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
         try:
-            # A default may be no text.
+            # A default may already be parsed.
             return self._parse(value) if isinstance(value, str) else value
         except ValueError as error:
             self.fail(str(error), param, ctx)
 
 
 class Number(click.FloatRange):
-    """A finite number in a range: click lets nan and infinity through.
+    """A finite number in a range; click alone accepts nan and infinity.
 
-    A `unit` may follow it, and a fraction may be given in percent.
+    The text may end with the `unit`; with `percent`, a fraction may be written in percent.
     """
 
     def __init__(
@@ -72,16 +72,16 @@ class Number(click.FloatRange):
         return float(super().convert(repr(number), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
 
 
-#: Units that a column of a log may be called by, but "degs" typed by a person may be degrees.
+#: Units that are accepted in the columns of a log but not from users, who may mean degrees by "degs".
 _UNCLEAR = frozenset({"rads", "mrads", "degs", "mdegs"})
 
 
-#: The unit of raw samples, which only a calibration can read without a scale.
+#: Unit of raw samples, which only a calibration accepts without a scale.
 _COUNT = "count"
 
 
 def _unit_of(sensor: Sensor, text: str) -> str:
-    """Return a unit of one sensor's samples, in a spelling that can't be meant otherwise."""
+    """Return the unit of a sensor's samples in an unambiguous spelling."""
     if text.strip().lower() in {_COUNT, f"{_COUNT}s"}:
         context = click.get_current_context(silent=True)
         if context is not None and context.info_name == "calibrate":
@@ -97,7 +97,7 @@ def _unit_of(sensor: Sensor, text: str) -> str:
     return text
 
 
-#: Written like this, averaging times are a set and not a list.
+#: Names of sets of averaging times; other texts are lists.
 _TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 
 
@@ -123,7 +123,7 @@ def structure_of(text: str) -> str:
 
 
 def model_of(sensor: Sensor) -> Text:
-    """Return the type of a model of a sensor: the text, once it is understood."""
+    """Return the type of a sensor's model: a text that was checked."""
 
     def checked(text: str) -> str:
         from imucal.noise.model import NoiseModel
@@ -134,18 +134,18 @@ def model_of(sensor: Sensor) -> Text:
     return Text("model", checked)
 
 
-#: Hz: no IMU is slower or faster, and no product of these overflows.
+#: Rate in Hz: no IMU is outside this range, and no product overflows.
 RATE = Number(1e-6, 1e9, unit="Hz")
-#: Beyond these levels an interval is a point or everything.
+#: Confidence level; beyond these limits intervals are meaningless.
 LEVEL = Number(0.01, 0.999999, percent=True)
-#: A probability or a share, ends left out.
+#: A probability or a share, without 0 and 1.
 SHARE = Number(0, 1, min_open=True, max_open=True, percent=True)
 _SCALE = Number(min=0, min_open=True)
 #: Seconds, or a number with s, min, m, h or d.
 DURATION = Text("duration", seconds_of)
 #: The terms of a model.
 STRUCTURE = Text("structure", structure_of)
-#: Averaging times: a set by its name; the same, or a list of durations.
+#: Averaging times: the name of a set; the name of a set or a list of durations.
 TAU_SET, TAUS = Text("taus", functools.partial(_taus, lists=False)), Text("taus", _taus)
 
 
@@ -164,19 +164,19 @@ DATASHEET = option(
     "--datasheet/--si  Use datasheet or SI units in the table.", default=True, show_default=True
 )
 
-#: What a fields text starts with.
+#: Start of a fields text.
 _FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
 
 
 class Asked(NamedTuple):
-    """Logs as they were named, and the arguments of `imucal.read` in the order that a report keeps."""
+    """Logs as the user named them, and arguments of `imucal.read` in the order of the report."""
 
     logs: tuple[str, ...]
     options: dict[str, Any]
 
 
 def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: object) -> Asked:
-    # What stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, is no log.
+    # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second field for a log.
     more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
     for sensor in Sensor:
         if options[f"{sensor.short}_unit"] == _COUNT:
@@ -193,7 +193,7 @@ def _sample_unit(sensor: Sensor) -> Text:
 READING = together(
     _asked,
     {
-        # Whether a log can be read is for its reader to say, with the exit code of that.
+        # The reader, not click, checks whether a log can be read: the exit code differs.
         "logs": argument("LOG...", click.Path(allow_dash=True, readable=False), nargs=-1, required=True),
         "time": option("--time CLOCK  Time stamps to use: 'header', 'log', or a table's column."),
         "time_unit": option(
@@ -230,7 +230,7 @@ READING = together(
 
 @contextmanager
 def lent(logs: Sequence[str]) -> Iterator["LocalLogs"]:
-    """Lend logs as files of this machine, those by URL with a progress bar where a person watches."""
+    """Lend logs as local files; downloads have a progress bar on a terminal."""
     from imucal.readers.remote_logs import local_logs
     from imucal.remote import is_url
 
@@ -242,9 +242,9 @@ def lent(logs: Sequence[str]) -> Iterator["LocalLogs"]:
 
 @frozen
 class LogRequest:
-    """What the user asked to read; `reading` holds arguments of `imucal.read`.
+    """The logs to read; `reading` contains arguments of `imucal.read`.
 
-    `models` are texts of models in place of a log, where a command takes them.
+    `models` are texts of models, which some commands accept instead of a log.
     """
 
     logs: tuple[str, ...]
@@ -255,7 +255,7 @@ class LogRequest:
     models: Mapping[Sensor, str] = field(default_factory=dict)
 
     def read(self) -> Recording:
-        """Read the log, with a progress bar where a person watches."""
+        """Read the log, with a progress bar on a terminal."""
         with lent(self.logs) as logs:
             return self._read(logs)
 
@@ -274,7 +274,7 @@ class LogRequest:
     def characterise(
         self, settings: "Settings", *, workers: int | None = None, rests: bool = False
     ) -> "Report":
-        """Read and characterise the log, or its `rests` alone, with progress bars on a terminal."""
+        """Read and characterise the log, or only its `rests`, with progress bars on a terminal."""
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
@@ -290,7 +290,7 @@ class LogRequest:
             return replace(report, source=replace(report.source, files=files))
 
     def settings(self) -> dict[str, object]:
-        """Return what was asked, for the report: JSON values, defaults left out."""
+        """Return the settings of the run that are not defaults, as JSON values for the report."""
         asked = {**self.reading, "strict": self.strict, "skip_s": self.skip_s, "take_s": self.take_s}
         return {
             name: list(map(str, value)) if isinstance(value, tuple) else value
@@ -320,7 +320,7 @@ LOG = together(
 
 
 def _say_what_was_read(recording: Recording) -> None:
-    """Print one line a sensor (and with --verbose each decision), so that nothing is picked silently."""
+    """Print one line per sensor (with --verbose each decision), so that no choice is silent."""
     source = recording.source
     by_clock: dict[int, list[AxisSeries]] = {}
     for series in recording.series:

@@ -138,7 +138,7 @@ def _table(result: Plan) -> str:
 
 
 def _lines(sensor: Sensor | None, need: Need, *, narrow: bool) -> list[str]:
-    """Return a need as a row of the table; as two lines where the terminal is narrow."""
+    """Return a required duration as a row of the table, or as two lines on a narrow terminal."""
     unit = _unit(sensor, need)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     time = describe_time(need.needed_s)

@@ -1,4 +1,4 @@
-"""``imucal simulate``: a log of known truth."""
+"""``imucal simulate``: write a log with known noise."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from imucal.noise import NoiseModel
 from imucal.recording import Sensor
 from imucal.units import G0
 
-#: Samples of the longest log: six axes of them are 48 GB.
+#: Largest number of samples: six axes take 48 GB.
 _MOST = 1e9
 
 
@@ -28,7 +28,7 @@ def _gap(text: str) -> tuple[float, float]:
 
 
 def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
-    """Return the path of a log whose suffix is a format's, or None."""
+    """Return the path of a log, or None; a usage error if no format has its suffix."""
     from imucal.simulation import WRITERS
 
     if path is not None and path.suffix.lower() not in WRITERS:

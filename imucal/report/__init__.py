@@ -1,4 +1,4 @@
-"""Results -> files: the JSON document, the pictures, the page, and the folder that holds them."""
+"""Write results to files: the JSON document, the pictures, the page, and their folder."""
 
 from imucal.report.json_file import load as load_report
 from imucal.report.result import AxisReport, Overview, Report

@@ -1,8 +1,8 @@
 """The pictures of a report: each axis by itself, and the three axes of a sensor together.
 
-They use matplotlib's object interface on the Agg canvas: no window, no pyplot, no state that outlives a call.
-Each takes half a second, so forked processes draw them at the same time if possible. Sizes are chosen so that
-the smallest text has 9 px at a width of 800 px.
+They use matplotlib's object interface on the Agg canvas: no window, no pyplot, no global state. Each takes
+half a second, so forked processes draw them in parallel if possible. The smallest text has 9 px at a width of
+800 px.
 """
 
 import base64
@@ -43,25 +43,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: What `render` can make.
+#: Formats of `render`.
 FORMATS = ("png", "svg", "pdf")
-#: Inches.
+#: Width of a picture, and heights of its parts, in inches.
 WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
 #: Grade -> colour of the verdict.
 _GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
-#: Left edge and width of the two plots, in parts of the figure.
+#: Left edge and width of the two plots, as fractions of the figure.
 _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
 
 def check_format(form: str) -> None:
-    """Raise a ValueError if no picture has such a format."""
+    """Raise a ValueError if the format is not one of `FORMATS`."""
     if form not in FORMATS:
         raise ValueError(f"format {form!r} is not one of {', '.join(FORMATS)}")
 
 
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
-    """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
+    """Return the picture of one axis: Allan deviation and psd with the fitted model and terms."""
     figure, left, right = _figure(report, rows=4)
     fit, units = axis.fit, units_of(report, axis.sensor)
     recorded, structure = _recorded(axis), str(fit.model) or "no term shown"
@@ -82,7 +82,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
 
 
 def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
-    """Return the curves and psds of a sensor's axes in one picture; a ValueError where it has none."""
+    """Return one picture of the curves and psds of a sensor's axes; a ValueError if it has no axes."""
     axes = report.by_sensor.get(sensor)
     if not axes:
         raise ValueError(f"the report has no {sensor} axis")
@@ -96,12 +96,12 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     return figure
 
 
-#: Inches of a column of a paper, its height, and the points of all its text.
+#: Width and height in inches of a picture for one column of a paper, and its text size in points.
 _COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
 
 
 def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
-    """Return Allan deviations for one column of a paper: no title, no foot, text of 8 points."""
+    """Return Allan deviations for one column of a paper: no title, no footer, text of 8 points."""
     from matplotlib.text import Text
 
     figure = new_figure(_COLUMN, _COLUMN_HEIGHT)
@@ -117,10 +117,10 @@ def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
 
 
 def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
-    """Return the picture's file: png, svg or pdf, else a ValueError.
+    """Return the content of a png, svg or pdf file; a ValueError for other formats.
 
-    The same report always gives the same png. It has a palette of 256 colours, which is enough for lines on
-    white and makes it a third as large.
+    The same report always gives the same png. Its palette of 256 colours is enough for lines on white, and
+    reduces the size to a third.
     """
     check_format(form)
     maker = f"imucal {version}".strip()
@@ -133,7 +133,7 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     return stream.getvalue()
 
 
-#: A pixel of it, as four bytes in one.
+#: A white RGBA pixel as one number.
 _WHITE = np.uint32(0xFFFFFFFF)
 
 
@@ -144,7 +144,7 @@ def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
     canvas: Any = figure.canvas
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba()).view(np.uint32)[..., 0]
-    # Nine tenths are white, and need no search for a palette: white is its last colour.
+    # To save time, quantize only the tenth of the pixels that are not white; white is the last colour.
     inked = np.flatnonzero(pixels != _WHITE)
     ink = Image.fromarray(pixels.ravel()[inked].view(np.uint8).reshape(1, -1, 4), "RGBA").convert("RGB")
     ink = ink.quantize(255, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -169,7 +169,7 @@ def axis_title(axis: AxisReport) -> str:
 
 
 def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
-    """Return a figure with verdict and foot, two plots, and room for `rows` lines of text under them."""
+    """Return a figure with verdict and footer, and its two plots above space for `rows` lines of text."""
     bottom = _AXIS_ROOM + _ROW * rows + 0.1
     height = bottom + _PLOT_HEIGHT + _HEAD
     figure = new_figure(WIDTH, height)
@@ -178,7 +178,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
         for place, width in (_LEFT, _RIGHT)
     ]
     write_foot(figure, report.source.name, report.version)
-    # The verdict at the top right: a picture is passed on without its page.
+    # Pictures are often shared without the page, so each contains the verdict.
     lines = "\n".join(textwrap.wrap(report.verdict.sentence, 110))
     style: Style = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
     figure.text(0.988, 1 - 0.12 / height, lines, ha="right", va="top", **style)
@@ -196,7 +196,7 @@ def _recorded(axis: AxisReport) -> str:
 
 
 def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
-    """Return the rows under an overview: a name, and a text for each axis; T stands beside its term."""
+    """Return the rows under an overview: a name and a text for each axis; T is in the row of its term."""
     rows: dict[str, list[str]] = {}
     for row in seen.rows:
         key, _, time = row.key.partition(" ")
@@ -212,14 +212,14 @@ def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
 
 
 def _told(row: Row) -> list[str]:
-    """Return the texts of a row with their unit, in one power of ten."""
+    """Return the texts of a row with their unit; all have the same power of ten."""
     exponent = row.column(datasheet=True).exponent
     tell = numbers.with_uncertainty if row.symbol else numbers.with_interval
     return [tell(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
-    """Write the table that also serves as the legend: its head draws each axis's line."""
+    """Write the table, which is also the legend: its header contains the line of each axis."""
     from matplotlib.lines import Line2D
 
     height = figure.get_figheight()
@@ -237,20 +237,20 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
             figure.text(x, y, text, **style)
 
 
-#: Format -> media type, of the formats that a page can show, the best first.
+#: Format that a page can show -> media type, the best first.
 _SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 @dataclass(slots=True)
 class Drawings:
-    """What was drawn, by the name of the file, and why files are missing, in their order."""
+    """The pictures as name -> content, and a finding for each picture that failed."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     failures: list[Finding] = field(default_factory=list)
 
     @property
     def addresses(self) -> dict[str, str]:
-        """The pictures as addresses that hold them, for a page; by the names of files, less the ending."""
+        """File name without suffix -> data URL of the picture, for a page."""
         return {
             name.removesuffix(f".{form}"): f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
             for form, kind in reversed(_SHOWN_BY_PAGES.items())
@@ -260,19 +260,19 @@ class Drawings:
 
 
 def picture_names(report: Report, formats: Sequence[str], *, paper: bool = False) -> tuple[str, ...]:
-    """Return the names of the files that are drawn of a report."""
+    """Return the names of the pictures of a report."""
     return tuple(name for item in _items(report) for name in _files(item, formats, paper=paper))
 
 
 def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
-    """Return what has a picture: each axis, and each sensor."""
+    """Return the items with a picture: each axis and each sensor."""
     return (*report.axes, *report.by_sensor)
 
 
 def _files(
     item: AxisReport | Sensor, formats: Sequence[str], *, paper: bool
 ) -> dict[str, Callable[[Report, Any], "Figure"]]:
-    """Return the files of an item, and what draws each; for papers in formats that scale, else as pdf."""
+    """Return file name -> function that draws it; pictures for papers are vector formats, by default pdf."""
     stem, whole = (item.short, sensor_figure) if isinstance(item, Sensor) else (item.name, axis_figure)
     scaling = [form for form in formats if form != "png"] or ["pdf"]
     return {
@@ -289,10 +289,10 @@ def draw(
     paper: bool = False,
     workers: int | None = None,
 ) -> Drawings:
-    """Draw the pictures of a report in some formats, each once.
+    """Draw the pictures of a report in some formats.
 
-    There are at most `workers` at a time, by default as many as the machine has processors. For a `page`
-    there is a png where no other format would do. For a `paper` there are more, such as ``gyro-paper.pdf``.
+    Up to `workers` processes draw at a time, by default `imucal.resources.threads`. `page` adds png if a page
+    can show none of the formats. `paper` adds pictures for papers, such as ``gyro-paper.pdf``.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
@@ -300,7 +300,7 @@ def draw(
     items = _items(report) if wanted or paper else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
-        # Loaded once, by the process that the others are forked from.
+        # Import once, before the fork.
         import_module("matplotlib.figure")
         import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
@@ -313,14 +313,14 @@ def draw(
 def _draw_one(
     report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], paper: bool
 ) -> Drawings:
-    """Build each figure of an item once, and make all of its files."""
+    """Return all files of an item; each figure is built once."""
     from matplotlib import rc_context
 
     made = cache(lambda figure: figure(report, item))
     result = Drawings()
     for name, figure in _files(item, formats, paper=paper).items():
         form = name.rpartition(".")[2]
-        # At this size letters need no fitting to the pixels, which takes a tenth of the drawing.
+        # Hinting is invisible at this size, and takes a tenth of the time.
         with rc_context({"text.hinting": "none"}):
             content, failed = try_side_work(
                 lambda figure=figure, form=form: render(made(figure), form, version=report.version),  # type: ignore[misc]

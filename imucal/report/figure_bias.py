@@ -1,6 +1,6 @@
 """The files of a decomposition: a table, arrays, a document about all axes, and a picture.
 
-The picture shows averaged samples, the smoothed bias, and below it each of its parts.
+The picture shows averaged samples and the smoothed bias, with its parts below.
 """
 
 import io
@@ -44,19 +44,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Inches.
+#: Heights of the plots and margins, in inches.
 _TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
 _LEFT, _RIGHT = 0.095, 0.985
-#: Points of a line, and averages of the samples.
+#: Number of points of a line, and of averages of the samples.
 _POINTS, _AVERAGES = 1500, 1000
 #: Half the width of the band, in standard errors.
 _BAND = 2.0
 
 
 def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
-    """Return the picture of what the bias of an axis did, in the units that data sheets print."""
+    """Return the picture of the bias of an axis over time, in the units of data sheets."""
     shown = [part for part in parts.components if part.key != "level"]
-    # A single part is the bias itself, but for a level.
+    # A single part equals the bias, except for a level.
     shown = shown if len(shown) > 1 else []
     height = _HEAD + _TOP + len(shown) * (_PART + _SPACE) + _FOOT
     figure = new_figure(drawing.WIDTH, height)
@@ -91,9 +91,9 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
 
 
 def averages(parts: Decomposition, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return averages of `width` neighbouring samples: their middle times in s, the means, the counts.
+    """Return averages of `width` neighbouring samples: middle times in s, means, and numbers of samples.
 
-    Shapes (k,); the last one may be of fewer. Where all samples are missing the mean is NaN.
+    Shapes (k,). The last average may have fewer samples. The mean is NaN if all samples are missing.
     """
     first = np.arange(0, parts.n, width)
     seen = np.isfinite(parts.samples)
@@ -115,7 +115,7 @@ class _View:
 
 
 def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
-    """Draw averages of the samples and the bias with its band; return the entries of the legend."""
+    """Draw averages of the samples, and the bias with its band; return the entries of the legend."""
     parts = view.parts
     width = max(1, round(parts.n / _AVERAGES))
     time, mean, count = averages(parts, width)
@@ -132,7 +132,7 @@ def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
 
 
 def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
-    """Draw one part with its band, and name it."""
+    """Draw one part with its band and its name."""
     term = TERMS[part.key.rstrip("0123456789")]
     holds_level = term.symbol == "K"
     _, _, ends = _draw_line(axes, view, part, term.stroke, 1.3, centred=holds_level)
@@ -146,7 +146,7 @@ def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
 def _draw_line(
     axes: "Axes", view: _View, part: Component, stroke: Stroke, width: float, *, centred: bool
 ) -> tuple[Any, Any, list[FloatArray]]:
-    """Draw a part, `centred` where it is less its mean, with its band; return both, and the band's ends."""
+    """Draw a part and its band; return line, band and the band's limits. `centred` subtracts the mean."""
     off = float(part.value.mean()) if centred else 0.0
     value, error = (part.value[view.place] - off) * view.scale, part.error[view.place] * view.scale
     low, high = value - _BAND * error, value + _BAND * error
@@ -157,7 +157,7 @@ def _draw_line(
 
 
 def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> None:
-    """Set limits, quiet grid lines and names; limits are round what is drawn."""
+    """Set labels, light grid lines, and limits around the `drawn` values."""
     values = np.concatenate(drawn)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     room = 0.06 * (high - low) or 1.0
@@ -170,14 +170,14 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 
-#: Of the document, whose name marks a folder as one of decompositions.
+#: Schema and name of the document, which marks the folder of a decomposition.
 SCHEMA, DOCUMENT = "imucal/decomposition/1", "decomposition.json"
-#: Most rows of a table where nobody says how many.
+#: Largest number of rows of a table by default.
 _ROWS = 10_000
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that holds something else, or can't be made, by a WriteError, before hours of work."""
+    """Raise a WriteError if a folder contains foreign files or can't be written; call it before long work."""
     try:
         held, home = held_by(out), home_of(out)
     except OSError as error:
@@ -196,11 +196,11 @@ def write_decomposition(
     parts: Decomposition, out: Path, *, formats: Sequence[str] = ("png",), every_s: float | None = None,
     arrays: bool = False, source: str = "",
 ) -> tuple[Path, ...]:  # fmt: skip
-    """Write the files of one axis into a folder, each whole or not at all; return their paths.
+    """Write the files of one axis into a folder, each complete or not at all; return their paths.
 
-    They are NAME.csv, NAME.png … for each format (png, svg, pdf) and, with `arrays`, NAME.npz with
-    everything at the rate of the samples. The table has a row every so many seconds, by default 10 000 rows
-    at most; `source` is the log's name, for the picture. A WriteError says that a file can't be written.
+    The files are NAME.csv, NAME.png (or another of the `formats` png, svg, pdf) and, with `arrays`, NAME.npz
+    at the rate of the samples. The table has a row every `every_s` seconds, by default at most 10 000 rows.
+    `source` is the log's name, for the picture. Raises WriteError if a file can't be written.
     """
     name = parts.series.name
     made: dict[str, Callable[[], bytes]] = {f"{name}.csv": lambda: table(parts, every_s=every_s).encode()}
@@ -212,7 +212,7 @@ def write_decomposition(
 
 
 def write_document(document: JsonObject, out: Path) -> Path:
-    """Write the document about all axes, which marks the folder; its path."""
+    """Write the document about all axes, which marks the folder; return its path."""
     return _write(out / DOCUMENT, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
 
@@ -224,10 +224,10 @@ def _write(path: Path, content: bytes) -> Path:
 
 
 def table(parts: Decomposition, *, every_s: float | None = None) -> str:
-    """Return the parts as CSV: a row every so many seconds, in SI, at the middle of what is averaged.
+    """Return the parts as CSV in SI: a row every `every_s` seconds, at the middle of the averaged samples.
 
-    Columns: time_s, count and mean of the samples around it (empty where all are missing), the bias
-    and each part, each with its standard error (``_se``).
+    Columns: time_s, number and mean of the averaged samples (empty if all are missing), then the bias and
+    each part, each followed by its standard error (``_se``).
     """
     width = max(1, -(-parts.n // _ROWS))
     if every_s is not None:
@@ -245,7 +245,7 @@ def table(parts: Decomposition, *, every_s: float | None = None) -> str:
 
 
 def _arrays(parts: Decomposition) -> bytes:
-    """Return all at the rate of the samples, as npz."""
+    """Return the content of an npz file with all arrays at the rate of the samples."""
     held = {"time_s": parts.time_s, "samples": parts.samples, "residual": parts.residual}
     for part in (parts.bias, *parts.components):
         held |= {part.key: part.value, f"{part.key}_se": part.error}
@@ -255,7 +255,7 @@ def _arrays(parts: Decomposition) -> bytes:
 
 
 def axis_document(parts: Decomposition, files: Sequence[Path]) -> JsonObject:
-    """Return what is to say about one axis, as JSON values in SI."""
+    """Return the entry of one axis as JSON values in SI."""
     series, seen = parts.series, np.isfinite(parts.samples)
     residual = parts.residual[seen]
     return {
@@ -272,7 +272,7 @@ def axis_document(parts: Decomposition, files: Sequence[Path]) -> JsonObject:
 
 
 def _component(part: Component) -> JsonObject:
-    """Return where a part moved, and how well that is known."""
+    """Return mean, deviation and range of a part, and its median standard error."""
     moved = zip(("mean", "std", "least", "greatest"), ("mean", "std", "min", "max"), strict=True)
     found = {name: float(getattr(part.value, method)()) for name, method in moved}
     return {"key": part.key, **found, "standard_error": float(np.median(part.error))}

@@ -1,4 +1,4 @@
-"""Draw the Allan deviation and the spectrum of axes with their model and terms."""
+"""Draw the Allan deviation and the spectrum of axes, with model and terms."""
 
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Fewest ordinates of the first point and of the others: 95 % of roots lie within 0.45 to 1.55 and 0.61
-#: to 1.39 times the truth. Fewer are single spikes; more would leave no slope at the lowest frequencies.
+#: Fewest ordinates of the first point and of the others. Fewer would show single spikes; more would hide the
+#: slope at the lowest frequencies. 95 % of roots are within 0.45 to 1.55 and 0.61 to 1.39 times the truth.
 _FIRST, _LEAST = 6.0, 12.0
 
 
 @frozen_alone
 class SmoothSpectrum:
-    """Roots of a two-sided density with their limits, in U/√Hz, shape (k,); `frequency` in Hz."""
+    """Root of a two-sided density with its limits, in U/√Hz, shape (k,); `frequency` in Hz."""
 
     frequency: FloatArray
     root: FloatArray
@@ -53,12 +53,11 @@ class SmoothSpectrum:
 
 
 def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
-    """Return an axis's spectrum with neighbouring bins merged until each point averages 12 ordinates.
+    """Return an axis's spectrum; neighbouring bins are merged until each point averages 12 ordinates.
 
-    The ratio to the model is averaged, not the density: within a merged bin the slope is the model's, and a
-    steep density is not read too high. Limits are chi-squared, at the level of the fit, one degree of
-    freedom an ordinate. Source: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18, for
-    prewhitening by a model.
+    The ratio to the model is averaged, not the density, because averages of a steep density would be too
+    high. Limits are chi-squared at the level of the fit, with one degree of freedom per ordinate. Source:
+    Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18, for prewhitening by a model.
     """
     from scipy.special import chdtri
 
@@ -77,13 +76,13 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
 
 
 def _shape(axis: AxisReport, frequency: FloatArray) -> FloatArray:
-    """Return the model's density, or 1 where there is no model."""
+    """Return the model's density, or 1 if there is no model; shape of `frequency`."""
     density = axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)
     return density if np.all(density > 0) else np.ones(frequency.size)
 
 
 def _firsts(count: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Return the first bin of each merged one; the last takes what is left over."""
+    """Return the first bin of each merged bin; the last merged bin includes the remainder."""
     firsts, held = [0], 0.0
     for index, ordinates in enumerate(count.tolist()):
         if held >= (_FIRST if len(firsts) == 1 else _LEAST):
@@ -99,7 +98,7 @@ _BAND: Style = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
 
 
 class Drawn(NamedTuple):
-    """A term as a line: the estimate it draws, the term with its value or its bound."""
+    """A term to draw as a line: its estimate, and the term with the value or the bound."""
 
     estimate: Estimate
     term: NoiseTerm
@@ -111,7 +110,7 @@ class Drawn(NamedTuple):
 
 
 def term_entries(fit: NoiseFit, terms: list[Drawn], marked_symbols: set[str]) -> list[Any]:
-    """Return the legend's entries of the terms' lines, one a symbol; a mark only if the plot has it."""
+    """Return the legend's entries of the terms, one per symbol, with a mark if the plot has it."""
     from matplotlib.lines import Line2D
 
     entries: Style = {}
@@ -130,7 +129,7 @@ def _read_off_mark(drawn: Drawn) -> Style:
 
 
 def drawn_terms(fit: NoiseFit) -> list[Drawn]:
-    """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
+    """Return the lines to draw: each term of the fit, and each bound."""
     found, terms = [], fit.drawn
     for estimate in fit.estimates:
         term = terms.get(estimate.key)
@@ -143,7 +142,7 @@ def drawn_terms(fit: NoiseFit) -> list[Drawn]:
 
 
 def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) -> str:
-    """Return ``N 0.4125 ± 0.0016 deg/√h``; T of a Gauss-Markov term and other explanations follow."""
+    """Return ``N 0.4125 ± 0.0016 deg/√h``, then lines with T of a Gauss-Markov term and alternatives."""
     lines = [f"{estimate.key} {numbers.with_uncertainty(units.estimate(estimate, sensor))}"]
     if estimate.correlation_time is not None:
         time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
@@ -153,7 +152,7 @@ def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) 
     return "\n".join(lines)
 
 
-#: The vertical axis reaches this far below the curve to show a read-off, never further.
+#: Largest ratio of the curve to the lower limit of the vertical axis, which shows read-offs below the curve.
 _DEEPEST = 40.0
 
 
@@ -175,9 +174,8 @@ def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
         obstacles.append((tau, line, 0.7))
         labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
-    # A label at one point belongs to a mark.
+    # Only terms with a mark have a label at a single point.
     marked_symbols = {d.term.symbol for d, label in zip(terms, labels, strict=True) if not np.ndim(label.x)}
-    # The lowest point of the curve has a ring.
     (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
     axes.plot([at], [lowest * factor], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
     labels.append(Label(text, at, lowest * factor, INK))
@@ -216,27 +214,27 @@ def style_allan(axes: "Axes", unit: str, tau: FloatArray, y_limits: tuple[float,
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
-    """Return the indices worth drawing: those with at least 2 degrees of freedom, where there are any."""
+    """Return the indices of points with at least 2 degrees of freedom; of all if fewer than 2 have these."""
     positive = curve.avar > 0
     sure = positive & ~(curve.edf < 2)
     return np.flatnonzero(sure if np.count_nonzero(sure) >= 2 else positive).astype(np.int64)
 
 
 def smooth_adev(fit: NoiseFit, m: IntArray, points: int = 200) -> tuple[FloatArray, FloatArray]:
-    """Return whole averaging factors as dense as a smooth line over `m`, and the model's deviations there."""
+    """Return whole averaging factors, dense enough for a smooth line over `m`, and the model's deviations."""
     dense = np.unique(np.geomspace(m.min(), m.max(), points).round())
     return dense, np.sqrt(fit.model.avar(dense, rate_hz=fit.rate_hz))
 
 
 def smooth_root(axis: AxisReport, points: int = 200) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies over a spectrum, in Hz, and the root of the model's density there, in U/√Hz."""
+    """Return frequencies over a spectrum, in Hz, and the root of the model's density, in U/√Hz."""
     found = axis.spectrum.frequency
     grid = np.geomspace(found[0], found[-1], points) if found.size else found
     return grid, np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz))
 
 
 def _y_limits(adev: FloatArray, heights: list[float]) -> tuple[float, float]:
-    """Return limits that hold the curve, and the read-offs not too far below it."""
+    """Return limits that include the curve, and read-offs up to a factor `_DEEPEST` below it."""
     bottom, top = limits(adev, below=2.2, above=2.2)
     deepest = bottom * 2.2 / _DEEPEST
     for height in heights:
@@ -254,7 +252,7 @@ def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list
     used, unused = np.intersect1d(shown, fit.used), np.setdiff1d(shown, fit.used)
     if used.size:
         name = f"Allan deviation ({curve.estimator})"
-        # Above the labels' white boxes: no label hides a part of a point.
+        # Points are above the labels' white boxes, which would hide them.
         entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **DOTS)
     if known.size:
         name = f"its {100 * fit.level:.4g} % interval"
@@ -268,7 +266,7 @@ def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list
 def _term(
     axes: "Axes", fit: NoiseFit, drawn: Drawn, units: SheetUnits, lines: tuple[FloatArray, ...]
 ) -> Label:
-    """Draw a term's line and read-off, of `lines` tau, the term's and the model's; return its label."""
+    """Draw a term's line and read-off; return its label. `lines` are tau, the term and the model."""
     stroke, (tau, line, total) = drawn.term.stroke, lines
     width, alpha = (1.0, 0.65) if drawn.bounded else (1.3, 1.0)
     axes.plot(tau, line, zorder=3, **stroked(stroke, linewidth=width, alpha=alpha))
@@ -276,7 +274,7 @@ def _term(
     at, height = drawn.term.read_off()
     height *= units.level.factor
     if at is None and not drawn.bounded:
-        # A floor is read where it makes up most of the curve.
+        # Mark a floor where its share of the model is largest.
         at = float(tau[np.argmax(np.where((tau > left * 2) & (tau < right / 2), line / total, 0))])
     text = estimate_text(drawn.estimate, fit.sensor, units)
     if at is not None and left < at < right and bottom < height < top:
@@ -285,7 +283,7 @@ def _term(
     in_view = (line > bottom * 1.1) & (line < top / 1.1) & (tau > left) & (tau < right)
     inside = np.flatnonzero(in_view)
     if not inside.size:
-        # Too small to matter anywhere in view; the reader still wants the number.
+        # The line is below the view; show at least the number.
         places = np.geomspace(left, right, 12)[1:-1]
         edge = np.full(places.size, bottom * (top / bottom) ** 0.01)
         return Label(f"{text} (below)", places, edge, stroke.light)
@@ -293,7 +291,7 @@ def _term(
     return Label(text, tau[some], line[some], stroke.light)
 
 
-#: At most this many lines are named, the strongest first; all are marked.
+#: Number of lines with a label, the strongest first; all have a mark.
 _NAMED_LINES = 3
 
 
@@ -347,7 +345,7 @@ def _style_psd(axes: "Axes", units: SheetUnits, frequency: FloatArray, root: Flo
 
 
 def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
-    """Grey what lies outside the band of the fit."""
+    """Shade frequencies outside the band of the fit; return the entry of the legend."""
     band = axis.fit.goodness.band_hz
     if band is None:
         return []
@@ -362,7 +360,7 @@ def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
 
 
 def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) -> list[Label]:
-    """Mark the spectral lines that the fit left out; return names for the strongest."""
+    """Mark the spectral lines that the fit left out; return labels of the strongest."""
     lines = axis.fit.goodness.lines
     if not lines:
         return []
@@ -378,14 +376,14 @@ def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) ->
 
 
 def _height(axis: AxisReport, line: Line) -> float:
-    """Return the height of the spectrum at a line, so that its mark stands on the peak."""
+    """Return the height of the mark of a line, just above the peak of the spectrum."""
     nearest = np.argmin(np.abs(axis.spectrum.frequency - line.frequency_hz))
     around = axis.spectrum.psd[max(nearest - 1, 0) : nearest + 2]
     return float(np.sqrt(around.max()) * 1.12)
 
 
 def _response(axes: "Axes", axis: AxisReport) -> list[Label]:
-    """Mark the corner of the output filter."""
+    """Mark the corner frequency of the output filter; return its label."""
     response = axis.fit.response
     left, right = axes.get_xlim()
     if response is None or not left < response.cutoff_hz < right:

@@ -1,4 +1,4 @@
-"""The picture of a drift: angles, velocities and positions over time, with limits, and what makes them."""
+"""The picture of a drift: angles, velocities and positions over time, with limits and contributions."""
 
 import math
 import re
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Inches.
+#: Height of the picture and its margins, in inches.
 _HEIGHT, _HEAD, _FOOT, _SPACE = 4.3, 0.75, 0.75, 0.62
-#: Points of a line, and room for the first one's label as a share of the axis.
+#: Number of points of a line, and space for the first label as a fraction of the axis.
 _POINTS, _ROOM = 25, 0.36
-#: Colours of what stands beside the quantity that a plot is about, by the end of its name.
+#: End of a contribution's name -> its colour.
 _PARTS = {"accelerometer": AXES["x"], "tilt": AXES["z"]}
 
 
 def drift_figure(report: Report, found: Drift) -> "Figure":
-    """Return the picture of a report's drift: of each kind of quantity one plot, the asked times marked."""
+    """Return the picture of a report's drift: one plot per kind of quantity, with the given times marked."""
     asked = [point.time_s for point in found.quantities[0].points]
     fine = np.geomspace(min(asked), max(asked), _POINTS)
     lines = drift(report, sorted({*asked, *fine[1:-1].tolist()}), rest_s=found.rest_s)
@@ -62,7 +62,7 @@ def drift_figure(report: Report, found: Drift) -> "Figure":
 
 
 def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> None:
-    """Draw quantities of one unit over time; that which all of them make, or the first angle, with limits."""
+    """Draw quantities of one unit over time; their total, or the first angle, has limits."""
     radians = quantities[0].unit == "rad"
     main, factor = (quantities[0], math.degrees(1)) if radians else (quantities[-1], 1.0)
     values = {
@@ -93,7 +93,7 @@ def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> Non
 
 
 def _mark(axes: "Axes", main: DriftOf, heights: list[float], asked: set[float]) -> None:
-    """Say value and leading term at the times that were asked for, and shade what no record has seen."""
+    """Label value and dominant term at the `asked` times; shade times beyond the length of the record."""
     small: Style = {"fontsize": SMALL_SIZE, "ha": "right"}
     for point, height in zip(main.points, heights, strict=True):
         if point.time_s in asked and math.isfinite(height):

@@ -1,11 +1,11 @@
-"""The style of pictures: colours, text sizes, ticks of logarithmic scales, head and foot.
+"""The style of pictures: colours, text sizes, ticks of logarithmic scales, header and footer.
 
-Colours are darkened from Okabe & Ito (2008), "Color universal design", so that they also serve as text on
-white (contrast above 4.5). Every colour has its own line style or marker too. The colour of a term is an
-attribute of its class.
+Colours are from Okabe & Ito (2008), "Color universal design", darkened so that text on white is legible
+(contrast above 4.5). Every colour also has its own line style or marker. The colour of a term is an attribute
+of its class.
 
-Matplotlib makes an object for every minor tick, hundreds for two log-log plots, and formats every power of
-ten with its formula parser. Here all minor ticks of an axis are one artist, which takes a tenth of the time.
+Matplotlib creates an object for every minor tick, hundreds for two log-log plots, and formats every power of
+ten with its formula parser. Here all minor ticks are one artist, which takes a tenth of the time.
 """
 
 import math
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 INK = "#1c2733"
 DATA = Stroke("#33414f", "#c9d4df", ())
 MODEL = Stroke("#0063a3", "#5db6f2", ())
-#: Text of second rank.
+#: Secondary text.
 FADED = "#66717d"
-#: What the fit did not use.
+#: Points and frequencies that the fit did not use.
 UNUSED = "#b4bcc5"
 #: Spectral lines.
 LEFT_OUT = "#b00020"
@@ -46,14 +46,14 @@ AXES: dict[str, Stroke] = {
     "z": Stroke("#00734f", "#36c99a", (2, 1.5)),
 }
 _SIZE = 9.0
-#: Length of a minor tick, in parts of the plot.
+#: Length of a minor tick, as a fraction of the plot's width.
 _MINOR = 0.006
-#: At most so many labelled ticks an axis.
+#: Largest number of labelled ticks per axis.
 _MOST = 8
 
 
 def draw_ticks(axes: "Axes") -> None:
-    """Draw ticks and grid lines for the axes' present limits."""
+    """Draw ticks and grid lines for the current limits of the axes."""
     from matplotlib.collections import LineCollection
     from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
@@ -66,7 +66,7 @@ def draw_ticks(axes: "Axes") -> None:
         axis.set_minor_locator(NullLocator())
         for place in minor:
             part = math.log(place / low) / math.log(high / low)
-            # The plot is wider than it is high: equal lengths are different parts.
+            # The plot is wider than high, so equal lengths are different fractions.
             marks.append([(part, 0.0), (part, 1.5 * _MINOR)] if horizontal else [(0.0, part), (_MINOR, part)])
     axes.add_collection(
         LineCollection(marks, colors=FRAME, linewidths=0.7, transform=axes.transAxes, zorder=1.5),
@@ -77,7 +77,7 @@ def draw_ticks(axes: "Axes") -> None:
 
 
 def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
-    """Return the places of labelled and of minor ticks between two positive limits."""
+    """Return the positions of labelled and of minor ticks between two positive limits."""
     decades, inside = _multiples(low, high, (1,)), _multiples(low, high, range(1, 10))
     if len(decades) >= 3:
         step = math.ceil(len(decades) / _MOST)
@@ -91,13 +91,13 @@ def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
 
 
 def _multiples(low: float, high: float, digits: Iterable[int]) -> list[float]:
-    """Return ``digit * 10^e`` between two limits, rising, of every digit and whole e."""
+    """Return all ``digit * 10^e`` between two limits, in increasing order, for whole e."""
     powers = [10.0**e for e in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
     return [digit * power for power, digit in product(powers, digits) if low <= digit * power <= high]
 
 
 def tick_label(value: float) -> str:
-    """Return ``0.01`` … ``1000`` as they are, others as ``10⁻⁵`` or ``2×10⁻⁵``."""
+    """Return ``0.01`` … ``1000`` as decimals, others as ``10⁻⁵`` or ``2×10⁻⁵``."""
     exponent = math.floor(math.log10(value) + 1e-9)
     if -2 <= exponent <= 3:
         return f"{value:.6g}"
@@ -108,11 +108,11 @@ def tick_label(value: float) -> str:
 
 #: Text sizes in points, for a figure 10 inches wide.
 TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
-#: What an artist of matplotlib's looks like, by the names of its arguments.
+#: Keyword arguments of matplotlib's artists.
 Style: TypeAlias = dict[str, Any]
 LABEL_STYLE: Style = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
 LEGEND_STYLE: Style = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
-#: The points of a curve, and the band of an interval.
+#: Points of a curve.
 DOTS: Style = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
 
 
@@ -129,7 +129,7 @@ def new_figure(width: float, height: float, dpi: float = 160) -> "Figure":
 def style_axes(
     axes: "Axes", *, x: str, y: str, x_limits: tuple[float, float], y_limits: tuple[float, float]
 ) -> None:
-    """Make both scales logarithmic, with named units, quiet grid lines and final limits."""
+    """Make both scales logarithmic; set labels, light grid lines and final limits."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(*x_limits)
@@ -141,14 +141,14 @@ def style_axes(
 
 
 def quiet_frame(axes: "Axes") -> None:
-    """Leave only the left and the lower side of the frame, under what is drawn."""
+    """Keep only the left and the lower side of the frame, below the curves."""
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(FRAME)
 
 
 def write_head(figure: "Figure", title: str, subtitle: str, *, below: float = 0.38) -> None:
-    """Write the title at the top left, and a line so many inches below the edge."""
+    """Write the title at the top left, and the subtitle `below` inches under the edge."""
     height = figure.get_figheight()
     style: Style = {"color": INK, "va": "top"}
     figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
@@ -156,10 +156,10 @@ def write_head(figure: "Figure", title: str, subtitle: str, *, below: float = 0.
 
 
 def write_foot(figure: "Figure", source: str, version: str) -> None:
-    """Write the log's name, cut at its start, and imucal's version."""
+    """Write the log's name, shortened at its start, and imucal's version."""
     name = printable(source)
     shown = name if len(name) <= 90 else f"…{name[-89:]}"
-    # A dollar sign in a name starts no formula.
+    # A dollar sign in a name must not start a formula.
     style: Style = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
     y = 0.07 / figure.get_figheight()
     figure.text(0.012, y, shown, **style)
@@ -167,7 +167,7 @@ def write_foot(figure: "Figure", source: str, version: str) -> None:
 
 
 def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, float]:
-    """Return limits about the positive ones of `values`, with factors of room below and above."""
+    """Return limits around the positive `values`, with margins by the factors `below` and `above`."""
     positive = values[np.isfinite(values) & (values > 0)]
     if not positive.size:
         return 0.1, 10.0
@@ -175,7 +175,7 @@ def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, fl
 
 
 def stroked(stroke: Stroke, **style: object) -> Style:
-    """Return colour and dashes of a stroke, and what else makes up the style of a line."""
+    """Return the style of a line with the colour and dashes of a stroke."""
     return {"color": stroke.light, **style, **({"dashes": stroke.dashes} if stroke.dashes else {})}
 
 
@@ -185,7 +185,7 @@ def marked(axis: Axis, **style: object) -> Style:
 
 
 def name_axes(axes: "Axes", reports: list[AxisReport], **style: object) -> None:
-    """Add a legend of which line of an overview is which axis."""
+    """Add a legend with the line of each axis in an overview."""
     for axis in reports:
         axes.plot([], [], label=axis.axis, **marked(axis.axis, **style))
     axes.legend(loc="upper right", **LEGEND_STYLE)

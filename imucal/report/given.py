@@ -1,6 +1,6 @@
-"""Reports of numbers that no record was fitted to: a model of a data sheet, a bound over many units.
+"""Reports of numbers that were not fitted to a record: a model of a data sheet, a bound over many units.
 
-What takes the report of a log takes them: exports, comparisons, plans, checks.
+Exports, comparisons, plans and checks accept them like the report of a log.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,24 +20,24 @@ from imucal.noise.terms import ALWAYS, TERMS, term_keys
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
-#: Method of the fits of a model that was given.
+#: Method of the fits in such reports.
 GIVEN = "given"
-#: Length of the record that a model without one stands for, in s.
+#: Assumed length of the record of a model, in s.
 _RECORD_S = 3 * 3600.0
 
 
 @takes('imucal.model_as_report({"gyroscope": "N=0.3deg/sqrt(h)"}, rate_hz=200.0)', models=Mapping)
 def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
-    """Return models, such as those of a data sheet, in the form of the report of one log.
+    """Return models, for example from a data sheet, in the form of the report of one log.
 
-    All axes of a sensor have its model, without intervals; N, B and K that it lacks are zero.
+    All axes of a sensor have its model, without intervals. N, B and K are zero if the model lacks them.
 
     Parameters
     ----------
     models
-        Sensor -> its model as `NoiseModel.parse` takes it.
+        Sensor -> model, as a text for `NoiseModel.parse`.
     rate_hz
-        Sampling rate, which numbers per sample are for.
+        Sampling rate in Hz, for numbers per sample.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
         if sensor in models:
             estimates = _estimates(NoiseModel.parse(models[sensor], sensor))
             one = given_axis(sensor, "x", estimates, rate_hz=rate_hz, duration_s=_RECORD_S, method=GIVEN)
-            # Nothing was recorded, and what the axes share is one.
+            # No samples were recorded; all axes share one result.
             axes += [replace(one, axis=letter, samples=0) for letter in get_args(Axis)]
     said = "; ".join(f"{models[sensor]} ({sensor})" for sensor in Sensor if sensor in models)
     return Report(
@@ -62,7 +62,7 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
 
 
 def _estimates(model: NoiseModel) -> list[Estimate]:
-    """Return each term of a model as known exactly, and those of `ALWAYS` that it lacks as zero."""
+    """Return exact estimates of the terms of a model, and zero for other terms of `ALWAYS`."""
     found = []
     for key, term in zip(term_keys(term.symbol for term in model.terms), model.terms, strict=True):
         value, *times = term.values
@@ -92,7 +92,7 @@ def given_axis(
     duration_s: float,
     method: str,
 ) -> AxisReport:
-    """Return the result of an axis that is told its terms; its curve is the model's, without limits."""
+    """Return the result of an axis with given terms; its curve is the model's, without limits."""
     noise = NoiseModel(
         terms=tuple(
             TERMS[e.symbol].of(e.value or e.high, *([e.correlation_time.value] if e.correlation_time else []))

@@ -1,8 +1,7 @@
-"""`report.html`: one page that holds everything and opens without a network.
+"""`report.html`: one page that contains everything and opens without a network.
 
-Text, tables and pictures are there without any script. The plots that answer to the mouse are drawn by
-plotly's basic script, which the package and the page carry deflated. What they draw is compact JSON: few
-digits, no repetition.
+Text, tables and pictures need no script. Plotly's basic script draws the interactive plots; the package and
+the page contain it compressed. The data of the plots are compact JSON: few digits, no repetition.
 """
 
 import base64
@@ -37,15 +36,15 @@ from imucal.units import duration, pretty
 
 #: Points of a smooth line, per plot.
 _FINE = 60
-#: Gaps nearer to each other than this part of the recording are drawn as one.
+#: Gaps closer to each other than this fraction of the recording are drawn as one.
 _MERGED = 1 / 500
-#: A stretch stands out when its extreme is this many robust deviations from its neighbours'.
+#: A stretch is an outlier if its extreme is this many robust deviations from the median of its neighbours.
 _STANDS_OUT = 8.0
 _NEIGHBOURS = 25
 
 
 def page_data(report: Report) -> str:
-    """Return the JSON text of all plots; safe inside a script element."""
+    """Return the data of all plots as JSON; safe inside a script element."""
     strokes = {symbol: term.stroke for symbol, term in TERMS.items()}
     strokes |= {"data": DATA, "model": MODEL}
     document = {
@@ -61,10 +60,10 @@ def page_data(report: Report) -> str:
 
 
 def standing_out(overview: Overview, std: float) -> FloatArray:
-    """Return the times of stretches whose extremes stand out from their neighbours', in s.
+    """Return the times of stretches with outliers, in s, shape (k,).
 
-    Extremes are compared with the running median of theirs, in units of their own median absolute
-    deviation, or of an eighth of `std` where that is larger.
+    The extremes of a stretch are compared with their running median. The unit is the median absolute
+    deviation from it, scaled to a standard deviation, or an eighth of `std` if that is larger.
     """
     found = np.zeros(overview.time_s.size, dtype=bool)
     if found.size < _NEIGHBOURS:
@@ -129,14 +128,14 @@ def _curve(axis: AxisReport) -> JsonObject:
 
 
 def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, str]:
-    """Return what a term's label says, line by line, as in the pictures."""
+    """Return the label of a term in both units, with the lines of the pictures."""
     si = f"{estimate.key} {numbers.with_uncertainty(numbers.si(estimate, sensor))}"
     sheet, *time = estimate_text(estimate, sensor, units).split("\n")
     return {"si": "<br>".join([si, *time]), "sheet": "<br>".join([sheet, *time])}
 
 
 def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
-    """Return the model and its terms as smooth lines, and where each coefficient is read."""
+    """Return the model and its terms as smooth lines, and the read-off point of each coefficient."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
     m, total = smooth_adev(axis.fit, curve.m[shown_points(curve)], _FINE)
     grid, root = smooth_root(axis, _FINE)
@@ -175,7 +174,7 @@ def _psd(axis: AxisReport) -> JsonObject:
 
 
 def _gaps(axis: AxisReport) -> list[list[float]]:
-    """Return start and end of the gaps, those too near to tell apart as one."""
+    """Return start and end of the gaps in s; neighbours that a plot can't separate are merged."""
     merged: list[list[float]] = []
     for gap in axis.gaps:
         start, end = gap.start_s, gap.start_s + gap.duration_s
@@ -191,12 +190,12 @@ def _rounded(digits: int, **values: FloatArray) -> JsonObject:
 
 
 def _round(values: FloatArray, digits: int) -> list[float | None]:
-    """Return numbers of so many significant digits, null where unknown."""
+    """Return numbers with `digits` significant digits, None if they are not finite."""
     return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _fixed(values: FloatArray, std: float) -> list[float | None]:
-    """Return numbers as fine as a hundredth of `std`: a signal on top of a large mean."""
+    """Return numbers rounded to about a hundredth of `std`, because the mean may be large."""
     places = 9 if not (math.isfinite(std) and std > 0) else min(15, max(0, 2 - math.floor(math.log10(std))))
     return [round(value, places) if math.isfinite(value) else None for value in values.tolist()]
 
@@ -204,7 +203,7 @@ def _fixed(values: FloatArray, std: float) -> list[float | None]:
 def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> str:
     """Return the page; the same report always gives the same text.
 
-    It shows what was drawn for the folder, where `drawings` are given; otherwise its pictures are drawn here.
+    `drawings` are the pictures of the folder; without them the pictures are drawn here.
     """
     pictures = (drawings or figure.draw(report, ("png",))).addresses
     drifts = "Effect on a filter"
@@ -233,13 +232,12 @@ def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> s
         folded=(*(axis.name for axis in report.axes), "terms", "method"),
         version=report.version,
         data=Markup(page_data(report)),
-        # Deflated, as the package has it.
         plotly=Markup(base64.b64encode(packed.read_bytes()).decode("ascii")),
     )
 
 
 def _recorded(report: Report) -> Iterator[str]:
-    """Yield how long each axis was recorded, and where times begin if the start was skipped."""
+    """Yield the duration and rate of each axis, and the start of the times if samples were skipped."""
     for axis in report.axes:
         yield f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
     if (read := report.source.read) is not None and read.from_s > 0:
@@ -247,6 +245,6 @@ def _recorded(report: Report) -> Iterator[str]:
 
 
 def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:
-    """Return a section, or a notice in its place that says why it is missing: one section costs no page."""
+    """Return a section, or a notice that explains why it is missing, so that the page is still written."""
     body, failed = try_side_work(make, None, what=f"This section is missing: {title}", code="not-drawn")
     return Markup('<p class="notice">{}</p>').format(failed[0].text) if failed else body

@@ -1,7 +1,7 @@
 """`report.json` and `signal.json`: SI units, keys in a stable order; written and read back.
 
-``schema/report-2.schema.json`` pins the layout; a change that an old reader would misunderstand increases the
-number in `SCHEMA`. Version 1 had the raw signal and the findings of an axis in its entry.
+``schema/report-2.schema.json`` defines the layout. Increase the number in `SCHEMA` if an old reader would
+misunderstand a change. In version 1 the entry of an axis also contains its raw signal and its findings.
 """
 
 import json
@@ -57,9 +57,9 @@ from imucal.report.result import AxisReport, Overview, Report
 #: Name and number of the layout.
 SCHEMA = "imucal/report/2"
 _READABLE = ("imucal/report/1", SCHEMA)
-#: The same of the file with the raw signals, which pictures need and scripts do not.
+#: Layout and name of the file of raw signals, which pictures need and scripts do not.
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
-#: Digits of spectra and signals: a picture needs fewer, and the files are half as large.
+#: Digits of spectra and signals: enough for pictures, and the files are half as large.
 _DIGITS = 8
 
 
@@ -73,7 +73,7 @@ def _axis(node: Node) -> AxisReport:
 def _goodness(node: Node) -> Goodness:
     table = node.table()
     if "statistic" in table:
-        # The name in version 1.
+        # Version 1 has another name.
         node = Node({**table, "misfit_score": table["statistic"]}, node.file, node.place)
     return _GOODNESS.read(node)
 
@@ -138,7 +138,7 @@ def _segments(node: Node) -> Segments:
 
 
 def _bins(node: Node) -> Bins:
-    """Return the bins of a document, whose lists must belong together."""
+    """Return the bins of a document; the lengths of the lists must be consistent."""
     version = node["version"].count()
     if version != BINS_VERSION:
         node["version"].fail(f"found {version}", f"{BINS_VERSION}, as this version of imucal writes")
@@ -232,7 +232,7 @@ _PAIR = layout_of(FilterNumbers, "horizon_s step_s white walk basis ratios")
 
 
 def to_document(report: Report) -> JsonObject:
-    """Return the whole report as JSON values, keys in a stable order."""
+    """Return the whole report as JSON values, with keys in a stable order."""
     return _object(
         {
             **_header(report),
@@ -245,14 +245,14 @@ def to_document(report: Report) -> JsonObject:
 
 
 def axis_document(report: Report, axis: AxisReport) -> JsonObject:
-    """Return the document of one axis: the header of the report, what concerns the axis, and its entry."""
+    """Return the document of one axis: the report's header, the findings about the axis, and its entry."""
     about = {None, axis.sensor.short, axis.name}
     findings = [f for f in dict.fromkeys(report.all_findings) if f.axis in about]
     return _object({**_header(report), "findings": findings, **_axis_entry(report, axis)})
 
 
 def signal_document(report: Report) -> JsonObject:
-    """Return the raw signals of a report, as its pictures show them."""
+    """Return the raw signals that the pictures of a report show."""
     axes = {
         axis.name: {field.name: _rounded(getattr(axis.overview, field.name)) for field in fields(Overview)}
         for axis in report.axes
@@ -261,7 +261,7 @@ def signal_document(report: Report) -> JsonObject:
 
 
 def _summary(report: Report) -> JsonObject:
-    """Return the numbers of the axes that can be used, by axis and term."""
+    """Return axis -> term -> number, for usable axes."""
     return {
         axis.name: {
             term.key: {"status": term.status, **picked(term, "value low high"), "unit": unit}
@@ -295,7 +295,7 @@ def _header(report: Report) -> JsonObject:
 
 
 def _pair_entries(report: Report) -> Iterator[JsonObject]:
-    """Yield what covers each sensor's spectrum, for filters that coast for a minute and for five."""
+    """Yield the numbers that cover each sensor's spectrum, for filters that coast for 1 min and for 5 min."""
     for sensor, axes in report.by_sensor.items():
         for pair in usual_pairs([axis.fit for axis in axes]):
             units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
@@ -304,15 +304,15 @@ def _pair_entries(report: Report) -> Iterator[JsonObject]:
 
 
 def _pair_document(pair: FilterNumbers) -> JsonObject:
-    """Return the two numbers for a filter, and what they cost, as JSON values."""
+    """Return the two numbers for a filter, and their cost, as JSON values."""
     return _PAIR.write(pair, ratios=[{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios])
 
 
 def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
-    """Return an axis as it will be read back, so that reading and writing again changes nothing.
+    """Return the entry of an axis; reading and writing it again changes nothing.
 
-    The file holds deviations. Squaring them first does it, because the square root of a squared float is
-    that float, while the converse does not hold.
+    The file contains deviations. They are squared first: the root of a squared float is exact, but the square
+    of a root is not.
     """
     curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
     spectrum = axis.spectrum
@@ -342,7 +342,7 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
 def _fit_entry(fit: NoiseFit, sensor: Sensor) -> JsonObject:
     said: JsonObject = {}
     if (bins := fit.bins) is not None:
-        # Of the symmetric products the rows of the lower triangle.
+        # The products are symmetric: write the lower triangle.
         said["bins"] = _BINS.write(bins, gram=bins.gram[np.tril_indices(len(bins.names))])
     return _FIT.write(
         fit,
@@ -358,7 +358,7 @@ def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> JsonObject
     kind = TERMS[estimate.symbol]
     said: JsonObject = {"name": kind.name(sensor), "unit": kind.unit(sensor), "drawn": estimate.drawn}
     if len(kind.parameters()) > 1:
-        # What a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t].
+        # Parameters of a filter's state: T, and phi and q of x[t+1] = phi x[t] + q w[t].
         time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
         said["correlation_time"] = time and numbers.correlation_time(time)
         said["phi"] = term and term.phi(1 / fit.rate_hz)
@@ -378,7 +378,7 @@ def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> JsonObj
 
 
 def schema() -> JsonObject:
-    """Return the JSON Schema of `report.json`, as the package ships it."""
+    """Return the JSON Schema of `report.json`."""
     from importlib.resources import files
 
     text = files("imucal.report").joinpath("schema", "report-2.schema.json").read_text(encoding="utf-8")
@@ -390,12 +390,12 @@ def schema() -> JsonObject:
 def load(path: str | Path) -> Report:
     """Read a report back; `path` is a ``report.json`` or the report's folder.
 
-    The raw signals are those of ``signal.json`` in the same folder; without it they are empty.
+    The raw signals are read from ``signal.json`` in the same folder; without this file they are empty.
 
     Raises
     ------
     ReadError
-        If the file is missing, is not JSON, or is not a report of a schema that this version knows.
+        If the file is missing, is not JSON, or has a schema that this version does not support.
     """
     path = Path(path)
     file = path / "report.json" if path.is_dir() else path
@@ -417,9 +417,9 @@ def _parsed(file: Path, expected: str) -> object:
 
 
 def from_document(document: object, *, file: str = "report") -> Report:
-    """Return the report of a JSON document; a ReadError, which names `file`, of another schema.
+    """Return the report of a JSON document, without raw signals, which are in a separate file.
 
-    The raw signals of its axes are empty, because they are in a file of their own.
+    Raises ReadError, with the name `file`, if the document has another schema.
     """
     root = Node(document, file)
     found = root.table().get("schema")

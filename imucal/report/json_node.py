@@ -1,7 +1,7 @@
-"""JSON documents: nodes that know their place, layouts of values, and the text of a document.
+"""JSON documents: nodes with a place in the document, layouts of dataclasses, and the text of a document.
 
-``node["fit"]["method"].text()`` raises `ReadError` with the place, what was found and what was expected, so
-no caller checks types. A `Layout` reads and writes a dataclass. Numbers that are not finite are null.
+``node["fit"]["method"].text()`` raises a `ReadError` with the place, the value and the expected type, so
+callers need not check types. A `Layout` reads and writes a dataclass. Numbers that are not finite are null.
 """
 
 import json

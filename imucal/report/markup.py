@@ -1,4 +1,4 @@
-"""HTML from templates: text is escaped unless it is `Markup` already."""
+"""Render HTML templates; text is escaped unless it is `Markup`."""
 
 import math
 from functools import cache
@@ -16,11 +16,11 @@ __all__ = ["Markup", "both_units", "render"]
 
 
 def render(template: str, /, *, package: str = "imucal.report", **values: object) -> Markup:
-    """Return a template of a package's folder ``templates``, filled.
+    """Return a template of a package's folder ``templates``, filled with values.
 
-    Templates extend, include and import those of their own package and of this one; ``text_of(name)`` is the
-    text of a file beside them as it is, for styles and scripts. None shows as nothing; a value that a
-    template names and nobody gave is an error.
+    Templates can extend, include and import templates of their own package and of this one. ``text_of(name)``
+    returns a file of the folder unchanged, for styles and scripts. None is shown as an empty text; a missing
+    value is an error.
     """
     return Markup(_environment(package).get_template(template).render(values))  # noqa: S704 - escaped
 
@@ -47,12 +47,12 @@ def _environment(package: str) -> "Environment":
 
 
 def _shown(value: object) -> object:
-    """Return a value as a page may show it: signs that steer or turn text round stand as escapes."""
+    """Return a value for a page; control characters and changes of the text direction are escaped."""
     if value is None:
         return ""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def both_units(sheet: str | Markup, plain: str | Markup) -> Markup:
-    """Return a text in data-sheet units and in SI, of which the page shows one."""
+    """Return a text in data-sheet units and in SI; the page shows one of the two."""
     return Markup('<span class="sheet">{}</span><span class="si">{}</span>').format(sheet, plain)

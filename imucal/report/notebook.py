@@ -1,4 +1,4 @@
-"""What a notebook shows of recordings, curves, fits and reports: text, the page's table, a data frame."""
+"""Representations of recordings, curves, fits and reports in notebooks: text, HTML table, data frame."""
 
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -20,14 +20,14 @@ __all__ = ["frame_of", "html_of", "text_of"]
 
 #: Sensor, axes, length, samples and gaps of a clock.
 _Clock: TypeAlias = tuple[str, str, str, str, str]
-#: Most lines of a text.
+#: Largest number of lines of a text.
 _LINES = 12
-#: Most rows of a curve's table: more are left out in the middle.
+#: Largest number of rows of a curve's table; others are left out in the middle.
 _MOST = 12
 
 
 def text_of(value: Displayed) -> str:
-    """Return what a value holds, in at most twelve lines."""
+    """Return a summary of a value, at most twelve lines."""
     return "\n".join(_lines(value))
 
 
@@ -70,7 +70,7 @@ def _axis_report_lines(axis: AxisReport) -> Iterator[str]:
 
 
 def _axis_lines(seen: View) -> Iterator[str]:
-    """Yield the terms of each axis in a line."""
+    """Yield one line per axis, with its terms."""
     terms = [row for row in seen.rows if row.symbol]
     for index, name in enumerate(seen.names):
         texts = [f"{key} {text}" for key, text in _cells(terms, index)]
@@ -78,7 +78,7 @@ def _axis_lines(seen: View) -> Iterator[str]:
 
 
 def _cells(rows: Iterable[Row], index: int) -> Iterator[tuple[str, str]]:
-    """Yield the keys and texts of what a column holds."""
+    """Yield keys and texts of the cells of one column."""
     for row in rows:
         if cell := row.cells[index]:
             yield row.key, f"{numbers.with_interval(cell.sheet)} {cell.note}".rstrip()
@@ -102,12 +102,12 @@ def _axis_row(series: AxisSeries) -> _Clock:
 
 
 def html_of(value: Displayed) -> Markup:
-    """Return the table that the page has of a value, with the style that it needs."""
+    """Return a value as an HTML table with its style sheet."""
     return render("notebook.html", **_tables(value))
 
 
 def _tables(value: Displayed) -> dict[str, Any]:
-    """Return what the template is filled with: views of fits, or a caption, titles and rows of text."""
+    """Return the values for the template: views of fits, or a caption, titles and rows of text."""
     caption, *more = text_of(value).split("\n")
     match value:
         case Recording() | AxisSeries():
@@ -131,7 +131,7 @@ def _tables(value: Displayed) -> dict[str, Any]:
 
 
 def frame_of(value: Displayed) -> "pl.DataFrame":
-    """Return a value as a data frame: samples, the points of a curve, or a row a term of each axis, in SI."""
+    """Return a value as a data frame: samples, points of a curve, or one row per term and axis; SI."""
     import polars as pl
 
     match value:
@@ -159,7 +159,7 @@ def frame_of(value: Displayed) -> "pl.DataFrame":
 
 
 def _frame(seen: Iterable[View]) -> "pl.DataFrame":
-    """Return a row for each term and axis: value (null where only a bound is known), limits, both units."""
+    """Return one row per term and axis: value (null if only a bound is known) and limits in both units."""
     import polars as pl
 
     parts = ("value", "low", "high", "unit")

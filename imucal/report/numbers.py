@@ -1,9 +1,9 @@
-"""Values as people read them: as many digits as the interval supports, a bound as a bound.
+"""Format values for people: as many digits as the interval supports; bounds as ``< high``.
 
-The data-sheet units of a sensor's numbers are chosen once a report: no row and no plot mixes two.
+Each sensor has one set of data-sheet units, so that no row and no plot mixes units.
 
-The rounding is the Particle Data Group's: an uncertainty whose three leading digits are below 355
-keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
+Rounding follows the Particle Data Group: an uncertainty whose three leading digits are below 355 keeps two
+digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
 """
 
 import math
@@ -21,20 +21,20 @@ from imucal.recording import Sensor
 from imucal.units import DATASHEET_UNITS, DatasheetUnit, pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-#: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
+#: If the ratio of the sides is larger, the interval is printed instead of a symmetric uncertainty.
 _ASYMMETRY = 1.25
-#: A number that takes more characters is written with an exponent.
+#: Numbers with more characters are written with an exponent.
 _LONGEST = 10
-#: Less than this of degrees, metres or metres per second is told in thousandths.
+#: Drifts below this, in degrees, metres or metres per second, are printed in thousandths.
 _SMALL = 0.1
 
 
 @frozen
 class Quantity:
-    """A value with its limits and unit; `value` is None where only the bound `high` is known.
+    """A value with its limits and unit; `value` is None if only the bound `high` is known.
 
-    A quantity without an interval (the curve's minimum) has ``low == value == high``. `drawn` is what the
-    model has where only a bound is known.
+    A quantity without an interval has ``low == value == high``. `drawn` is the coefficient in the model if
+    only a bound is known.
     """
 
     value: float | None
@@ -45,22 +45,22 @@ class Quantity:
 
     @classmethod
     def of(cls, known: Any, unit: str = "") -> "Quantity":  # noqa: ANN401
-        """Return what has a value and limits, such as an estimate, in its unit."""
+        """Return the quantity of an object with value and limits, such as an estimate."""
         return cls(value=known.value, low=known.low, high=known.high, unit=unit)
 
     @classmethod
     def exactly(cls, value: float) -> "Quantity":
-        """Return a number without an interval and a unit."""
+        """Return a number without interval and unit."""
         return cls(value=value, low=value, high=value)
 
     def scaled(self, factor: float, unit: str = "") -> "Quantity":
-        """Return it in another unit: ``value * factor``."""
+        """Return the quantity in another unit: ``value * factor``."""
         value, drawn = (None if x is None else x * factor for x in (self.value, self.drawn))
         low, high = self.low * factor, self.high * factor
         return Quantity(value=value, low=low, high=high, unit=unit, drawn=drawn)
 
     def text(self) -> str:
-        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or a number alone, without the unit."""
+        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or only the number; without the unit."""
         value, low, high = self.value, self.low, self.high
         if value is not None:
             return f"{value:.6g}" if low == high else f"{value:.4g} [{low:.4g}, {high:.4g}]"
@@ -70,30 +70,30 @@ class Quantity:
 
     @property
     def size(self) -> float:
-        """The magnitude that decides the power of ten: the value's, else the bound's."""
+        """Magnitude of the value, otherwise of the bound; it determines the power of ten."""
         return abs(self.high if self.value is None else self.value)
 
 
 def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
-    """Return the term of an estimate that has a value; None where the model has none."""
+    """Return the Gauss-Markov term of an estimate with a value; None if the model lacks it."""
     term = fit.drawn.get(estimate.key) if estimate.value is not None else None
     return term if isinstance(term, GaussMarkov) else None
 
 
 def term_name(symbol: str, sensor: Sensor | None) -> str:
-    """Return what the field calls a term; what it is, where nobody knows the sensor."""
+    """Return the usual name of a term for a sensor; its meaning if the sensor is unknown."""
     return TERMS[symbol].name(sensor) if sensor else TERMS[symbol].words.meaning
 
 
 def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
-    """Return an estimate's coefficient in SI; without a unit where nobody knows the sensor."""
+    """Return an estimate's coefficient in SI; without a unit if the sensor is unknown."""
     unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""
     found = Quantity.of(estimate, unit)
     return found if found.value is not None else replace(found, drawn=estimate.drawn)
 
 
 def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
-    """Return an estimate's coefficient in the unit that data sheets print."""
+    """Return an estimate's coefficient in the unit of data sheets; in SI if the sensor is unknown."""
     if sensor is None:
         return si(estimate, sensor)
     unit = TERMS[estimate.symbol].datasheet_unit(sensor)
@@ -106,10 +106,7 @@ def correlation_time(interval: Interval) -> Quantity:
 
 
 def drifted(point: DriftPoint, unit: str) -> Quantity:
-    """Return how far dead reckoning has drifted, of rad, m/s or m, in the unit that suits its size.
-
-    It is degrees for rad, and a thousandth of the unit below a tenth of it.
-    """
+    """Return the drift of dead reckoning in deg, m/s or m, or thousandths; `unit` is rad, m/s or m."""
     known = Quantity.of(point, unit)
     if unit == "rad":
         known = known.scaled(math.degrees(1), "deg")
@@ -117,9 +114,9 @@ def drifted(point: DriftPoint, unit: str) -> Quantity:
 
 
 def minimum(fit: NoiseFit) -> Quantity:
-    """Return the curve's minimum, with the curve's interval there, in SI.
+    """Return the curve's minimum and the curve's interval there, in SI.
 
-    The interval is that of a point chosen in advance; being the lowest of many, it reads low.
+    The interval ignores that the lowest of many points was selected, so it is biased low.
     """
     adev, tau = fit.curve.minimum
     low, high = fit.curve.confidence_interval(fit.level)
@@ -131,9 +128,10 @@ def minimum(fit: NoiseFit) -> Quantity:
 
 @frozen
 class SheetUnits:
-    """How a sensor's numbers are printed and drawn: N and the root of a psd in the unit of `density`.
+    """Units for a sensor's printed and drawn numbers.
 
-    `level` is that of the rate itself: Allan deviations, B, sigma of a Gauss-Markov term.
+    `density` is for N and the root of a psd; `level` for Allan deviations, B and the sigma of Gauss-Markov
+    terms.
     """
 
     level: DatasheetUnit
@@ -151,7 +149,7 @@ class SheetUnits:
 def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
     """Return the units of one sensor's fits: deg/h and deg/√h, or µg and m/s/√h.
 
-    If the sensor is not known, the unit is that of the samples, whatever it is.
+    If the sensor is unknown, values keep the unit of the samples.
     """
     sensor = fits[0].sensor
     if sensor is None:
@@ -160,21 +158,21 @@ def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
 
 
 def alternatives(estimate: Estimate) -> str:
-    """Return ``or GM`` where another term may stand in this one's place; else nothing.
+    """Return ``or GM`` if the data fit another term as well, otherwise an empty text.
 
-    Or ``or GM, T > 310 s``: for times up to that T there is no difference.
+    With ``or GM, T > 310 s``, the terms do not differ for times up to T.
     """
     text = f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
     return f"{text}, T > {seconds(estimate.horizon_s)}" if math.isfinite(estimate.horizon_s) else text
 
 
 def seconds(value: float) -> str:
-    """Return a time with three digits and without an exponent, such as ``2620 s``."""
+    """Return a time in s with three digits and without an exponent, such as ``2620 s``."""
     return f"{float(f'{value:.3g}'):.10g} s"
 
 
 def decimals(quantity: Quantity) -> int:
-    """Return the decimal places its interval supports (negative: places before the point)."""
+    """Return the decimal places that the interval supports (negative: places before the point)."""
     if quantity.value is None:
         return _places(quantity.high, 2)
     half = (quantity.high - quantity.low) / 2
@@ -182,17 +180,17 @@ def decimals(quantity: Quantity) -> int:
         return _places(quantity.value, 2)
     if half == 0:
         return _places(quantity.value, 4)
-    # An interval narrower than 1e-4 of the value says more than a reader needs.
+    # Five digits are enough for readers, even if the interval is narrower.
     if half <= 1e-4 * abs(quantity.value):
         return _places(quantity.value, 5)
     exponent = math.floor(math.log10(half))
-    # From 355 on one digit; 950 and more round up to 1000, which leaves two.
+    # One digit from 355 on; 950 and more round up to 1000, which leaves two.
     places = -exponent + (half / 10.0**exponent < 3.55)
     return max(places, _places(quantity.value, 2))
 
 
 def power_of_ten(quantity: Quantity) -> int:
-    """Return the exponent of the size; 0 for 0.01 to 99999, and in data-sheet units, which have no powers."""
+    """Return the exponent of the size; 0 for 0.01 to 99999 and for all values in data-sheet units."""
     if quantity.unit in DATASHEET_UNITS or not (math.isfinite(quantity.size) and quantity.size > 0):
         return 0
     exponent = math.floor(math.log10(quantity.size))
@@ -200,25 +198,25 @@ def power_of_ten(quantity: Quantity) -> int:
 
 
 def engineering_exponent(quantities: Iterable[Quantity]) -> int:
-    """Return one power of ten, a multiple of three, that suits the largest value of `quantities`.
+    """Return one exponent, a multiple of three, for all `quantities`: it fits the largest value.
 
-    Bounds decide only where there is no value: what the data don't show may be bounded far above. It is 0 in
-    data-sheet units: 0.0059 m/s/√h is read more easily than 5.9 in a unit of 1e-3 m/s/√h.
+    Bounds count only if there is no value, because a bound may be far above the values. The exponent is 0 in
+    data-sheet units: 0.0059 m/s/√h is easier to read than 5.9 in a unit of 1e-3 m/s/√h.
     """
     known = [q for q in quantities if math.isfinite(q.size) and q.size > 0]
     sizes = [q.size for q in known if q.value is not None] or [q.size for q in known]
     if not sizes or known[0].unit in DATASHEET_UNITS:
         return 0
     size = math.log10(max(sizes))
-    # Half a decade of grace: 0.54e-3 reads better than 540e-6, and 120e-6 better than 0.12e-3.
+    # Half a decade of tolerance: 0.54e-3 is easier to read than 540e-6, and 120e-6 than 0.12e-3.
     return 0 if -2 <= size < 5 else 3 * math.floor((size + 0.5) / 3)
 
 
 def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
-    """Return value and interval as plain texts, both divided by ``10**exponent``.
+    """Return value and interval divided by ``10**exponent``, such as ``("0.2013", "[0.2010, 0.2016]")``.
 
-    ``("0.2013", "[0.2010, 0.2016]")``; a bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` of a
-    term that the model has; without an interval the second is empty.
+    A bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` if the model contains the term. Without
+    an interval the second text is empty.
     """
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     if scaled.value is None:
@@ -235,7 +233,7 @@ def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
 def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
     """Return ``0.2013 ± 0.0003 deg/√h``, ``12.1 [11.2, 13.9] deg/h`` or ``< 0.12 deg/h/√h``.
 
-    `exponent` is the power of ten that it shares with others of its row; its own where none is given.
+    `exponent` is the common power of ten of a row; by default the quantity's own.
     """
     exponent = power_of_ten(quantity) if exponent is None else exponent
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
@@ -254,7 +252,7 @@ def with_interval(quantity: Quantity, *, exponent: int | None = None) -> str:
 
 
 def with_unit(body: str, exponent: int, unit: str) -> str:
-    """Return ``0.2013 ×10⁻⁵ deg/√h``, without the power of ten where `exponent` is 0."""
+    """Return ``0.2013 ×10⁻⁵ deg/√h``, without the power of ten if `exponent` is 0."""
     return f"{body}{f' ×{ten_to(exponent)}' if exponent else ''} {pretty(unit)}"
 
 
@@ -267,7 +265,7 @@ def scientific(value: float) -> str:
     """Return a number with three digits, such as ``0.0332`` or ``1.49 ×10⁻⁵``."""
     if not (math.isfinite(value) and value):
         return f"{value:g}"
-    # In the mantissa rounding may carry into the next decade.
+    # Take the exponent after rounding, which may carry into the next decade.
     mantissa, exponent = f"{value:.2e}".split("e")
     if -3 <= int(exponent) <= 3:
         return f"{float(f'{value:.3g}'):g}"
@@ -286,7 +284,7 @@ def _places(size: float, digits: int) -> int:
     if not (math.isfinite(size) and size):
         return 0
     exponent = math.floor(math.log10(abs(size)))
-    # 0.0996 with two digits is 0.10: rounding may carry into the next decade.
+    # Rounding may carry into the next decade: 0.0996 with two digits is 0.10.
     if abs(round(size, digits - 1 - exponent)) >= 10.0 ** (exponent + 1):
         exponent += 1
     return digits - 1 - exponent
@@ -300,15 +298,15 @@ def _bound(high: float) -> str:
 
 
 def rounded_up(bound: float, digits: int) -> str:
-    """Return a bound with so many digits, rounded up so that it stays true."""
+    """Return a bound with `digits` digits, rounded up so that it remains valid."""
     places = digits - 1 - math.floor(math.log10(bound))
-    # The last bits of a binary fraction must not carry 0.12 to 0.13.
+    # The rounding error of a binary fraction must not turn 0.12 into 0.13.
     raised = math.ceil(bound * 10.0**places * (1 - 1e-12)) / 10.0**places
     return _fixed(raised, places)
 
 
 def _in_powers(value: float, places: int) -> str:
-    """Return a number such as ``1.45e-9``, with as many digits as `places` has, but two to five."""
+    """Return a number such as ``1.45e-9``, with the digits that `places` decimal places show, but 2 to 5."""
     exponent = math.floor(math.log10(abs(value)))
     mantissa, power = f"{value:.{min(max(places + exponent, 1), 4)}e}".split("e")
     whole, _, part = mantissa.partition(".")

@@ -30,8 +30,8 @@ class OutFolder:
 
     `write` first writes all files, and forces them to disk, in a scratch folder on the same file system. A
     new folder then appears in one step. In an existing one, each file is replaced in one step and the
-    document comes last; until then it contains only its schema and the key ``incomplete``. Whatever fails
-    before, Ctrl-C included, changes nothing. Of two writers, one waits.
+    document comes last; until then it contains only its schema and the key ``incomplete``. An earlier
+    failure, Ctrl-C included, changes nothing. If two processes write, one waits.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class OutFolder:
     schema
         Schema of the document, such as ``imucal/report/2``.
     own
-        Pattern of the names of all files that any version writes; `write` removes those that are obsolete.
+        Pattern of the names of all files that any version writes; `write` removes obsolete ones.
     shared
         Whether the folder contains other files of imucal too. Then foreign files are accepted, and the
         document is missing while files are replaced.

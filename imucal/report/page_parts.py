@@ -1,7 +1,7 @@
-"""The sections of the page: what each template is filled with.
+"""The sections of the page: the values for each template.
 
-Numbers stand in both conventions, data sheet first, of which the page shows one. The picture of an axis's
-noise over time has heights relative to the record's value: one scale for every unit.
+Numbers are given in data-sheet units and in SI; the page shows one or the other. The picture of an axis's
+noise over time has relative heights, so that it fits both units.
 """
 
 import json
@@ -34,16 +34,16 @@ from imucal.report.result import AxisReport, Report
 from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
-#: Head and cells of a row.
+#: Header and cells of a row.
 _Row: TypeAlias = tuple[str, list[str]]
-#: Level, code, advice and the part worth keeping: what findings have in common.
+#: Level, code, advice and the part of the log to keep, by which findings are grouped.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 _NOTHING = "–"
 
 
 def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
-    """Return the pictures and the tables of both sensors; `pictures` has addresses by the names of files."""
+    """Return the pictures and the tables of both sensors; `pictures` is name -> data URL."""
     tables = [
         (
             *(seen, axes[0], [f"{axis.rate_hz:.6g}" for axis in axes]),
@@ -55,7 +55,7 @@ def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
 
 
 def _states(seen: View, key: str) -> list[tuple[float, float] | None]:
-    """Return phi and q of a Gauss-Markov term on each axis, for a filter at the sampling rate."""
+    """Return phi and q of a Gauss-Markov term for each axis, at the sampling rate; None if it is missing."""
     found = []
     for fit in seen.fits:
         estimate = next((e for e in fit.estimates if key == f"{e.key} T"), None)
@@ -65,12 +65,12 @@ def _states(seen: View, key: str) -> list[tuple[float, float] | None]:
 
 
 def findings_section(report: Report) -> Markup:
-    """Return every finding in words, the grave ones first; those with the same advice stand together."""
+    """Return all findings, errors first, grouped by advice."""
     return listed_findings(_all_findings(report))
 
 
 def listed_findings(found: Iterable[tuple[str, Finding]]) -> Markup:
-    """Return findings, each with its axis, as the page lists them: errors first, one entry an advice."""
+    """Return pairs of axis and finding as a list of the page: errors first, one entry per advice."""
     grouped: dict[_Kind, dict[str, list[str]]] = {}
     for axis, finding in found:
         kind = (finding.level, finding.code, finding.advice, finding.keep_s)
@@ -107,19 +107,19 @@ def _names(axes: list[str], text: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Return it with a capital, unless it starts with a name, and with a full stop."""
+    """Return the text with a capital letter, unless it starts with a name, and with a full stop."""
     first = text.split(" ", 1)[0]
     text = pretty(text if "_" in first else text[:1].upper() + text[1:])
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
 def glossary_section() -> Markup:
-    """Return what the terms are, in both conventions."""
+    """Return the explanation of the terms, in both units."""
     return render("terms.html", terms=TERMS.items(), sensors=tuple(Sensor))
 
 
 def method_section(report: Report) -> Markup:
-    """Return how the numbers were made: the log, the curve, the fit, the settings."""
+    """Return the description of the method: log, curve, fit and settings."""
     return render(
         "method.html",
         source=report.source,
@@ -129,7 +129,7 @@ def method_section(report: Report) -> Markup:
 
 
 def axis_section(report: Report, axis: AxisReport, pictures: Mapping[str, str]) -> Markup:
-    """Return the plots of one axis, each with a caption, and the curve as a table."""
+    """Return the plots of one axis with captions, and the curve as a table."""
     units = units_of(report, axis.sensor)
     lowest = (units.minimum(axis.fit), numbers.minimum(axis.fit))
     return render(
@@ -156,16 +156,16 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
         yield f"{curve.tau[i]:.6g}", cells
 
 
-#: Size of the picture and of the margins about each of its rows, in its own units.
+#: Width of the picture, height of a row, and margins, in user units of the SVG.
 _WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
-#: Least relative height of a row, and most: what is beyond it is cut.
+#: Limits of the half-height of a row, as a logarithm and as a ratio; larger deviations are cut.
 _LEAST, _MOST = 0.02, 4.0
-#: Most steps between the times that are named.
+#: Largest number of steps between labelled times.
 _MARKS = 6
 
 
 def segments_figure(axis: AxisReport) -> Markup | None:
-    """Return N and the floor over time with a caption; None where the record was not cut into segments."""
+    """Return N and the floor over time with a caption; None if the record was not cut into segments."""
     segments = axis.fit.segments
     if segments is None or segments.white is None:
         return None
@@ -190,7 +190,7 @@ def segments_figure(axis: AxisReport) -> Markup | None:
 def _segments_row(
     segments: Segments, trace: Trace, name: str, top: int, *, whole: Estimate | None = None
 ) -> dict[str, object]:
-    """Return one row: a bar for each segment, the band of the whole record, a scale.
+    """Return one row: a bar for each segment, the interval of the whole record, and a scale.
 
     Heights are relative to the geometric mean of the trace's values.
     """
@@ -217,14 +217,14 @@ def _segments_row(
 
 
 def _ticks(reach: float) -> list[float]:
-    """Return the percentages that are named: zero and a round one on each side."""
+    """Return the labelled percentages: zero and a round one on each side."""
     above = 100 * math.expm1(reach)
     step = next(s for s in (200, 100, 50, 20, 10, 5, 2, 1, 0.5) if s <= above)
     return [step, 0.0, -step if step < 100 else -50.0]
 
 
 def _times(segments: Segments) -> list[tuple[float, str]]:
-    """Return the places and names of some round times."""
+    """Return the positions and labels of some round times."""
     end = float(segments.end_s[-1])
     unit, name = (3600.0, "h") if end >= 2 * 3600 else (60.0, "min") if end >= 120 else (1.0, "s")
     # 0.1, 0.2, 0.5, 1, 2, 5 and so on.
@@ -237,25 +237,25 @@ def _times(segments: Segments) -> list[tuple[float, str]]:
 
 
 def _x(segments: Segments, seconds: FloatArray) -> list[float]:
-    """Return the places of times across the picture."""
+    """Return the horizontal positions of times."""
     end = float(segments.end_s[-1])
     places: list[float] = (_LEFT + seconds / end * (_WIDTH - _RIGHT - _LEFT)).round(1).tolist()
     return places
 
 
 def drift_section(report: Report) -> Markup | None:
-    """Return how far dead reckoning drifts after a rest, of the worst axes; None where it is not noise."""
+    """Return the drift of dead reckoning after a rest, for the worst axes; None if the data are not noise."""
     if not report.verdict.usable or not report.axes:
         return None
     found = drift(report)
-    # The last of a kind is what all parts make together.
+    # The last quantity of a kind is the total of its parts.
     last = {quantity.name.split(" ")[0].rstrip(","): quantity for quantity in found.quantities}
     titles = ["Error", *(f"after {duration(point.time_s)}" for point in found.quantities[0].points)]
     return render("drift.html", drift=found, quantities=last.values(), titles=titles, numbers=numbers)
 
 
 def downstream_section(report: Report) -> Markup:
-    """Return which number goes into which configuration, with its formula; none where it is not noise."""
+    """Return the numbers for config files with their formulas; no numbers if the data are not noise."""
     if not report.verdict.usable:
         said = f"{report.verdict.sentence}. No filter should be given its numbers."
         return Markup("<p>{}</p>").format(said)
@@ -295,13 +295,13 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
 
 
 def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:
-    """Return sigma and T of the axis whose slowest Gauss-Markov term is the largest, and the axis."""
+    """Return ((sigma, T), axis) for the largest of the axes' slowest Gauss-Markov terms; None without any."""
     known = ((chosen.slowest(axis), axis.axis) for axis in chosen.axes(sensor))
     return max((((term.sigma, term.T), axis) for term, axis in known if term), default=None)
 
 
 def _floors(fit: NoiseFit, units: SheetUnits) -> list[Markup]:
-    """Return B and the curve's minimum of an axis, each also by the factor between them."""
+    """Return B, 0.664 B, the curve's minimum, and the minimum divided by 0.664, as texts."""
     flicker = (units.estimate(fit["B"], fit.sensor), numbers.si(fit["B"], fit.sensor))
     lowest = (units.minimum(fit), numbers.minimum(fit))
     columns = [

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-#: Inches: of one plot, and how much wider each further one makes the figure.
+#: Width and height of one plot, in inches.
 _WIDTH, _HEIGHT = 6.4, 4.2
-#: Most stretches that a signal is drawn of.
+#: Largest number of stretches in the plot of a signal.
 _STRETCHES = 800
 
 
@@ -47,20 +47,20 @@ def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tu
     Parameters
     ----------
     value
-        A recording or an axis of it (the lowest and highest sample of each stretch of time), an Allan curve,
-        a fit or an axis of a report (curve, model and terms), or a report (the curves of each sensor).
+        A recording or one of its axes (the lowest and highest sample of each stretch of time), an Allan
+        curve, a fit or an axis of a report (curve, model and terms), or a report (the curves of each sensor).
     ax
-        Where to draw: matplotlib's axes, for a recording or a report one for each sensor. By default in a new
-        figure of pyplot's, which a notebook shows.
+        Matplotlib's axes to draw in; for a recording or a report, one for each sensor. By default a new
+        figure of pyplot, which a notebook shows.
 
     Returns
     -------
-    The axes; of a recording and of a report a tuple, the gyroscope's first.
+    The axes; for a recording or a report a tuple, the gyroscope's first.
 
     Raises
     ------
     ArgumentError
-        If there is no picture of such a value, or not one of the axes for each sensor.
+        If there is no picture for this type, or if the number of axes is not the number of sensors.
     """
     if isinstance(value, Recording | Report):
         parts: Sequence[Any] = value.series if isinstance(value, Recording) else value.axes
@@ -76,13 +76,13 @@ def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tu
 
 
 def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]":
-    """Return so many axes: those that were given, or those of a new figure."""
+    """Return `count` axes: the given ones, or new ones in a new figure."""
     if ax is None:
         import matplotlib.pyplot as plt
 
         width = _WIDTH * (1 + 0.9 * (count - 1))
         figure, made = plt.subplots(1, count, squeeze=False, figsize=(width, _HEIGHT))
-        # Final at once: labels find their places by it.
+        # The layout must be final before labels are placed.
         left, room = 0.75 / width, 0.28
         figure.subplots_adjust(left=left, right=1 - 0.15 / width, top=0.92, bottom=room, wspace=3 * left)
         return tuple(made[0])
@@ -94,7 +94,7 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
 
 
 def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
-    """Draw the signals, or the curves, of a sensor's axes, and a legend of which is which."""
+    """Draw the signals or the curves of a sensor's axes, with a legend."""
     if isinstance(parts[0], AxisReport):
         draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
         name_axes(axes, parts)

@@ -1,4 +1,4 @@
-"""Report: everything a run found, as values; renderers are functions of it."""
+"""The results of a run as values; renderers are functions of a `Report`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from imucal.frozen import frozen_alone
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
-#: Shorter records, in s, do not tell what a filter meets that coasts for a minute: that is a fifth of this.
+#: Shorter records, in s, do not show the errors of filters that coast for a minute, a fifth of this.
 _TELLS_S = 300.0
-#: What is said of an axis that has no result.
+#: Codes of findings about an axis without a result.
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
@@ -26,8 +26,8 @@ _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 class Overview(ReadOnlyArrays):
     """The raw signal, small enough to draw: lowest and highest sample of each of k stretches, in U.
 
-    Shapes (k,). `time_s` is the middle of each, in s from the first sample; stretches in gaps hold NaN. The
-    mean is not removed.
+    Shapes (k,). `time_s` is the middle of each stretch, in s from the first sample. Stretches in gaps contain
+    NaN. The mean is not removed.
     """
 
     time_s: FloatArray
@@ -36,15 +36,15 @@ class Overview(ReadOnlyArrays):
 
     @classmethod
     def none(cls) -> "Overview":
-        """Return the overview of no samples, or of a report that was read without its signal file."""
+        """Return an empty overview: without samples, or if the report was read without its signal file."""
         empty = np.zeros(0)
         return cls(time_s=empty, low=empty, high=empty)
 
     @classmethod
     def of(cls, series: AxisSeries, *, stretches: int = 1000) -> "Overview":
-        """Return the lowest and highest sample of each of at most `stretches` equal stretches of time.
+        """Return the lowest and highest sample of up to `stretches` equal stretches of time.
 
-        A stretch that lies in a gap holds NaN. O(n), no copy of the samples.
+        Stretches in gaps contain NaN. O(n), no copy of the samples.
         """
         clock = series.clock
         size = clock.grid_size
@@ -69,9 +69,9 @@ class Overview(ReadOnlyArrays):
 
 @frozen_alone
 class AxisReport(Displayed):
-    """What was found about one axis; units as in `Sensor.unit`.
+    """The results of one axis; units as in `Sensor.unit`.
 
-    `fit.curve` is its Allan curve; `spectrum` its psd. `mean` and `std` are of the finite samples.
+    `fit.curve` is the Allan curve and `spectrum` the psd. `mean` and `std` describe the finite samples.
     """
 
     sensor: Sensor
@@ -102,7 +102,7 @@ class AxisReport(Displayed):
 
     @property
     def white_error(self) -> float:
-        """Half of the interval of N, relative to N; infinite where no data show it."""
+        """Half of the interval of N, relative to N; infinite if N was not estimated from samples."""
         white = self.fit["N"]
         return (white.high - white.low) / (2 * white.value) if white.value and self.samples else np.inf
 
@@ -116,12 +116,12 @@ class Report(Displayed):
     source
         The log.
     axes
-        One entry an axis, gyroscope x, y, z first; an axis that can't be analysed is missing and
-        named in `findings`.
+        One entry per axis, gyroscope x, y, z first. An axis that can't be analysed is missing; `findings`
+        names it.
     settings
         Everything needed to repeat the run; JSON values only.
     findings
-        What concerns the whole log.
+        Findings about the whole log.
     version
         imucal's version.
     """
@@ -151,7 +151,7 @@ class Report(Displayed):
 
     @property
     def verdict(self) -> NoiseVerdict:
-        """Whether this is stationary noise, and how well N is known: the widest relative interval of it."""
+        """Whether the data are stationary noise, and how precise N is: its widest relative interval."""
         errors = {axis.name: axis.white_error for axis in self.axes if np.isfinite(axis.white_error)}
         failed = (f.axis for f in self.findings if f.code in _WITHOUT_RESULT and f.level == "error")
         names = [*(axis.name for axis in self.axes), *(name for name in failed if name)]
@@ -161,7 +161,7 @@ class Report(Displayed):
 
     @property
     def _too_short(self) -> bool:
-        """Whether no axis shows B or K, and the record tells nothing of the times that filters coast for."""
+        """Whether no axis shows B or K in a record that is too short for the coasting times of filters."""
         slow = [term for axis in self.axes for term in axis.fit.estimates if term.key in {"B", "K"}]
         unseen = bool(slow) and all(term.value is None for term in slow)
         return unseen and any(axis.samples and axis.duration_s < _TELLS_S for axis in self.axes)

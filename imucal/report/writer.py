@@ -1,4 +1,4 @@
-"""The report folder: report.json, the page, pictures, and a JSON file for each axis."""
+"""Write the report folder: report.json, the page, pictures, and a JSON file for each axis."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -36,27 +36,27 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Write the report folder `out`; return its files, report.json first.
 
-    A picture or page that can't be drawn is left out; a finding in report.json says so.
+    A picture or page that can't be drawn is left out and becomes a finding in report.json.
 
     Parameters
     ----------
     out
-        The folder. A report that imucal wrote there is replaced, other files in it are kept.
+        The folder. An existing report of imucal is replaced, other files are kept.
     formats
-        Of the pictures: ``png``, ``svg``, ``pdf``; empty for none.
+        Formats of the pictures: ``png``, ``svg``, ``pdf``; empty for no pictures.
     html
         Whether to write the page.
     paper
-        Whether to draw the curves for one column of a paper too, such as ``gyro-paper.pdf``.
+        Whether to also draw curves for one column of a paper, such as ``gyro-paper.pdf``.
     tell
-        Called with the finding of each picture or page that was left out.
+        Function that is called with the finding of each picture or page that was left out.
     workers
-        Most pictures that are drawn at a time, as in `imucal.characterize`.
+        Largest number of pictures drawn in parallel, as in `imucal.characterize`.
 
     Raises
     ------
     WriteError
-        If the folder can't be written, or holds something that is not imucal's.
+        If the folder can't be written, or contains foreign files.
     ValueError
         If a format is unknown.
     """
@@ -73,7 +73,7 @@ def write_report(
 
 
 def check_folder(out: str | Path) -> None:
-    """Raise a WriteError if `write_report` could not write to a folder."""
+    """Raise a WriteError if `write_report` can't write to a folder."""
     _folder(out).check()
 
 
@@ -93,7 +93,7 @@ def _names(report: Report, pictures: Sequence[str]) -> tuple[str, ...]:
 def _contents(
     report: Report, drawings: "Drawings", *, html: bool, tell: Callable[[Finding], None]
 ) -> dict[str, bytes]:
-    """Return name -> content of each file; page and report.json list what could not be drawn."""
+    """Return name -> content of each file; page and report.json list the pictures that failed."""
     contents: dict[str, bytes] = dict(drawings.files)
     failures = tuple(drawings.failures)
     report = replace(report, findings=report.findings + failures)

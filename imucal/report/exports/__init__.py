@@ -1,4 +1,4 @@
-"""The downstream files of filters and simulators; one file a format, one table of them."""
+"""The downstream files of filters and simulators: a table of formats, each defined in a TOML file."""
 
 import re
 from pathlib import Path
@@ -11,15 +11,15 @@ from imucal.report.result import Report
 
 __all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Basis", "Unidentified", "export", "find_target", "render"]
 
-#: Families of formats, each a file of the folder ``formats``, in the order of the list that users see.
+#: Files of the folder ``formats``, in the order of the list that users see.
 _FAMILIES = (
     *("visual", "gtsam", "lidar", "ros", "autopilots", "simulators", "kf_gins", "matlab"),
     "own_program",
 )
-#: Name of a downstream format -> how its file is written.
+#: Name of a downstream format -> format.
 TARGETS: dict[str, Target] = {target.name: target for target in read_targets(_FAMILIES)}
 
-#: Programs that a slip of the pen does not turn into one of ours -> what to say of them.
+#: Other programs' names, which typing errors do not explain -> text of the error message.
 _OTHERS = {
     "isaac": "Isaac ROS is isaac-ros, Isaac Sim is isaac-sim",
     "orbslam2": "ORB-SLAM2 uses no IMU",
@@ -30,9 +30,9 @@ _OTHERS = {
 
 
 def find_target(name: str) -> Target:
-    """Return a format by its name or an alias, whatever its case and hyphens.
+    """Return a format by its name or an alias, ignoring case and hyphens.
 
-    A ValueError says that there is none, and suggests the nearest.
+    Raises ValueError, with the nearest name as a suggestion, if there is none.
     """
     by_key = {
         name_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)
@@ -47,21 +47,21 @@ def find_target(name: str) -> Target:
 
 
 def render(report: Report, target: str, **options: Unpack[Options]) -> str:
-    """Return the text of a downstream file; options and errors are those of `export`, which writes it."""
+    """Return the text of a downstream file; options and errors as in `export`."""
     return find_target(target).render(report, Choices(**options))
 
 
 def export(report: Report, target: str, path: Path, **options: Unpack[Options]) -> tuple[Path, ...]:
     """Write the config file of a downstream consumer, with every conversion in a comment; return its files.
 
-    The target is a key of `TARGETS`, an alias, or ``all``. The path is the file to write; or a folder,
-    where the file gets the format's own name; for ``all`` a folder, made where it doesn't exist. The
-    options are what the user decides, the attributes of `Choices`.
+    `target` is a key of `TARGETS`, an alias, or ``all``. `path` is the file to write, or a folder, in which
+    the file gets the format's usual name. For ``all`` it is a folder, which is created if necessary. The
+    options are the attributes of `Choices`.
 
-    A DataError says that the report lacks a sensor or an axis that the format needs, or that a term was not
-    identified and its bound is refused; nothing is written then. A WriteError says that a file can't be
-    written, or that one of the same name wasn't written by imucal, a ValueError that the format or an
-    option is unknown.
+    Raises DataError, and writes nothing, if the report lacks a sensor or an axis that the format needs, or if
+    a term was not detected and its bound is refused. Raises WriteError if a file can't be written, or if
+    imucal did not write the existing file of that name. Raises ValueError if the format or an option is
+    unknown.
     """
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
     choices = Choices(**options)
@@ -70,10 +70,10 @@ def export(report: Report, target: str, path: Path, **options: Unpack[Options]) 
 
 
 def _is_slip(typed: str, name: str) -> bool:
-    """Return whether one letter is missing, too much, wrong, or two have changed places.
+    """Return whether one letter is missing, extra or wrong, or two neighbours are swapped.
 
-    More is another program: LVI-SAM is not LIO-SAM. So is another digit, and a short name leaves no
-    room for slips: DLO is not DLIO.
+    Two wrong letters or another digit mean another program: LVI-SAM is not LIO-SAM. Short names must match
+    exactly: DLO is not DLIO.
     """
     if min(len(typed), len(name)) < 5 or re.sub(r"\D", "", typed) != re.sub(r"\D", "", name):
         return False

@@ -1,7 +1,7 @@
-"""The numbers that go into a file: what covers the fitted spectrum, or the fit's own; inflated on request.
+"""The numbers that go into a file: covering numbers or fitted coefficients, inflated on request.
 
-A filter that takes two numbers a sensor gets the pair of `imucal.prediction.filter_numbers`: N and K of the
-fit alone leave out its flicker, and a filter with them trusts itself too much.
+A filter with two numbers per sensor gets the covering pair of `imucal.prediction.filter_numbers`. The fitted
+N and K leave out bias instability, so a filter with them would be overconfident.
 """
 
 import math
@@ -30,30 +30,31 @@ AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
 Unidentified: TypeAlias = Literal["bound", "refuse"]
 Basis: TypeAlias = Literal["covered", "as-fitted"]
 
-#: What can be inflated -> the symbols of the terms it multiplies.
+#: Name of an inflation -> symbols of the terms that it multiplies.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
-#: The two numbers of a filter.
+#: Symbols of the two numbers of most filters.
 COVERING = ("N", "K")
-#: Of a bank of Gauss-Markov processes that stands for flicker: states a decade of correlation time, and how
-#: far it reaches below the time at which flicker and white noise are equal.
+#: Bank of Gauss-Markov processes for flicker noise: states per decade of correlation time, and the ratio of
+#: the time at which flicker and white noise are equal to the shortest T.
 _PER_DECADE, _MARGIN = 1.5, 10.0
-#: Ratio of the limits of N above which it is no number for a filter.
+#: Ratio of the limits of N above which N is too uncertain for a filter.
 _VAGUE = 10.0
-#: Correlation time where none was measured, in s: long against the record, so that a walk stays one.
+#: Correlation time if none was measured, in s: long enough that a random walk stays one.
 NOMINAL_TIME_S = 3600.0
 
 
 @frozen
 class Choices:
-    """What the user decides about a downstream file.
+    """The user's options for a downstream file.
 
-    `axis_policy` is for formats with one number a sensor: ``worst``, the largest of the axes; ``rms``, the
-    root of the mean variance; or one axis, ``x``, ``y`` or ``z``. `inflate` has for ``white``, ``walk`` or
-    ``flicker`` a factor on the coefficient (a deviation, not a variance). A term that the data do not show
-    is written as its upper ``bound``, or `unidentified` says to ``refuse``. `topic` is the one to write,
-    for formats that name one; None for the log's own. `numbers` are white noise and walk that have
-    ``covered`` the fitted spectrum, or N and K ``as-fitted``. The filter may coast for `horizon_s`, None
-    for what is usual with the format, and is aided every `step_s`.
+    - `axis_policy`: for formats with one number per sensor: ``worst``, the largest of the axes; ``rms``, the
+      root of the mean variance; or one axis, ``x``, ``y`` or ``z``
+    - `inflate`: ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance)
+    - `unidentified`: whether to write the upper ``bound`` of a term that was not detected, or to ``refuse``
+    - `topic`: topic to write in formats with a topic; None for the log's topic
+    - `numbers`: ``covered``: white noise and walk that cover the fitted spectrum; ``as-fitted``: N and K
+    - `horizon_s`: how long the filter may coast, in s; None for the format's usual value
+    - `step_s`: interval between two updates of the filter, in s
     """
 
     axis_policy: AxisPolicy = "worst"
@@ -78,12 +79,12 @@ class Choices:
                 raise ValueError(f"inflation of {name} must be a positive number, got {factor}")
 
     def factor(self, symbol: str) -> float:
-        """Return the factor on a term's coefficient; 1 where nothing was asked."""
+        """Return the factor on a term's coefficient; 1 if the user inflates nothing."""
         return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
 
 
 class Options(TypedDict, total=False):
-    """The attributes of `Choices`, each with a usual value where it is not given."""
+    """The attributes of `Choices`, all optional."""
 
     axis_policy: AxisPolicy
     inflate: Mapping[str, float]
@@ -96,15 +97,19 @@ class Options(TypedDict, total=False):
 
 @frozen
 class Number:
-    """One positive coefficient as it goes into a file, in SI, inflation included; `symbol` is its term.
+    """One positive coefficient for a file, in SI, with the inflation applied.
 
-    It was made from some `axes`: one, or all of the sensor's for ``rms``; of those that are `bounded` the
-    upper bound, at a confidence `level`, stands in for a value. Its `interval` is None for a bound or for
-    several axes, and so is, for a value too, `excess`: a bound over the largest coefficient whose line
-    stays below the measured Allan curve. `alternatives` are symbols of terms that may stand in this one's
-    place: the record can't tell which. `origin` says what the number is, where it is no estimate of one
-    record. Where it `covers`, `value` is of a pair that covers the spectra of the axes; the rest is of the
-    fit's own number.
+    - `symbol`: symbol of the term
+    - `value`: the coefficient
+    - `covers`: whether `value` is from a covering pair; the other attributes describe the fitted coefficient
+    - `axes`: names of the axes that were used: one, or several with the policy ``rms`` or a covering pair
+    - `bounded`: names of the axes whose upper bound replaced the value
+    - `level`: confidence level of the interval or the bound
+    - `interval`: confidence interval; None for a bound and for several axes
+    - `excess`: ratio of a bound to the largest coefficient whose line stays below the measured Allan curve;
+      None for a value and for several axes
+    - `alternatives`: symbols of terms that the record can't distinguish from this one
+    - `origin`: description of a number that was not estimated from one record; otherwise empty
     """
 
     symbol: str
@@ -120,7 +125,7 @@ class Number:
 
     @property
     def note(self) -> str:
-        """Where the number comes from and how well it is known, for a comment beside it."""
+        """Origin and uncertainty of the number, for a comment next to it."""
         if self.covers:
             return f"covers {', '.join(self.axes)}{self.origin and f', {self.origin}'}"
         text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
@@ -148,8 +153,8 @@ class Number:
 class WithBias:
     """An axis as white noise N and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
 
-    `driving` is the density of the noise that drives the bias, in U/sqrt(s), T is in s; `used` are the
-    numbers it is made of, `note` says where they come from.
+    `white` is N in U/sqrt(Hz), `driving` the density of the noise that drives the bias, in U/sqrt(s), and
+    `correlation_time` T in s. `used` are the numbers from which they follow; `note` explains their origin.
     """
 
     white: float
@@ -166,11 +171,11 @@ class WithBias:
 
 @frozen_alone
 class Numbers:
-    """A report as a file format sees it.
+    """The numbers of a report for one file format.
 
-    Every method raises `DataError` where the report has no number to give: a sensor or an axis is
-    missing, or a term was not detected and the user refused its bound. A log of one sensor gives a
-    format the half that is about it, so formats go over `sensors`.
+    Every method raises `DataError` if the report lacks a number: a sensor or an axis is missing, or a term
+    was not detected and the user refused its bound. Formats iterate over `sensors`, because a log may contain
+    only one sensor.
     """
 
     report: Report
@@ -186,10 +191,10 @@ class Numbers:
 
     @property
     def stream_hz(self) -> float:
-        """The one rate of a file that has but one: the gyroscope's, else the accelerometer's.
+        """Rate in Hz of a file with a single rate: the gyroscope's if the log has one.
 
-        A program with one rate reads both sensors as one stream of messages, the slower one
-        interpolated. N and K are densities and stay; what is discrete belongs to the stream.
+        A program with one rate reads both sensors as one stream of messages and interpolates the slower one.
+        The densities N and K do not depend on the rate; discrete numbers use the rate of the stream.
         """
         return self.rate_hz(self.sensors[0])
 
@@ -211,7 +216,7 @@ class Numbers:
         return self.axis(sensor, "x"), self.axis(sensor, "y"), self.axis(sensor, "z")
 
     def rate_hz(self, sensor: Sensor) -> float:
-        """Return the sensor's sampling rate, to nine digits: no clock is known better."""
+        """Return the sensor's sampling rate in Hz, to nine digits: no clock is more accurate."""
         return float(f"{self.axes(sensor)[0].rate_hz:.9g}")
 
     def one(self, sensor: Sensor, symbol: str) -> Number:
@@ -228,18 +233,19 @@ class Numbers:
         return _joined(numbers, value)
 
     def chosen(self, sensor: Sensor) -> tuple[AxisReport, ...]:
-        """Return the axes that one number for a sensor is made of, by the axis policy."""
+        """Return the axes that determine a sensor's number under the axis policy."""
         policy = self.choices.axis_policy
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, ...]:
-        """Return a number for each of the three axes; the axis policy plays no part."""
+        """Return a number for each of the three axes, without the axis policy."""
         return tuple(self._number([axis], symbol) for axis in self.triad(sensor))
 
     def pair(self, axes: Sequence[AxisReport], *, time_s: float | None = None) -> FilterNumbers:
-        """Return white noise and a walk, or a bias that forgets, which cover the spectra of some axes.
+        """Return white noise and a walk that cover the spectra of some axes.
 
-        They are inflated: by flicker what is covered, by white noise and walk what covers it.
+        With `time_s`, in s, a Gauss-Markov bias replaces the walk. The factor for flicker inflates the
+        spectra; the factors for white noise and walk inflate the pair.
         """
         found = filter_numbers(
             [self._inflated(axis.fit) for axis in axes],
@@ -252,7 +258,7 @@ class Numbers:
         return replace(found, white=found.white * factor("N"), walk=found.walk * factor("K"))
 
     def pairs(self, *, per_axis: bool) -> Iterator[tuple[tuple[AxisReport, ...], FilterNumbers]]:
-        """Yield the pair of each axis, or of each sensor by the axis policy, with its axes."""
+        """Yield the axes and the pair of each axis, or of each sensor by the axis policy."""
         for sensor in self.sensors:
             for axes in zip(self.triad(sensor)) if per_axis else [self.chosen(sensor)]:
                 yield axes, self.pair(axes)
@@ -267,7 +273,7 @@ class Numbers:
             else e
             for e in fit.estimates
         )
-        # A term that the table bounds counts with the model's value.
+        # The model may contain a term for which the table lists only a bound.
         terms = (
             term.of(term.coefficient * factor, *term.values[1:]) if term.symbol in symbols else term
             for term in fit.model.terms
@@ -282,7 +288,7 @@ class Numbers:
     def of(self, axis: AxisReport, symbol: str) -> Number:
         """Return one axis's coefficient of N, B or K, or its upper bound."""
         estimate = axis.fit[symbol]
-        # A model that was given is without the terms that it lacks, not uncertain of them.
+        # A given model has no bounds: terms that it lacks are zero, not unknown.
         bounded, factor = estimate.value is None and estimate.high > 0, self.choices.factor(symbol)
         if bounded and self.choices.unidentified == "refuse":
             unit = TERMS[symbol].unit(axis.sensor)
@@ -307,7 +313,7 @@ class Numbers:
         )
 
     def gauss_markov(self, axis: AxisReport) -> dict[str, GaussMarkov]:
-        """Return an axis's Gauss-Markov terms (inflated) by their keys."""
+        """Return key -> Gauss-Markov term (inflated) of an axis."""
         return {
             e.key: GaussMarkov(sigma=e.value * self.choices.factor(e.symbol), T=e.correlation_time.value)
             for e in axis.fit.estimates
@@ -315,14 +321,14 @@ class Numbers:
         }
 
     def slowest(self, axis: AxisReport) -> GaussMarkov | None:
-        """Return an axis's slowest Gauss-Markov term (inflated); None where it has none."""
+        """Return an axis's slowest Gauss-Markov term (inflated); None if it has none."""
         return max(self.gauss_markov(axis).values(), key=lambda term: (term.T, term.sigma), default=None)
 
     def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
-        """Return each axis as white noise and a bias, all of one correlation time.
+        """Return each axis as white noise and a bias; all biases have the same correlation time T.
 
-        Covered: try each fitted T and one far beyond the horizon, and take the cheapest for all axes. As
-        fitted: the longest T; an axis with a shorter one keeps the noise that drives it.
+        With covered numbers, try each fitted T and one far beyond the horizon; take the cheapest for all
+        axes. With fitted numbers, take the longest T; each axis keeps its driving noise.
         """
         if not self.covers:
             fitted = [self._fitted_bias(axis) for axis in axes]
@@ -341,9 +347,9 @@ class Numbers:
         ]
 
     def timed(self, groups: Sequence[Sequence[AxisReport]]) -> list[FilterNumbers]:
-        """Return what covers each group of axes, with a bias of the one T that costs them all least.
+        """Return the covering numbers of each group of axes, with the common T that is cheapest for all.
 
-        It is that of a term of a fit, or long against the horizon, so that the bias walks.
+        T is a fitted correlation time, or one so far beyond the horizon that the bias is a random walk.
         """
         fits = [axis.fit for axes in groups for axis in axes]
         tried = (
@@ -353,22 +359,22 @@ class Numbers:
         return min(tried, key=lambda pairs: math.prod(pair.price for pair in pairs))
 
     def forgetful(self, sensor: str) -> dict[str, float]:
-        """Return N, K and T of a sensor's white noise and bias that cover; nothing for the fit's own."""
+        """Return N, K and T (in s) that cover a sensor's spectrum; empty with fitted numbers."""
         if not self.covers or sensor not in self.sensors:
             return {}
         (pair,) = self.timed([self.chosen(Sensor(sensor))])
         return {"N": pair.white, "K": pair.walk, "T": pair.correlation_time_s or NOMINAL_TIME_S}
 
     def times(self, sensor: str) -> list[tuple[float, str]]:
-        """Return T of each axis's slowest Gauss-Markov term, with the name of the axis."""
+        """Return T in s of the slowest Gauss-Markov term of each axis, and the name of the axis."""
         axes = self.axes(Sensor(sensor)) if sensor in self.sensors else ()
         return [(term.T, axis.name) for axis in axes if (term := self.slowest(axis))]
 
     def states(self, axis: AxisReport) -> Iterator[tuple[str, GaussMarkov]]:
-        """Yield an axis's slow noise as states x[t+1] = phi x[t] + q w[t], with the name of the term of each.
+        """Yield key and process of each state x[t+1] = phi x[t] + q w[t] that models an axis's slow noise.
 
-        These are its Gauss-Markov terms, and a bank of them for its flicker, from where that begins to stand
-        out of the white noise to the length of the record.
+        These are the fitted Gauss-Markov terms and a bank for flicker noise. The bank's correlation times
+        start below the time at which flicker noise exceeds white noise, and end at the length of the record.
         """
         yield from self.gauss_markov(axis).items()
         if axis.fit["B"].value is None:
@@ -381,11 +387,10 @@ class Numbers:
         yield from (("B", term) for term in flicker_bank(flicker, shortest, longest))
 
     def _fitted_bias(self, axis: AxisReport) -> WithBias:
-        """Return N and the process that best stands for what is slower.
+        """Return N and the process that best approximates the slower noise.
 
-        A random walk that was found wins, with a nominal T: it goes on at the longest times, and a
-        short T would stop it. Else the slowest Gauss-Markov term, with its own T, also where that is what the
-        walk is. Else the bound on K.
+        The first that applies: a random walk that was detected as such, with a nominal T, because a short T
+        would limit its growth; the slowest Gauss-Markov term with its own T; the bound on K with a nominal T.
         """
         used, term, walk = [self.of(axis, "N")], self.slowest(axis), axis.fit["K"]
         if term is not None and (walk.value is None or walk.drawn is None):
@@ -405,13 +410,13 @@ class Numbers:
         )
 
     def topic(self) -> tuple[str, str]:
-        """Return the IMU topic to write, and a remark on where it comes from."""
+        """Return the IMU topic to write, and a remark on its origin."""
         if self.choices.topic is not None:
             return self.choices.topic, "as given"
         source = self.report.source
         if not source.message_types:
             return "/imu0", "the log names no topic; set yours"
-        # An IMU of a message that holds several is chosen as /topic:part; only the topic is ROS's.
+        # /topic:part is one IMU of a message with several; ROS needs the topic alone.
         topic = source.topics[0].partition(":")[0]
         if len(source.topics) > 1:
             return topic, f"one of {', '.join(source.topics)}; set the topic with both sensors"
@@ -436,10 +441,10 @@ class Numbers:
 
 
 def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:
-    """Return Gauss-Markov terms whose sum is flicker B for times between `shortest_s` and `longest_s`.
+    """Return Gauss-Markov terms whose sum is flicker noise B between `shortest_s` and `longest_s`.
 
-    Their T are log-spaced, their variances ``B^2 ln(r) / pi`` each, r the ratio of neighbours: the sum has
-    flicker's psd to 0.7 % at 1.5 states a decade, inside the bank.
+    The correlation times are log-spaced with a ratio r; each variance is ``B^2 ln(r) / pi``. With 1.5 states
+    per decade, the psd differs from flicker noise by at most 0.7 % inside the bank.
     """
     steps = max(1, math.ceil(_PER_DECADE * math.log10(longest_s / shortest_s)))
     ratio = (longest_s / shortest_s) ** (1 / steps)
@@ -448,7 +453,7 @@ def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMa
 
 
 def _joined(numbers: Sequence[Number], value: float) -> Number:
-    """Return a number that is made of those of several axes."""
+    """Return one number with `value` for several axes."""
     if len(numbers) == 1:
         return replace(numbers[0], value=value)
     return Number(
@@ -463,9 +468,9 @@ def _joined(numbers: Sequence[Number], value: float) -> Number:
 
 
 def vague_axes(report: Report) -> tuple[str, ...]:
-    """Return the names of the axes whose N is known to no better than a factor of 10.
+    """Return the names of the axes whose N is uncertain by more than a factor of 10.
 
-    The interval of N is that wide, or its upper bound is that far above the measured Allan curve.
+    The factor is the ratio of the limits of N, or of its upper bound to the largest N below the Allan curve.
     """
     found = []
     for axis in report.axes:
@@ -477,7 +482,7 @@ def vague_axes(report: Report) -> tuple[str, ...]:
 
 
 def _excess(axis: AxisReport, estimate: Estimate) -> float | None:
-    """Return how far a bound lies above the largest coefficient that fits under the measured curve."""
+    """Return the ratio of a bound to the largest coefficient whose line is below the measured curve."""
     curve = axis.fit.curve
     unit = TERMS[estimate.symbol].of(1.0).avar(curve.m.astype(np.float64), 1 / axis.fit.rate_hz)
     below = float(np.sqrt(np.min(curve.avar / unit, initial=np.inf)))

@@ -1,8 +1,7 @@
-"""One downstream format: its file, its keys and their formulas, and the comment at its head.
+"""One downstream format: its file, its keys and their formulas, and the comment at the top of the file.
 
-What a format is stands in `formats/*.toml`, as data: its words, its keys, and the text of its file as a
-template, which is filled with their numbers. The comment says how the numbers came about; numbers are spelled
-so that the consumers' own parsers read them.
+`formats/*.toml` define the formats as data: texts, keys, and a template of the file. The comment explains the
+origin of the numbers. Numbers are formatted for the consumers' own parsers.
 """
 
 import json
@@ -31,17 +30,17 @@ if TYPE_CHECKING:
 
 
 def name_key(name: str) -> str:
-    """Return the letters and digits of a name, small: what tells names apart."""
+    """Return the letters and digits of a name in lower case; names are compared by these alone."""
     return "".join(sign for sign in name.lower() if sign.isalnum())
 
 
 def real(value: float) -> str:
-    """Return a number of eight digits with a decimal point: ``200.0``, ``1.0e-05``.
+    """Return a number with eight digits and a decimal point: ``200.0``, ``1.0e-05``.
 
-    A factor just below 1, such as phi of a Gauss-Markov process, keeps all: its distance from 1 counts.
+    A factor just below 1, such as phi of a Gauss-Markov process, keeps all digits for its distance from 1.
 
-    OpenCV's FileStorage takes ``200`` for an integer, and YAML 1.1 takes ``1e-05`` for a string;
-    with the point both read a real number.
+    The point makes both OpenCV's FileStorage and YAML 1.1 read a real number. Without it OpenCV reads ``200``
+    as an integer, and YAML reads ``1e-05`` as a string. Raises ValueError if the number is not finite.
     """
     if not math.isfinite(value):
         raise ValueError(f"only finite numbers can be written, got {value}")
@@ -53,13 +52,13 @@ def real(value: float) -> str:
 
 
 def decimal(value: float) -> str:
-    """Return a number without an exponent, for parsers that know none: ``0.00001``."""
+    """Return a number without an exponent, for parsers that reject exponents: ``0.00001``."""
     digits = format(Decimal(real(value)), "f")
     return digits if "." in digits else digits + ".0"
 
 
 def quoted(text: str) -> str:
-    """Return a double-quoted scalar, right in YAML, in JSON and for OpenCV."""
+    """Return a double-quoted scalar, valid in YAML, in JSON and for OpenCV."""
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -68,15 +67,15 @@ def comment(lines: Iterable[str], sign: str = "#") -> str:
     return "\n".join(f"{sign} {one_line(line)}".rstrip() for line in lines)
 
 
-#: Units of what a sensor's samples grow by in a second.
+#: Units of the samples' rate of change.
 _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
 
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """How a number follows from a coefficient c and the rate f of the file's stream, and its unit.
+    """Compute a number from a coefficient c and the rate f of the file's stream, in Hz; with its unit.
 
-    In the unit, ``{u}`` stands for that of the samples (N) or of their growth in a second (K).
+    ``{u}`` in the unit is replaced by the unit of the samples (N) or of their rate of change (K).
     """
 
     of: Callable[[float, float], float]
@@ -84,27 +83,27 @@ class Formula:
 
     @property
     def power(self) -> int:
-        """Power of the coefficient: 1, or 2 of variances."""
+        """Power of the coefficient: 1, or 2 for variances."""
         return round(math.log2(self.of(2.0, 1.0) / self.of(1.0, 1.0)))
 
     def inverse(self, number: float, f: float) -> float:
-        """Return the coefficient that a positive number stands for."""
+        """Return the coefficient from which `of` computes a positive number."""
         return float((number / self.of(1.0, f)) ** (1 / self.power))
 
 
-#: What stands behind a term's symbol in a key -> its number: continuous (c, c²); discrete, of one sample (N)
-#: or of a step as code sees it that multiplies it by dt (K).
+#: Suffix of a term's symbol in a key -> formula. Continuous: c, c². Discrete: per sample (N), or per step for
+#: programs that multiply by dt (K).
 FORMULAS = {
     "": Formula(lambda c, _: c, "{u}/sqrt(Hz)"),
     "^2": Formula(lambda c, _: c * c, "({u})^2/Hz"),
     " sqrt(f)": Formula(lambda c, f: c * math.sqrt(f), "{u}"),
     "^2 f": Formula(lambda c, f: c * c * f, "({u})^2"),
-    # Of one sample, for VINS: it averages two samples but takes half of the variance twice.
+    # VINS averages two samples, but its covariance propagation adds half of the variance twice.
     " sqrt(2 f)": Formula(lambda c, f: c * math.sqrt(2 * f), "{u}"),
-    # Of a filter's own period, whatever the rate: PX4's and ArduPilot's.
+    # PX4 and ArduPilot use the filter's own period, not the IMU's rate.
     " / sqrt(0.01 s)": Formula(lambda c, _: c / math.sqrt(0.01), "{u}"),
     " / sqrt(0.012 s)": Formula(lambda c, _: c / math.sqrt(0.012), "{u}"),
-    # AirSim's units: its biases are said to be stable for 100 s.
+    # AirSim's units; the file's tau is 100 s.
     " in deg/sqrt(h)": Formula(
         lambda c, _: c * TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor, "deg/sqrt(h)"
     ),
@@ -118,10 +117,10 @@ FORMULAS = {
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key of a file: the term of a sensor that it holds, by a formula.
+    """A key of a file: a sensor, a term, and the formula of the number.
 
-    A key for each axis has ``{axis}`` (x, y, z) or ``{i}`` (0, 1, 2) in its name, one with a list of
-    all three ends with ``[]``.
+    The name contains ``{axis}`` (x, y, z) or ``{i}`` (0, 1, 2) if the file has a key for each axis. It ends
+    with ``[]`` if the key contains a list of three axes.
     """
 
     name: str
@@ -131,7 +130,7 @@ class Key:
 
     @classmethod
     def parse(cls, text: str) -> "Key":
-        """Return the key of a line such as ``gyr_cov = gyro N^2 f``: a name, and its formula of a term."""
+        """Return the key of a line such as ``gyr_cov = gyro N^2 f``: name, sensor, term and formula."""
         name, sensor, symbol, formula = re.fullmatch(r"(\S+) = (gyro|accel) ([A-Z])(.*)", text).groups()  # type: ignore[union-attr]
         (own,) = (each for each in Sensor if each.short == sensor)
         return cls(name, own, symbol, FORMULAS[formula])
@@ -143,7 +142,7 @@ class Key:
 
 
 class Entry(NamedTuple):
-    """A key with its number, or its numbers for the three axes."""
+    """A key with its number, or with a list of three numbers, one per axis."""
 
     name: str
     sensor: Sensor
@@ -154,7 +153,7 @@ class Entry(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Where the number is from."""
+        """Origin of the number."""
         return self.numbers[0].note
 
     @property
@@ -164,29 +163,34 @@ class Entry(NamedTuple):
 
     @property
     def said(self) -> str:
-        """Name, unit and origin, where the file has no comments."""
+        """Name, unit and origin, for files without comments."""
         return f"{self.name}: {self.remark}"
 
 
 @frozen_alone
 class Target:
-    """A downstream format, as a table of `formats/*.toml` has it.
+    """A downstream format: one table of `formats/*.toml`.
 
-    The user asks for it by its `name` or its `aliases`, and gets a file called `file_name` where a folder
-    was given. `title` is the consumer and its file, for a list, and `heading` the same for the comment;
-    where none is given the title, ``config (IMU part)`` as ``config, its IMU part``. `about` says what the
-    consumers of its family do with the numbers, `source` what was read to know it, and what was run, `kind`
-    whether it is continuous or discrete, `formulas` how each value follows from the coefficients, `notes`
-    what else the comment says. `text` is the file less the comment, as a template (see `Target._known`);
-    `layout` is ``json``, ``xml``, ``opencv``, or the sign that comments start with.
-
-    `keys` hold a number of one term each, by a formula; `documented` has the lowest and highest value of a
-    key that the consumer documents. `every` are the symbols of the terms that the file has for every axis,
-    `carries` of those that it has a place for. `bias` is whether it has each axis as white noise and a bias
-    that forgets, with a correlation time for ``each axis``, or one for ``all axes``. With `read_back` a
-    user's file is recognised by its keys, and they are judged. A format that is `per_axis` holds a number
-    for each axis, and without `own_rates` the numbers are for one stream of both sensors. `horizon_s` is
-    how long a filter with them may coast, where the user doesn't say.
+    - `name`, `aliases`: names by which the user chooses the format
+    - `title`: the consumer and its file, for lists
+    - `heading`: the same for the comment; by default made from the title
+    - `file_name`: name of the file if the user gives a folder
+    - `source`: source code that was read, and programs that were run, to find the meaning of the numbers
+    - `kind`: whether the numbers are continuous or discrete
+    - `formulas`: how each value follows from the coefficients
+    - `text`: template of the file without the comment (see `Target._known`)
+    - `about`: how the consumers of the family use the numbers
+    - `keys`: keys that contain one term each
+    - `every`: symbols of the terms that the file contains for every axis
+    - `bias`: whether ``each axis`` has a bias with its own T, or ``all axes`` share one T; empty without bias
+    - `read_back`: whether `imucal` recognises a user's file by its keys and checks them
+    - `documented`: key -> lowest and highest value that the consumer documents
+    - `carries`: symbols of the terms that the format supports
+    - `per_axis`: whether the file contains a number for each axis
+    - `own_rates`: whether each sensor has its own rate; otherwise both sensors share one stream
+    - `notes`: further lines of the comment
+    - `layout`: ``json``, ``xml``, ``opencv``, or the sign that starts a comment
+    - `horizon_s`: how long a filter may coast unless the user chooses otherwise, in s
     """
 
     name: str
@@ -213,16 +217,16 @@ class Target:
 
     @property
     def covers(self) -> bool:
-        """Whether white noise and a slow bias stand for all of a sensor's noise here."""
+        """Whether the format's white noise and slow bias must cover all other noise."""
         carries = self.carries.split()
         return "B" not in carries and set(COVERING) <= set(carries)
 
     def is_called(self, name: str) -> bool:
-        """Return whether this is its own name, whatever the case and the signs between letters."""
+        """Return whether a name is this format's, ignoring case and punctuation; aliases do not count."""
         return name_key(name) == name_key(self.name)
 
     def numbers(self, report: Report, choices: Choices) -> Numbers:
-        """Return what a report gives this format."""
+        """Return the numbers of a report for this format."""
         return Numbers(
             report=report,
             choices=choices,
@@ -232,7 +236,7 @@ class Target:
         )
 
     def render(self, report: Report, choices: Choices) -> str:
-        """Return the text of the file; raises `DataError` where a number is missing."""
+        """Return the text of the file; raises `DataError` if a number is missing."""
         numbers, carried = self.numbers(report, choices), self.carries.split()
         known = self._known(numbers)
         body = _template(self.text).render(known).removesuffix("\n")
@@ -250,11 +254,11 @@ class Target:
         )
 
     def _known(self, numbers: Numbers) -> dict[str, object]:
-        """Return what the templates know; a float is written as `real` spells it.
+        """Return the variables of the templates, which format floats by `real`.
 
-        ``keys`` (an `Entry` each), ``every`` (each axis with its numbers), ``biased`` (sensor -> a `WithBias`
-        for each axis), ``used`` (the numbers), ``bounds`` (which of them are bounds), the inflation's
-        ``factor(symbol)`` and the rate ``f`` of the file.
+        Among them: ``keys`` (an `Entry` each), ``every`` (each axis with its numbers), ``biased`` (sensor ->
+        a `WithBias` for each axis), ``used`` (all numbers in the file), ``bounds`` (those that are upper
+        bounds), ``factor(symbol)`` (the inflation), and ``f`` (the rate of the file, in Hz).
         """
         keys = list(_entries(numbers, self.keys))
         axes = chain.from_iterable(map(numbers.axes, numbers.sensors)) if self.every else ()
@@ -281,7 +285,7 @@ class Target:
 
 
 def read_targets(families: Iterable[str]) -> Iterator[Target]:
-    """Yield the formats of ``formats/FAMILY.toml``; its own keys are those of all its formats."""
+    """Yield the formats of ``formats/FAMILY.toml``; its top-level keys apply to all formats of the family."""
     for family in families:
         table = tomllib.loads(_format(f"{family}.toml"))
         macros = table.pop("macros", "")
@@ -348,26 +352,26 @@ def _environment() -> "Environment":
 
 
 def _spelled(value: object) -> object:
-    """Return a value as a file has it."""
+    """Return a float, or a list of floats, as text."""
     if isinstance(value, float):
         return real(value)
     return f"[{', '.join(map(real, value))}]" if isinstance(value, list) else value
 
 
 def _lines(found: Iterable[Entry], indent: str = "") -> str:
-    """Return a line of YAML for each key, with unit and origin."""
+    """Return one line of YAML per key, with unit and origin."""
     return "\n".join(f"{indent}{e.name}: {_spelled(e.value)}  # {e.remark}" for e in found)
 
 
 def price(pair: FilterNumbers) -> str:
-    """Return what a pair costs: predicted over modelled error at some times of coasting."""
+    """Return the cost of a pair: predicted over modelled error after some times of coasting."""
     within = [(t, ratio) for t, ratio in pair.ratios if t <= pair.horizon_s] or list(pair.ratios)
     ratios = " ".join(f"{ratio:.2g}" for _, ratio in within)
     return f"{ratios} x the model's error at {', '.join(f'{t:g}' for t, _ in within)} s"
 
 
 def itself(axes: Sequence[AxisReport], number: Callable[[float], str] = "{:.3g}".format) -> str:
-    """Return the fit's own numbers, each of the axis where it is largest, written by `number`."""
+    """Return the fitted coefficients, each for the axis with the largest, formatted by `number`."""
     said = []
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
