@@ -24,7 +24,7 @@ _PRONOUN = (
     r"|so many|so much|as many as)\b"
 )
 _RARE = r"\b(?:anew|mended?|mends|graver|nought|hence|thereby|slips?|beside|till|lest|whence|likewise|else)\b"
-_AWKWARD = re.compile("|".join((_CLAUSE, _SPEAKS, _PRONOUN, _RARE)), re.IGNORECASE | re.MULTILINE)
+_AWKWARD = re.compile(f"{_CLAUSE}|{_SPEAKS}|{_PRONOUN}|{_RARE}", re.IGNORECASE | re.MULTILINE)
 #: Texts of fewer words are names, not messages.
 _FEWEST_WORDS = 4
 
