@@ -1,8 +1,8 @@
-"""What a person names -> logs; what a log is, whatever it is called; and its labels from its path.
+"""Find the logs of given names, recognise equal logs, and read labels from paths.
 
-The size and both edges of a file cost two small reads and tell nearly all logs apart; the whole content is
-read only where these are the same. Of a folder, which is a bag, all files count, but not their names. A log
-behind a URL is asked for by ranges, and fetched where it is read.
+Size and both ends of a file need two small reads and distinguish nearly all logs; the whole content is read
+only if they are equal. For a folder, which is a bag, all files count, but not their names. Ranges of a log
+behind a URL are requested; the log is downloaded when it is read.
 """
 
 import functools
@@ -25,34 +25,34 @@ from imucal.remote.addresses import has_wildcards, name_of
 from imucal.remote.copies import fetched
 from imucal.remote.stores import expand, identify, store_of
 
-#: Endings that files have which are no logs: a folder's files of these are not taken unless they are named.
+#: Endings of many other files: files in a folder with these endings are used only if they are named.
 _VAGUE = (".txt", ".log", ".dat")
-#: What compressed tables and logs end in besides.
+#: Additional endings of compressed logs.
 _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
     ending + packed for form in FORMATS for ending in {*form.suffixes} - {*_VAGUE} for packed in _PACKED
 )
-#: Bytes at the beginning and at the end of a file that make its edge.
+#: Number of bytes at each end of a file in its edge checksum.
 _EDGE = 1 << 16
-#: Bytes read at once. Their CRCs make the checksum: with another size every content would have a new one.
+#: Block size in bytes. The checksum of a log depends on it.
 _BLOCK = 1 << 20
-#: Stores that are asked at the same time: each answer takes a while, and little of this machine.
+#: Number of parallel requests to stores; they wait most of the time.
 _AT_ONCE = 32
 
 
 def find_logs(names: Iterable[str]) -> list[str]:
-    """Return the logs that some names stand for, each once, in the order of the names.
+    """Return the logs of some names, each once, in the order of the names.
 
-    They are files, folders, URLs, or names with wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of
-    any depth). It is a ReadError if wildcards match nothing, a folder holds no log, or a name is neither a
-    file nor a log's.
+    Names are files, folders, URLs, or contain wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of any
+    depth). Raises ReadError if wildcards match nothing, a folder contains no log, or a name is neither a file
+    nor has the ending of a log.
     """
     return list(dict.fromkeys(log for name in names for log in _logs_of(name)))
 
 
 def _logs_of(name: str) -> list[str]:
-    # What is called as a log is taken as one: a store is not asked for each of a million, and a file that is
-    # missing is a log that can't be read, as any other.
+    # A name with the ending of a log is a log: a store is not asked about each of a million, and a missing
+    # file is reported as a log that can't be read.
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
@@ -72,9 +72,9 @@ def _logs_of(name: str) -> list[str]:
 
 
 def _matches(name: str) -> Iterator[str]:
-    """Yield the logs that a name with wildcards stands for."""
+    """Yield the logs that match a name with wildcards."""
     suffix = Path(name).suffix
-    # Of *.txt all are meant; of a bare star only what can be a log.
+    # All files match *.txt; a star alone matches only files with the ending of a log.
     endings = ("",) if suffix and not glob.has_magic(suffix) else _ENDINGS
     found = glob.glob(name.removesuffix("**"), recursive=True)  # noqa: PTH207 - as it was typed
     for match in sorted(found, key=lambda match: [natural(Path(part)) for part in Path(match).parts]):
@@ -87,7 +87,7 @@ def _matches(name: str) -> Iterator[str]:
 def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
     """Yield the logs in a folder: bags, which are folders, and files by their endings.
 
-    A link to a folder that it stands in, one `above`, leads nowhere.
+    Links to a folder `above` are ignored.
     """
     real = os.path.realpath(folder)
     if real in above:
@@ -106,10 +106,10 @@ def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
 
 
 class Stamp(NamedTuple):
-    """What the file system says of a log: the bytes of all its files, and when the newest was written.
+    """The size of all files of a log in bytes, and the time of the newest one in ns since 1970.
 
-    `mtime_ns`, in ns since 1970, tells of the log with this size and path whether the content is still the
-    same. Of a remote log it is a number made of its ETag.
+    If both are unchanged, the content is assumed to be equal. For a remote log, `mtime_ns` is a number from
+    its ETag.
     """
 
     size: int
@@ -117,9 +117,9 @@ class Stamp(NamedTuple):
 
 
 def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp]:
-    """Return what file systems and stores say of logs: path -> place becomes path -> stamp.
+    """Return path -> stamp of logs, from path -> place.
 
-    One of which they say nothing, or that can't be read twice, is left out: reading it will say why.
+    A log without a stamp, or that can't be read twice, is omitted: reading it reports the reason.
     """
     urls = [path for path, place in places.items() if is_url(place)]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
@@ -129,7 +129,7 @@ def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp]:
 
 
 def stamp_of(log: str | RemoteLog) -> Stamp | None:
-    """Return the stamp of a log; None where nothing is said of it, or it can't be read twice."""
+    """Return the stamp of a log; None if there is none, or if the log can't be read twice."""
     try:
         known = identify(log) if isinstance(log, str) and is_url(log) else log
         if isinstance(known, RemoteLog):
@@ -146,9 +146,9 @@ def stamp_of(log: str | RemoteLog) -> Stamp | None:
 
 
 def edge_at(place: str) -> str:
-    """Return a checksum of the sizes, beginnings and ends of a log's files, of a remote one by ranges.
+    """Return a checksum of the sizes, beginnings and ends of a log's files; ranges for a remote log.
 
-    It is an OSError or a ReadError if they can't be read.
+    Raises OSError or ReadError if they can't be read.
     """
     machine = hashlib.blake2b(digest_size=16)
     for file in identify(place).files if is_url(place) else _files(Path(place)):
@@ -172,10 +172,10 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 def content_at(place: str) -> str:
     """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
 
-    A remote one is fetched for it. It is an OSError or a ReadError if they can't be read.
+    A remote log is downloaded for it. Raises OSError or ReadError if the files can't be read.
 
-    It tells logs apart and guards against nobody: a CRC runs at the speed of memory, while a checksum
-    against forgers of all bytes took 3 to 5 % of the time of an uncompressed log.
+    It does not protect against forgery: a CRC runs at the speed of memory, but a cryptographic checksum of
+    all bytes took 3 to 5 % of the time of an uncompressed log.
     """
     if is_url(place):
         with fetched(place) as copy:
@@ -183,7 +183,7 @@ def content_at(place: str) -> str:
     machine = hashlib.blake2b(digest_size=16)
     block = memoryview(bytearray(_BLOCK))
     for file in _files(Path(place)):
-        # Buffered, as a file system may return less than was asked for, which would move the blocks.
+        # Buffered, because a short read of the file system would shift the blocks.
         with file.open("rb") as stream:
             machine.update(file.stat().st_size.to_bytes(8, "little"))
             while count := stream.readinto(block):
@@ -195,7 +195,7 @@ def _files(path: Path) -> list[Path]:
     return sorted(entry for entry in path.rglob("*") if entry.is_file()) if path.is_dir() else [path]
 
 
-#: Parts of a pattern: plain text, labels, and wildcards as in the names of files.
+#: Parts of a pattern: plain text, labels and wildcards.
 _PART = re.compile(r"\{(?P<label>[^{}]*)\}|(?P<wild>\*\*/?|[*?])|(?P<brace>[{}])|(?P<text>[^{}*?]+)")
 _LABEL = re.compile(r"(?!(?:path|options|copy_of)$)[A-Za-z_][A-Za-z0-9_]*")
 _WILD = {"**/": ".*", "**": ".*", "*": "[^/]*", "?": "[^/]"}
@@ -204,10 +204,10 @@ _SUCH = "write for example '{model}/{unit}/*.mcap'"
 
 @functools.cache
 def label_pattern(pattern: str) -> re.Pattern[str]:
-    """Return what finds labels in paths by a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
+    """Return the regular expression of a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
-    It is held against the end of a path, from any folder on; a label is as short as it can be. A pattern
-    without a label, with one twice, or with a brace alone is an ArgumentError.
+    It matches the end of a path, from any folder; a label is as short as possible. Raises ArgumentError for a
+    pattern without a label, with a label twice, or with an unmatched brace.
     """
     parts, slip, body = [*_PART.finditer(pattern)], "", ""
     labels = [part["label"] for part in parts if part["label"] is not None]

@@ -1,6 +1,6 @@
-"""The settings of a run, and the logs that are asked for, less those that the store has: what is to be done.
+"""The settings and the plan of a fleet run: the requested logs that the store does not contain yet.
 
-They are named by hand, or by a manifest: a table of text, one row a log. Equal contents are done once.
+Logs are given by name, or by a manifest: a CSV table with one row per log. Equal files are processed once.
 """
 
 import csv
@@ -29,41 +29,41 @@ from imucal.remote.addresses import shown
 from imucal.resources import memory_there_is, parse_size, threads
 from imucal.units import parse_sample_unit
 
-#: Model and level of a fleet that says nothing else.
+#: Default model and confidence level.
 MODEL, LEVEL = "N + B + K", 0.95
-#: Bytes that the packages take which read and fit a log, and a short log.
+#: Memory of the imported packages and a short log, in bytes.
 LEAST_MEMORY = 300 << 20
-#: Seconds that a log may take, and more for each megabyte; usual ones take 0.06 s for each.
+#: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
-#: How logs end for good: another try would end the same, as their content, settings and version do.
+#: Final states: another attempt with the same file, settings and version would have the same result.
 _SETTLED = ("ok", "unreadable", "no-data")
-#: What is asked of the store about a log.
+#: Columns of the store about a log.
 _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
-#: Usual bytes of a log a second on one core, and seconds that each takes besides.
+#: Usual speed in bytes/s on one core, and additional seconds per log.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
-#: Batches of each worker: at least so many, so that all workers end together; and so many in a long run,
-#: for which a batch may last `_LONGER` times as long.
+#: Minimum number of batches per worker, so that all workers end together; number in a long run; and the
+#: factor by which its batches may last longer.
 _LEAST_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 #: Arguments of `imucal.read` that may be several texts.
 _SEVERAL = ("topic", "fields", "message_definition")
 
-#: What is expected of a column, what its text means, and what is true or raises no error where that may be.
+#: Description of a column for messages, parser of its text, and test of the parsed value.
 Column: TypeAlias = tuple[str, Callable[[Any], Any], Callable[[Any], object]]
-#: What is to become of a log.
+#: What the run does with a log.
 State: TypeAlias = Literal["run", "again", "done", "copy"]
 
 
 @frozen
 class LogTask:
-    """A log that is asked for, and what is to become of it.
+    """A requested log and its state.
 
-    `place` is a path as it was given, relative to `FleetSettings.folder`, or a URL with its secrets, which is
-    never stored. `labels` are those of the store and free ones, without what is not known. `reading` has
-    arguments of `imucal.read`, ``skip_s`` and ``take_s`` as JSON values; `size` is in bytes, 0 where unknown.
+    `place` is the given path, relative to `FleetSettings.folder`, or a URL with its secrets, which is never
+    stored. `labels` contains the known labels. `reading` contains arguments of `imucal.read`, ``skip_s`` and
+    ``take_s`` as JSON values. `size` is in bytes, 0 if unknown.
 
-    It is to `run`, or to run `again` as it failed before, as by time or memory; the store has it `done`, or
-    it is a `copy`. `copy_of` is the path of the log with the same content, which counts. Logs of other shards
-    than this run's are not its `own`.
+    States: ``run``; ``again`` after a failure such as a time limit; ``done`` if the store contains it;
+    ``copy`` of another log with the same content, whose path is `copy_of`. A log of another shard is not
+    `own`.
     """
 
     place: str = field(repr=False)
@@ -76,22 +76,22 @@ class LogTask:
 
     @property
     def path(self) -> str:
-        """Its path; of a URL what may be shown of it."""
+        """Its path, or its URL without secrets."""
         return shown(self.place)
 
     @property
     def seconds(self) -> float:
-        """How long it usually takes on one core, in s."""
+        """Usual time on one core, in s."""
         return _SECONDS + self.size / _BYTES_PER_S
 
 
 @frozen
 class FleetSettings:
-    """How a run does the logs of a fleet: arguments of `imucal.run_fleet`, as they hold for it.
+    """The settings of a run, from the arguments of `imucal.run_fleet`.
 
-    `store` is the fleet's folder, and relative paths begin at `folder`, both absolute. `model` and `level`
-    are of every fit: a structure chosen by the log would make logs differ where units do not. Without a
-    shard `shard` is (0, 1); `timeout_s` is None for a time by a log's size.
+    `store` is the folder of the fleet; relative paths start at `folder`; both are absolute. All fits have the
+    same `model` and `level`: models chosen per log would make logs differ although units do not. Without a
+    shard, `shard` is (0, 1). With `timeout_s` None, the time limit depends on the size of a log.
     """
 
     store: str
@@ -109,23 +109,23 @@ class FleetSettings:
     fresh: bool = False
 
     def key(self, content: str, reading: Mapping[str, object]) -> str:
-        """Return the key of a result: it changes with the content, the settings and the version."""
+        """Return the key of a result, a hash of content, settings and version."""
         said = json.dumps([content, self.model, self.level, reading, __version__], sort_keys=True)
         return hashlib.blake2b(said.encode(), digest_size=16).hexdigest()
 
     def patience(self, task: LogTask) -> float:
-        """Return how many seconds a log may take."""
+        """Return the time limit of a log in s."""
         return self.timeout_s or PATIENCE + PATIENCE_PER_MB * task.size / 1e6
 
 
 def has_failed(status: object, verdict: object) -> bool:
-    """Return whether a log gave no numbers that may be used: it could not be analysed, or is not noise."""
+    """Return whether a log has no usable numbers: it could not be analysed, or is not noise."""
     return status != "ok" or verdict == "not-noise"
 
 
 @frozen
 class FleetPlan:
-    """What is to be done: all `logs` that are asked for, each with its state."""
+    """All requested logs with their states."""
 
     logs: tuple[LogTask, ...]
 
@@ -135,7 +135,7 @@ class FleetPlan:
         return self.own("run", "again")
 
     def own(self, *states: str) -> list[LogTask]:
-        """Return the logs for which this run answers: those of its shard."""
+        """Return the logs of this run's shard, optionally only in some states."""
         return [log for log in self.logs if log.own and (not states or log.state in states)]
 
     def manifest(self) -> pl.DataFrame:
@@ -150,9 +150,9 @@ class FleetPlan:
 
 
 def labels_in(path: str, pattern: str | None) -> dict[str, str | float]:
-    """Return the labels of a path; none where it does not fit a pattern, or there is no pattern.
+    """Return the labels in a path; none if it does not match the pattern, or without a pattern.
 
-    It is a ManifestError if one can't be meant.
+    Raises ManifestError for an invalid label.
     """
     found = label_pattern(pattern).match(path.replace("\\", "/")) if pattern else None
     columns = {name: _COLUMNS.get(name, _ANY) for name in LABELS}
@@ -163,10 +163,10 @@ def labels_in(path: str, pattern: str | None) -> dict[str, str | float]:
 
 
 def read_manifest(file: Path) -> list[LogTask]:
-    """Read a manifest: comma-separated, with headings, of which ``path`` is needed.
+    """Read a manifest: a CSV table with headings and a column ``path``.
 
-    A relative path begins at the manifest's folder. It is a ManifestError if it can't be read, has no column
-    ``path``, a log twice, or a value that can't be meant.
+    Relative paths start at the folder of the manifest. Raises ManifestError if it can't be read, has no
+    column ``path``, a log twice, or an invalid value.
     """
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
@@ -207,7 +207,7 @@ def _refuse_unless(right: object, text: str) -> None:
 
 
 def meant(column: Column, said: Any, name: str, error: type[Exception] = ValueError) -> Any:  # noqa: ANN401
-    """Return what a text or another value means; raise an error that names it, and what is expected of it."""
+    """Return the parsed value; raise an error with the name, the value and what was expected."""
     what, parse, fits = column
     with suppress(ValueError, KeyError, TypeError):
         if fits(value := parse(said)):
@@ -242,10 +242,9 @@ _COLUMNS: dict[str, Column] = {
 
 
 def as_json(reading: Mapping[str, object]) -> dict[str, object]:
-    """Return arguments of `imucal.read` as JSON values, as the key of a result has them.
+    """Return arguments of `imucal.read` as JSON values for the key of a result.
 
-    What is empty, off, or skips nothing is left out: it is as if it were not said. Any other 0 stays, which
-    reading refuses.
+    Empty values, false, and a skip of 0 are omitted. Any other 0 is kept, so that the reader refuses it.
     """
     said: dict[str, Any] = {}
     for name, value in reading.items():
@@ -258,9 +257,9 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
     return said
 
 
-#: The share of the machine's memory that all workers may take, and what is taken where none is known.
+#: Share of the machine's memory for all workers, and the memory in bytes if it is unknown.
 _SHARE, _UNKNOWN = 0.8, 2 << 30
-#: What is expected of an argument, what it means, and whether that may be.
+#: Argument -> its description, parser and test.
 _ARGUMENTS: dict[str, Column] = {
     "model": ("terms, such as N + B + K: auto depends on the log", str, lambda model: model != "auto"),
     "level": ("one between 0 and 1, such as 0.95", float, lambda level: 0 < level < 1),
@@ -275,16 +274,16 @@ _ARGUMENTS: dict[str, Column] = {
     "reading": ("arguments of imucal.read", as_json, lambda _: True),
     "reports": ("one of none, failed, all", str, ("none", "failed", "all").__contains__),
 }
-#: All that hold for a whole run: these, and three that need no such look.
+#: All arguments of a run: these, and three that need no test.
 ASKED = (*_ARGUMENTS, "labels", "scheduler", "fresh")
 
 
 def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSettings:
-    """Return the settings of a run: arguments of `run_fleet` by their names, and what holds without them.
+    """Return the settings of a run from the arguments of `run_fleet` and their defaults.
 
-    Model and level are those of the fleet that is there, or the usual ones; each worker has its share of the
-    memory. A shard does one log at a time. It is an ArgumentError if one can't be meant, or the fleet has
-    another model or level, as it has one for all of its logs; a StoreError if its settings are damaged.
+    The default model and level are those of the existing fleet. Each worker has an equal share of the memory.
+    A shard processes one log at a time. Raises ArgumentError if an argument is invalid, or if the fleet has
+    another model or level; StoreError if its settings are damaged.
     """
     given = {name: _meant(name, value) for name, value in asked.items() if value is not None}
     if "shard" in given and "scheduler" in given:
@@ -302,7 +301,7 @@ def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSetting
 
 
 def _meant(name: str, said: Any) -> Any:  # noqa: ANN401 - of any argument
-    """Return what an argument means."""
+    """Return the parsed value of an argument."""
     if name == "labels":
         label_pattern(said)
     try:
@@ -321,15 +320,14 @@ def planned(
     dry: bool = False,
     say: Callable[[str], object] = lambda _: None,
 ) -> FleetPlan:
-    """Return what is to be done of the logs that names and a manifest stand for.
+    """Return the plan for the logs of `names` (see `find_logs`) and of a `manifest`.
 
-    `names` are those of `find_logs`, `manifest` is a table of logs; what it says of one
-    that is named, too, holds. Without both they are the logs that the store's own manifest asks for. Labels
-    in the paths of logs that are named, or in the store, go before others that these have.
+    For a log in both, the manifest has priority. Without both, the logs of the store's manifest are used.
+    Labels in paths have priority over labels in the store.
 
-    What of the store is damaged is removed; for a `dry` run, which removes nothing, it is a StoreError. `say`
-    is told so, and how many paths do not fit the labels. It is a ReadError if wildcards match nothing, a
-    folder holds no log, or there is no store to ask; a ManifestError if the manifest is wrong, or a label.
+    Damaged parts of the store are removed; a `dry` run raises StoreError instead. `say` receives notes on
+    them, and on paths that do not match the labels. Raises ReadError if wildcards match nothing, a folder
+    contains no log, or there is no store; ManifestError if the manifest or a label is wrong.
     """
     store = FleetStore(settings.store)
     if not settings.fresh:
@@ -361,10 +359,10 @@ def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
 
 
 def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan:
-    """Return what is to be done of the logs asked for, each path once; the store need not be there yet.
+    """Return the plan for requested logs with different paths; the store need not exist yet.
 
-    Which logs are a shard's does not change with what is done, so that shards may start at any time. A
-    damaged store is a StoreError.
+    The logs of a shard do not depend on finished logs, so shards may start at any time. Raises StoreError if
+    the store is damaged.
     """
     known = [] if settings.fresh else FleetStore(settings.store).logs().select(_KNOWN).rows(named=True)
     settled = {log["key"]: log["path"] for log in known if log["content"] and log["status"] in _SETTLED}
@@ -373,12 +371,12 @@ def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan
     stamps = stamps_of(places)
     contents = _contents(stamps, places, known)
     part, parts = settings.shard
-    # The first of equal contents counts, if none is done.
+    # If none of equal files is done, the first one is used.
     first: dict[str, str] = {}
     logs = []
     for number, (path, log) in enumerate(zip(places, asked, strict=True), 1):
         reading = {**settings.reading, **log.reading}
-        # A log whose content is like no other's has a key of its path.
+        # A log with unique content has a key from its path.
         key = settings.key(contents.get(path, f"path:{path}"), reading)
         other = settled.get(key) or first.setdefault(key, path)
         size, copy_of = stamps[path].size if path in stamps else 0, None if other == path else other
@@ -392,7 +390,7 @@ def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan
 def _contents(
     stamps: Mapping[str, Stamp], places: Mapping[str, str], known: Sequence[Mapping[str, Any]]
 ) -> dict[str, str]:
-    """Return checksums of the contents that are known, or that may be those of other logs."""
+    """Return the known checksums, and those of logs that may be equal to others."""
     done = {(log["path"], log["bytes"], log["mtime_ns"]): log for log in known if log["content"]}
     found = {path: done.get((path, *stamp)) for path, stamp in stamps.items()}
     contents: dict[str, str] = {path: log["content"] for path, log in found.items() if log}
@@ -412,9 +410,9 @@ def _contents(
 
 
 def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterator[list[LogTask]]:
-    """Yield tasks in batches of about so many seconds each; of fewer where that would leave workers idle.
+    """Yield tasks in batches of about `seconds` each; shorter if workers would be idle otherwise.
 
-    In a long run they are longer: a batch is a part of the store, and all parts are read at its end.
+    Batches of a long run are longer: each becomes a part of the store, and all parts are read at the end.
     """
     total = sum(task.seconds for task in tasks)
     longer = min(total / (_BATCHES * workers), _LONGER * seconds)

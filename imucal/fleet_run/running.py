@@ -1,11 +1,11 @@
-"""A fleet run: a plan -> its logs done and committed, by processes of this machine or a cluster's workers.
+"""Process the logs of a fleet on this machine or on a cluster, and commit the results.
 
-`run_fleet` does what `imucal fleet run` does, without its lines.
+`run_fleet` is `imucal fleet run` without its output.
 
-Each log is read and characterised in a child process with its time and memory. What hangs, dies or takes too
-much memory is the child: who started it stays, and knows which log it was. On this machine the children are
-this process's own, and speak with it through pipes that nobody else can reach. Of a cluster each worker has
-one; the logs of a batch that such a worker did not bring back are tried by themselves.
+Each log is read and characterised in a child process with limits of time and memory. If a log hangs, crashes
+or needs too much memory, only the child ends, and the log is known. On this machine, children communicate
+with this process through private pipes. In a cluster, each worker has one child; the logs of a lost batch are
+repeated one by one.
 """
 
 import math
@@ -47,31 +47,30 @@ from imucal.remote import is_url
 from imucal.remote.stores import identify
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: Seconds of work that a batch of a cluster has, so that handing it out costs little; and one done here.
+#: Length of a batch in s: on a cluster, where it costs time to distribute it, and on this machine.
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
-#: Seconds between two looks at whether a user interrupts.
+#: Seconds between checks for an interrupt.
 _LOOK_S = 0.1
-#: Questions that are handed out at a time.
+#: Number of questions per batch.
 _QUESTIONS = 4
-#: How often a log is tried whose process ends: another one may have ended it.
+#: Attempts for a log whose process ends: another log may have been the cause.
 _ATTEMPTS = 2
-#: What Rust and C++ write where an allocation fails, before they end the process.
+#: Texts that Rust and C++ print if an allocation fails, before the process ends.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
-#: The share of its memory that one step of reading a log may take.
+#: One step of reading a log may use the memory of the child divided by this.
 _SHARE = 4
-#: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
+#: A first stamp is a date if it is after 1999: clocks that start with the sensor begin in 1970.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
-#: What is committed of a log: its row in the store's table of logs, and under ``results`` and ``bins`` those
-#: that it has there.
+#: A row of the store's table of logs, with the log's rows of the tables ``results`` and ``bins``.
 LogRow: TypeAlias = dict[str, Any]
 
 
 @dataclass(slots=True)
 class RunCount:
-    """How far a run is: of the `logs` to do, of `size` bytes, how many are `done`, and of what `done_size`.
+    """Progress of a run: number of `logs` and of `done` logs, with their sizes in bytes.
 
-    Of those that are done, the `failed` have no numbers that may be used; `running` are in hand.
+    `failed` of the done logs have no usable numbers; `running` logs are being processed.
     """
 
     logs: int
@@ -101,69 +100,69 @@ def run_fleet(
     reading: Mapping[str, object] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fleet:
-    """Fit the same noise model to every one of many logs, and keep the results in a folder.
+    """Fit the same noise model to many logs, and keep the results in a folder.
 
-    It does what ``imucal fleet run`` does, to the same folder with the same results: what is done is kept,
-    the same call again does what is left. The fleet is as
-    `imucal.load_fleet` returns it. Logs that fail are in `Fleet.failures`; they raise nothing.
+    This is ``imucal fleet run``, with the same folder and results: finished logs are kept, and the same call
+    continues with the others. It returns the fleet as `imucal.load_fleet` does. Logs that fail are in
+    `Fleet.failures` and raise no error.
 
-    Logs are done in processes of their own, which load imucal and not the script that calls: so a script
-    needs no ``if __name__ == "__main__"``, and a notebook may call this.
+    Logs are processed in child processes that import imucal but not the calling script. So a script needs no
+    ``if __name__ == "__main__"``, and this function works in a notebook.
 
     Parameters
     ----------
     logs
-        Files, folders of any depth, names with wildcards, URLs: one, or several. None, where `manifest` is
-        None too: the logs that the folder's manifest asks for.
+        One or several files, folders of any depth, names with wildcards, or URLs. If this and `manifest` are
+        None: the logs of the folder's manifest.
     folder
-        Of the fleet; made where it is missing.
+        The folder of the fleet; created if it does not exist.
     labels
-        Where labels stand in the paths, such as ``{model}/{unit}/*.mcap``.
+        Pattern of the labels in the paths, such as ``{model}/{unit}/*.mcap``.
     manifest
         A table of logs (CSV) with a column ``path``.
     model, level
-        Terms, and confidence level of every interval: by default those that the folder has, else
+        Terms, and confidence level of all intervals: by default those of the folder, otherwise
         ``N + B + K`` and 0.95.
     jobs
-        How many logs are done at a time, each in a process of its own; by default one a processor.
+        Number of logs at a time, each in its own process; by default one per processor.
     scheduler
-        Address of a Dask scheduler, whose workers are taken instead; a warning says where others may
-        reach it.
+        Address of a Dask scheduler whose workers process the logs; a warning follows if others can reach
+        it.
     shard
-        ``(i, n)``: do part i of n, from 1, log by log; ``(1, 1)`` is all of it.
+        ``(i, n)``: process part i of n, from 1, one log at a time; ``(1, 1)`` is everything.
     memory
-        Bytes that a log may take, or a text such as ``2GB``; by default 80 % of the machine's, shared by
-        the workers.
+        Memory limit of a log in bytes, or a text such as ``2GB``; by default 80 % of the machine's memory,
+        shared by the workers.
     timeout_s
-        Seconds that a log may take; by default 300 and 3 for each MB.
+        Time limit of a log in s; by default 300 and 3 for each MB.
     reports
-        Which logs get a report of their own: ``none``, ``failed`` or ``all``.
+        Logs with their own report: ``none``, ``failed`` or ``all``.
     fresh
-        Forget what the folder has.
+        Discard the results in the folder.
     reading
         Arguments of `imucal.read`, and ``skip_s`` and ``take_s``, for every log.
     progress
-        Called with the number of logs done, and of all to do.
+        Called with the number of finished logs and the number of all logs to process.
 
     Raises
     ------
     ValueError
-        If an argument can't be meant, or the folder holds fits of another model or level.
+        If an argument is invalid, or the folder contains fits of another model or level.
     ReadError
         If no log has this name.
     ManifestError
         If the manifest, or a label in a path, is wrong.
     StoreError, WriteError
-        If what the folder has to be done, its manifest or its settings, is damaged; if it can't be written.
+        If the manifest or the settings in the folder are damaged; if the folder can't be written.
     EngineError
-        If the workers of a `scheduler` can't be reached or are gone; what is done is kept.
+        If the workers of a `scheduler` can't be reached or ended; finished logs are kept.
     DataError
-        If no log was done.
+        If no log was processed.
     """
     asked = locals()
     names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
     if not names and logs is not None and manifest is None:
-        # A pattern that matched nothing, say: it must not become all that the folder has.
+        # An empty list, for example from a pattern without a match, must not mean all logs of the folder.
         raise ArgumentError(f"logs {logs!r}, expected at least one; omit them to continue the folder's logs")
     settings = fleet_settings(folder, {name: asked[name] for name in ASKED})
     plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
@@ -176,10 +175,10 @@ def run_fleet(
 
 
 def prepare(plan: FleetPlan, settings: FleetSettings) -> None:
-    """Make the store, and write down what is asked for; a WriteError says that this can't be done."""
+    """Create the store and write its settings and manifest; raises WriteError if this fails."""
     store, kept = FleetStore(settings.store), {"model": settings.model, "level": settings.level}
     if settings.fresh and store.exists:
-        # They tell whose folder it is, once it has no manifest.
+        # The settings mark the folder as ours while it has no manifest.
         store.keep_settings(kept)
         store.clear()
     store.create()
@@ -190,10 +189,10 @@ def prepare(plan: FleetPlan, settings: FleetSettings) -> None:
 def run_plan(
     plan: FleetPlan, settings: FleetSettings, *, tell: Callable[[RunCount], object] = lambda _: None
 ) -> RunCount:
-    """Do what a plan has to do, and commit it to the store; `tell` gets the count whenever it changes.
+    """Process the logs of a plan and commit them to the store; `tell` is called whenever the count changes.
 
-    It is a WriteError if the store can't be written, and an EngineError if the workers of a cluster can't be
-    reached, or are gone.
+    Raises WriteError if the store can't be written, and EngineError if the workers of a cluster can't be
+    reached or ended.
     """
     tasks = plan.tasks
     count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))
@@ -215,8 +214,8 @@ def run_plan(
     for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
         if isinstance(failed, Lost):
-            # It may have been another log's fault: each is done by itself. One that was alone gets one more
-            # try: it may have been its worker's fault.
+            # Another log may be the cause: repeat each alone. A log that was alone gets one more attempt,
+            # because its worker may be the cause.
             (task, *others) = batch
             if others or task.path not in lost:
                 lost |= set() if others else {task.path}
@@ -232,10 +231,7 @@ def run_plan(
 
 
 def asking(settings: FleetSettings) -> Ask:
-    """Return what has a fleet's questions answered by those who did its logs.
-
-    What they do not answer, as where a process ends, is left to who asked.
-    """
+    """Return a function that lets the workers answer the questions of a fleet; None for no answer."""
 
     def ask(questions: Sequence[Question]) -> list[str | None]:
         groups = [questions[i : i + _QUESTIONS] for i in range(0, len(questions), _QUESTIONS)]
@@ -257,11 +253,10 @@ def _answered(
 def outcomes(
     take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
 ) -> Iterator[tuple[T, R | Lost]]:
-    """Yield batches with what `work` makes of each with a child process, as they are done.
+    """Yield batches with the result of `work(batch, child)` when they are finished.
 
-    `take` returns the next batch, or None where there is none now; more may come of those that were lost.
-    `work` is a function of a module, which may be a `functools.partial`. It is an EngineError if the workers
-    of a cluster can't be reached, or are gone.
+    `take` returns the next batch, or None if there is none at present; lost batches may be repeated later.
+    `work` can be pickled. Raises EngineError if the workers of a cluster can't be reached or ended.
     """
     if settings.scheduler:
         with dask_workers(settings.scheduler, partial(_on_worker, work, settings)) as workers:
@@ -273,10 +268,9 @@ def outcomes(
 def _here(
     take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
 ) -> Iterator[tuple[T, R]]:
-    """Yield batches as `outcomes`, by threads that ask child processes of this one.
+    """Yield batches like `outcomes`, with threads that ask child processes of this one.
 
-    However it ends, no child is left: what comes later may have another environment, such as other
-    credentials.
+    No child remains in any case: a later run may have another environment, such as other credentials.
     """
     children = [child_process(settings) for _ in range(settings.jobs)]
     free, hands = [*children], {}
@@ -288,13 +282,13 @@ def _here(
                     hands[pool.submit(work, batch, child)] = batch, child
                 if not hands:
                     return
-                # Polars has a wait go on after an interrupt: it is seen at the next look.
+                # Polars continues a wait after an interrupt, so check for one regularly.
                 for future in wait(hands, timeout=_LOOK_S, return_when=FIRST_COMPLETED).done:
                     batch, child = hands.pop(future)
                     free.append(child)
                     yield batch, future.result()
         finally:
-            # Threads that wait for an answer are told that there will be none.
+            # End the waiting of threads for an answer.
             for child in children:
                 child.close()
             pool.shutdown(cancel_futures=True)
@@ -303,7 +297,7 @@ def _here(
 
 
 def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, batch: T) -> R:
-    """Do a batch as a worker of a cluster."""
+    """Process a batch in a worker of a cluster."""
     child = child_process(settings)
     try:
         return work(batch, child)
@@ -312,22 +306,22 @@ def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, ba
 
 
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
-    """Do some logs in a child process and commit them, all or none; return how many failed.
+    """Process logs in a child process and commit all or none of them; return how many failed.
 
-    Where the store can't be written, which is a WriteError, these logs are not done.
+    Raises WriteError if the store can't be written; then these logs are not done.
     """
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 
 def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
-    """Write the rows of some logs into the store; return how many gave no numbers that may be used."""
+    """Write the rows of logs into the store; return how many have no usable numbers."""
     results, bins = ([one for row in rows for one in row.get(name, ())] for name in ("results", "bins"))
     FleetStore(settings.store).commit(rows, results, bins, shard=str(settings.shard[0]))
     return sum(has_failed(row["status"], row.get("verdict")) for row in rows)
 
 
 def first_row(task: LogTask, settings: FleetSettings, *, status: str = "", reason: str = "") -> LogRow:
-    """Return what is known of a log before it is looked at; its key is then one of its path."""
+    """Return the row of a log before it is read, with a key from its path."""
     return {
         "key": settings.key(f"path:{task.path}", task.reading),
         "content": "",
@@ -348,15 +342,15 @@ def _memory_reason(settings: FleetSettings) -> str:
 
 
 def child_process(settings: FleetSettings) -> ChildProcess:
-    """Return a child process for logs: of one thread, in all libraries, and its share of memory."""
-    # Dask has its workers give back all memory at once; to take it again costs a fifth of a fit.
+    """Return a child process for logs, with one thread in all libraries and its share of memory."""
+    # Dask makes its workers return all memory at once; to allocate it again costs a fifth of a fit.
     environment = {
         "MALLOC_TRIM_THRESHOLD_": None,
         **dict.fromkeys((THREADS, *POOLS), "1"),
         MEMORY: str(settings.memory // _SHARE),
         "MPLBACKEND": "agg",
     }
-    # Relative paths begin where the run was started, if this machine has the folder.
+    # Relative paths start at the folder of the run, if this machine has it.
     folder = settings.folder if Path(settings.folder).is_dir() else None
     return ChildProcess(environment=environment, counted="data", folder=folder)
 
@@ -391,12 +385,12 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
 
 
 def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
-    """Read and characterise a log, in the child process; whatever goes wrong with it is in its row."""
+    """Read and characterise a log in the child process; its row contains any error."""
     log = first_row(task, settings)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         place = identify(task.place, keep=False) if is_url(task.place) else task.place
-        # What was fetched goes after use.
+        # A downloaded file is removed after use.
         with local_logs([place]) as logs:
             if (stamp := stamp_of(place)) is not None:
                 path = str(logs.paths[0])
@@ -410,7 +404,7 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     except DataError as error:
         ended = "no-data", str(error)
     except WriteError:
-        # Of its report: no fault of the log.
+        # The report can't be written: this is not an error of the log.
         raise
     except (ImucalError, ValueError) as error:
         ended = "unreadable", str(error)
@@ -425,14 +419,14 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
 
 
 def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, key: str) -> LogRow:
-    """Return what a log's row has beside what was known before it was read."""
+    """Return the entries of a log's row that follow from its samples."""
     from imucal.fitting.bins import pack
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize
     from imucal.readers import read
 
-    # Arguments of `imucal.read`, and what is left out of what it reads.
+    # Arguments of `imucal.read`, and the part to use.
     reading = dict(task.reading)
     skip_s, take_s = reading.pop("skip_s", 0.0), reading.pop("take_s", math.inf)
     recording: Recording = read(logs.paths[0], **reading)
@@ -442,7 +436,7 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
-    # One axis at a time: the other processors have other logs.
+    # One axis at a time: other processors work on other logs.
     report = characterize(recording, wanted, workers=1)
     results, bins, name = [], [], ""
     for axis in report.axes:
@@ -473,7 +467,7 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
 
 
 def _started(recording: Recording) -> str | None:
-    """Return the time of the first sample, in ISO 8601; None where the log has no calendar's clock."""
+    """Return the time of the first sample in ISO 8601; None if the stamps are not dates."""
     stamps = [series.clock.start_ns for series in recording.series if series.clock.start_ns is not None]
     if not stamps or min(stamps) < _FIRST_DATE_NS:
         return None
