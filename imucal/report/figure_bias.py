@@ -16,7 +16,8 @@ from imucal._version import __version__
 from imucal.arrays import FloatArray
 from imucal.atomic import make_folder, replacing
 from imucal.errors import WriteError
-from imucal.fitting.decomposition import Component, Decomposition
+from imucal.fitting.decomposition import Decomposition
+from imucal.fitting.wiener import Component
 from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
 from imucal.report import figure as drawing

@@ -10,8 +10,8 @@ import pytest
 
 from imucal import DataError, Decomposition, NoiseModel, decompose, fit
 from imucal.arrays import BoolArray, FloatArray
-from imucal.fitting import decomposition
-from imucal.fitting.decomposition import Component, smooth
+from imucal.fitting import wiener
+from imucal.fitting.wiener import Component, smooth
 from imucal.recording import AxisSeries
 from tests.fitting.state_space import StateSpace
 
@@ -128,7 +128,7 @@ def test_flicker_and_gauss_markov_are_nearly_one_dense_conditioning(text: str, k
 @pytest.mark.parametrize("text", ["N=1 + K=0.1", "Q=1 + N=0.5 + K=0.05 + R=0.01", "Q=1 + K=0.01"])
 def test_many_missing_samples_are_drawn(text: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Conjugate gradients find the mean; the scatter of 30 draws is 13 % of the standard error."""
-    monkeypatch.setattr(decomposition, "_DRAWS", (30, 30))
+    monkeypatch.setattr(wiener, "_DRAWS", (30, 30))
     for _, part, mean, error in _both(text, kind):
         assert np.abs(part.value - mean).max() < 2e-3 * error.max()
         npt.assert_allclose(part.error, error, rtol=0.45, atol=1e-6)
@@ -309,8 +309,8 @@ def test_an_unknown_part_is_named() -> None:
 
 def test_missing_samples_that_are_not_found_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Conjugate gradients that stop too early would give wrong numbers."""
-    monkeypatch.setattr(decomposition, "_STEPS", 3)
-    monkeypatch.setattr(decomposition, "_DRAWS", (12, 12))
+    monkeypatch.setattr(wiener, "_STEPS", 3)
+    monkeypatch.setattr(wiener, "_DRAWS", (12, 12))
     keep = np.random.default_rng(53).random(2000) < 0.5
     series = AxisSeries.from_samples(np.arange(2000.0) ** 2, rate_hz=1.0).keeping(keep)
     message = (

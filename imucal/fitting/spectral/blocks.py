@@ -443,6 +443,11 @@ def _transform(
     )
 
 
+#: Share of completed samples above which intervals are too narrow. With a given N + B + K, B holds in 90 % of
+#: the records at 20 % and in 74 % at 30 %.
+_MANY_COMPLETED = 0.25
+
+
 def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Finding, ...]:
     completed = sum(run.end - run.first - (run.stop - run.start) for run in runs)
     if len(runs) == 1 and not completed and not lost:
@@ -457,7 +462,12 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     if lost:
         parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
     text = f"The fit allows for gaps: {'; '.join(parts)}."
-    return (Finding("info", "gaps-in-fit", text, axis=series.name),)
+    share = completed / max(sum(run.end - run.first for run in runs), 1)
+    if share <= _MANY_COMPLETED:
+        return (Finding("info", "gaps-in-fit", text, axis=series.name),)
+    text += f" These are {100 * share:.0f} % of the samples: the intervals, of B above all, are too narrow."
+    advice = "Record without losses, or use a part of the log with fewer."
+    return (Finding("warning", "gaps-in-fit", text, advice, axis=series.name),)
 
 
 #: Fields of the ordinates that a result keeps.

@@ -240,3 +240,18 @@ def test_the_longest_gaps_part_48_blocks_and_of_equal_ones_the_first() -> None:
     # The gap of 120 samples is the longest, so the first 46 of the others stay.
     assert [run.first for run in runs[:47]] == [300 * number for number in range(47)]
     assert runs[47].first == 51 * 300
+
+
+@pytest.mark.parametrize(("share", "level"), [(0.1, "info"), (0.35, "warning")])
+def test_many_completed_samples_are_a_warning(share: float, level: str) -> None:
+    """Intervals are too narrow then; samples missing in one long gap are not completed."""
+    samples = simulated("N=1", 8000, 71)
+    lost = np.random.default_rng(72).random(samples.size) < share
+    scattered = np.where(lost, np.nan, samples)
+    scattered[[0, -1]] = samples[[0, -1]]
+    (finding,) = (one for one in fitted(series_of(scattered), "N").findings if one.code == "gaps-in-fit")
+    assert finding.level == level
+    assert bool(finding.advice) is (level == "warning")
+    samples[2000:6000] = np.nan
+    (finding,) = (one for one in fitted(series_of(samples), "N").findings if one.code == "gaps-in-fit")
+    assert finding.level == "info"
