@@ -190,8 +190,7 @@ def report(
 
     Per model, axis and term, the report contains: the units with their intervals, the median unit, the
     spread between units and between logs of one unit, the range of the next unit, and the number for
-    the config of every unit (the tolerance bound) with the savings from more units. Units that are odd
-    or drift are named.
+    the config of every unit (the tolerance bound) with the savings from more units. Odd units are named.
 
     Examples::
       imucal fleet report fleet

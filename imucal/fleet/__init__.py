@@ -2,7 +2,6 @@
 
 from imucal.fleet.pooling import PooledFit, log_values, pool
 from imucal.fleet.population import Population, population
-from imucal.fleet.trend import Trend, trend
 from imucal.fleet.values import LogValue
 
-__all__ = ["LogValue", "PooledFit", "Population", "Trend", "log_values", "pool", "population", "trend"]
+__all__ = ["LogValue", "PooledFit", "Population", "log_values", "pool", "population"]

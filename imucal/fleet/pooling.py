@@ -31,7 +31,7 @@ from imucal.fitting.spectral.given_model import (
     record_tests,
     squared_coefficients,
 )
-from imucal.fleet.population import random_mean
+from imucal.fleet.mean_square import random_mean
 from imucal.fleet.values import LogValue
 from imucal.frozen import frozen
 from imucal.noise.model import NoiseModel, structure_text
@@ -244,8 +244,6 @@ def log_values(
     *,
     model: str = "N + B + K",
     level: float = 0.95,
-    temperature_c: float = math.nan,
-    days: float = math.nan,
 ) -> dict[str, LogValue]:
     """Return what one log says of each term, for `imucal.population`; from the bins of its fit, as `pool`.
 
@@ -269,8 +267,6 @@ def log_values(
             value=e.value,
             low=e.low,
             high=e.high,
-            temperature_c=temperature_c,
-            days=days,
             level=level,
             correlation_time=e.correlation_time.value if e.correlation_time else None,
             **laws.get(e.key, {}),

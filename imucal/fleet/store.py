@@ -12,12 +12,10 @@ import hashlib
 import io
 import itertools
 import json
-import math
 import secrets
 import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -208,17 +206,12 @@ class FleetStore:
         return found.sort("path")
 
     def results(self, logs: pl.DataFrame | None = None) -> pl.DataFrame:
-        """Return one row a log, axis and term: `RESULTS`, and path, model, unit, temperature_c, days.
+        """Return one row per log, axis and term: `RESULTS`, and path, model, unit.
 
-        `days` since 1970 are those of `started`; nan where it is not known, as the temperature. Who has read
-        the `logs` gives them, and they are not read again.
+        Give the `logs` if they are already read.
         """
         logs = self.logs() if logs is None else logs
-        labels = logs.select(
-            *("part", "key", "path", "model", "unit"),
-            pl.col("temperature_c").fill_null(math.nan),
-            pl.Series("days", [*map(_days, logs["started"])], dtype=pl.Float64),
-        )
+        labels = logs.select("part", "key", "path", "model", "unit")
         found = self._rows_of("results", labels)
         columns = dict.fromkeys((*labels.columns[1:], *RESULTS))
         return found.select(*columns).sort("path", "sensor", "axis", "term")
@@ -329,12 +322,3 @@ def translated(folder: Path) -> Iterator[None]:
         why = error.strerror or error
         msg = f"{folder}: can't be written: {why}; free some space or choose another folder"
         raise WriteError(msg) from error
-
-
-def _days(started: str | None) -> float:
-    """Return the days since 1970 of a time in ISO 8601, in UTC where it says no zone; nan for none."""
-    try:
-        when = datetime.fromisoformat(started or "")
-    except ValueError:
-        return math.nan
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / 86400

@@ -24,11 +24,10 @@ _SMALL = 1e-3
 _LARGEST = 50.0
 #: An estimate is taken as normal in the logarithm up to this standard error; a square's, up to that.
 _NARROW, _NARROW_SQUARE = 0.3, 0.1
-#: The numbers of a `LogValue` that a population or a trend is made of; labels last.
-_NUMBERS = attrgetter(
-    *("value", "low", "high", "level", "variance", "variance_sd", "variance_growth"),
-    *("temperature_c", "days"),
-)
+#: Numbers of a `LogValue` in `LogValues`.
+_NUMBERS = attrgetter("value", "low", "high", "level", "variance", "variance_sd", "variance_growth")
+#: Quantile of the normal distribution for a two-sided interval of 95 %.
+TWO_SIDED = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +102,7 @@ class LogValue:
     ``variance_sd + variance_growth * v`` where the squared coefficient is v; these two must not follow the
     estimate, or weights would: high ones would count for less.
 
-    `temperature_c`, in °C, and `days`, the age since any epoch, are for `imucal.fleet.trend`; nan where
-    unknown. `correlation_time`, in s, is that of a Gauss-Markov term that the log estimates; None otherwise.
+    `correlation_time`, in s, belongs to a Gauss-Markov term that the log estimates; None otherwise.
     """
 
     unit: str
@@ -114,8 +112,6 @@ class LogValue:
     variance: float | None = None
     variance_sd: float | None = None
     variance_growth: float = 0.0
-    temperature_c: float = math.nan
-    days: float = math.nan
     level: float = 0.95
     correlation_time: float | None = None
 
@@ -140,8 +136,7 @@ class LogValues:
     it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `narrow` logs are
     normal in the logarithm; `bounded` ones have no value; `weighed` ones have an estimate of the squared
     coefficient, which is in `squares`: without one there is the square of the value, or zero for a bound.
-    Those `by_limits` are known by their value and its limits alone. `labels` are what may move the
-    coefficient, shape (logs, labels).
+    Those `by_limits` are known by their value and its limits alone.
     """
 
     names: tuple[str, ...]
@@ -157,13 +152,12 @@ class LogValues:
     weighed: BoolArray
     by_limits: BoolArray
     squares: Squares
-    labels: FloatArray
 
     @classmethod
     def of(cls, logs: Sequence[LogValue]) -> "LogValues":
-        """Return the columns of `logs`, with temperature and days as labels."""
+        """Return the columns of `logs`."""
         numbers = np.array([*map(_NUMBERS, logs)], dtype=np.float64)
-        value, low, high, level, variance, sd, growth, *_ = numbers.T
+        value, low, high, level, variance, sd, growth = numbers.T
         z = scipy.special.ndtri((1 + level) / 2)
         bounded, weighed = np.isnan(value), ~np.isnan(variance)
         centre = np.log(np.where(bounded, high / 2, value))
@@ -199,7 +193,6 @@ class LogValues:
                 np.where(weighed, sd, np.where(bounded, high**2 / z, of_limits * (low_sd + high_sd))),
                 np.where(weighed, growth, 0.0),
             ),
-            labels=numbers[:, -2:],
         )
 
     def take(self, which: BoolArray | IntArray) -> "LogValues":

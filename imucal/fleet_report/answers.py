@@ -25,7 +25,6 @@ from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.pooling import pool_bins
 from imucal.fleet.population import Population, population
 from imucal.fleet.store import FleetStore
-from imucal.fleet.trend import Trend, trend
 from imucal.fleet.values import LogValue
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
@@ -81,14 +80,11 @@ class LogRows(Sequence[LogValue]):
 class TermAnswer:
     """What the units are like in one term: their `population`, with the tolerance bound.
 
-    `trend` says how it moves with temperature and time; None where labels do not tell, and `no_trend` says
-    why. `price` has pairs of a number of units, and the bound that so many give over the quantile that it
+    `price` has pairs of a number of units, and the bound that so many give over the quantile that it
     bounds. `without_odd` is the bound of the other units; None where none is odd, or too few are left.
     """
 
     population: Population
-    trend: Trend | None
-    no_trend: str
     price: tuple[tuple[int, float], ...]
     without_odd: float | None
 
@@ -109,17 +105,11 @@ class TermQuestion:
     def answer(self) -> TermAnswer:
         """Find it out."""
         of = partial(population, content=self.content, confidence=self.confidence)
-        found, moves, why = of(self.logs), None, ""
-        try:
-            moves = trend(self.logs)
-        except DataError as error:
-            why = str(error)
+        found = of(self.logs)
         odd = {unit.unit for unit in found.units if unit.odd}
         others = [log for log in self.logs if log.unit not in odd] if odd else []
         return TermAnswer(
             population=found,
-            trend=moves,
-            no_trend=why,
             price=_prices(found),
             without_odd=of(others).tolerance if others else None,
         )

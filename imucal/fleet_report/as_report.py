@@ -15,7 +15,6 @@ from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.fleet.pooling import log_values
 from imucal.fleet.population import FEWEST, membership
-from imucal.fleet.posterior import TAILS, interval_of
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.pages import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
@@ -110,7 +109,8 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
     if TERMS[term.symbol].repeatable:
         # The median of the logs' correlation times, and where 95 % of them lie.
         times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
-        time = interval_of(np.exp(np.quantile(np.log(times), TAILS)))
+        low, middle, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
+        time = Interval(value=middle, low=low, high=high)
     return Estimate(
         key=term.term,
         symbol=term.symbol,

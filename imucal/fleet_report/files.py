@@ -112,30 +112,19 @@ def _cell(text: str) -> str:
 
 
 def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> JsonObject:
-    found, trend = term.population, term.trend
+    found = term.population
     return {
         **picked(term, "sensor axis term unit"),
         **picked(found, _POPULATION),
         "median": {"value": found.middle, **picked(found.median, "low high")},
         "tolerance_without_odd": term.without_odd,
         "price": [{"units": units, "ratio": ratio} for units, ratio in term.price],
-        "temperature_per_c": plain(trend and trend.temperature),
-        "drift_per_year": plain(trend and trend.drift),
-        "no_trend": term.no_trend,
         "units": [
             {
                 **picked(unit, f"unit logs {_LIMITS} p_odd odd"),
                 "odd_overall": unit.odd and (id(term), unit.unit) in sure,
             }
             for unit in found.units
-        ],
-        "moves": [
-            picked(mean, "label p_value p_adjusted=p_odd moves=odd")
-            for mean in (trend.means if trend else ())
-        ],
-        "slopes": [
-            {**picked(one, "unit label"), **picked(one.slope, _LIMITS), **picked(one, "p_odd odd")}
-            for one in (trend.slopes if trend else ())
         ],
         "unit_logs": [picked(one, f"unit logs p_value differs spread {_LIMITS}") for one in term.unit_logs],
         "findings": [picked(finding, _FINDING) for finding in found.findings],

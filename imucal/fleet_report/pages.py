@@ -6,16 +6,13 @@ them out, the functions here word the numbers, in data-sheet units and in SI.
 
 import base64
 import itertools
-import math
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
-from imucal.fitting.homogeneity import symbol_of
-from imucal.fitting.noise_fit import Interval
-from imucal.fleet.population import FALSE_SHARE, adjusted
-from imucal.fleet.trend import NEAREST, Trend
+from imucal.fitting.homogeneity import holm, symbol_of
+from imucal.fleet.population import FALSE_ALARM
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
@@ -110,29 +107,6 @@ def p_text(p: float) -> str:
     return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
 
 
-def per(label: str, trends: Iterable[Trend]) -> tuple[str, float]:
-    """Return what changes by a label are said of, such as a year, and what part of the slopes' it is.
-
-    A change of the logarithm is a share of the coefficient while it is small. Where one would come to more
-    than 100 % a year, as it may of logs of one week, all are said of a day.
-    """
-    if label == "temperature_c":
-        return "°C", 1.0
-    shown = [slope for trend in trends for slope in (*trend.means, *trend.slopes) if slope.label == label]
-    fast = any(abs(slope.slope.value) > 1 for slope in shown if slope.odd or not slope.unit)
-    return ("day", 1 / 365.25) if fast else ("year", 1.0)
-
-
-def slope_text(slope: Interval, unit: str, part: float) -> str:
-    """Return ``+0.31 [+0.25, +0.37] % a °C`` of a change of the logarithm; unit, part: see `per`."""
-    value, low, high = (100 * part * x for x in (slope.value, slope.low, slope.high))
-    places = min(max(0, 1 - math.floor(math.log10(max((high - low) / 2, 1e-9)))), 4)
-    # No sign before a zero.
-    texts = [f"{x:+.{places}f}" if round(x, places) else f"{0:.{places}f}" for x in (value, low, high)]
-    unit = f"% a {unit}".replace(" ", "\N{NO-BREAK SPACE}")
-    return f"{texts[0]} [{texts[1]}, {texts[2]}] {unit}".replace("-", "\N{MINUS SIGN}")
-
-
 def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:
     """Return the axes of each term, by sensor and term."""
     groups = itertools.groupby(model.terms, lambda term: (str(term.sensor), term.term))
@@ -185,8 +159,6 @@ def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
             said.append(f"{title}odd unit{'s' * (len(dict(surely)) > 1)} {_listed(surely)}")
         if perhaps := _listed((unit, term) for unit, term in odd if (id(term), unit) not in sure):
             chance.append(f"{title}{perhaps}")
-        if moving := _listed((unit, term) for term in model.terms for unit in term.drifting):
-            said.append(f"{title}drifts with time or temperature unlike the others: {moving}")
     return said, chance
 
 
@@ -197,8 +169,8 @@ def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
     """
     every = ((id(t), unit) for m in fleet.models for t in m.terms for unit in t.population.units)
     tested = {(term, unit.unit): unit.p_value for term, unit in every if unit.p_value is not None}
-    chances = zip(tested, adjusted([*tested.values()]), strict=True)
-    return {place for place, p in chances if p <= FALSE_SHARE}
+    chances = zip(tested, holm([*tested.values()]), strict=True)
+    return {place for place, p in chances if p <= FALSE_ALARM}
 
 
 def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
@@ -211,15 +183,6 @@ def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
 
 def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
     """Return the page, with the pictures that are drawn; the same fleet always gives the same text."""
-    # What temperature and time do to each term; where labels do not tell, why not.
-    moving, refused = [], dict[str, list[str]]()
-    for model in fleet.models:
-        for term in model.terms:
-            where = f"{f'{model.title} ' * (len(fleet.models) > 1)}{term.name} {term.term}"
-            if term.trend:
-                moving.append((where, term.trend))
-            else:
-                refused.setdefault(term.no_trend, []).append(where)
     loose = fleet.loose[:_MOST_LOOSE]
     return _filled(
         "fleet.html",
@@ -229,9 +192,6 @@ def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
             section: [(shows, base64.b64encode(svg).decode("ascii")) for shows, svg in own]
             for section, own in (pictures or {}).items()
         },
-        moving=moving,
-        units={label: per(label, [trend for _, trend in moving]) for label in NEAREST},
-        refused=refused,
         logs=loose,
         columns=list(dict.fromkeys(where for one in loose for where in one.values)),
         command=shlex.join(["imucal", "fleet", "run", "-o", str(fleet.folder), "--labels", fleet.labels]),
@@ -240,7 +200,7 @@ def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
 
 #: What templates call.
 _WORDS: tuple[Callable[..., object], ...] = (
-    *(with_limits, loose_value, median_text, alone, between, percent, p_text, per, slope_text, by_term),
+    *(with_limits, loose_value, median_text, alone, between, percent, p_text, by_term),
     *(bound_name, price_text, loose_text, verdict, numbers.term_name),
 )
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from imucal.fleet.population import Population, UnitValue
-from imucal.fleet.trend import NEAREST, Slope
-from imucal.fleet_report.pages import bound_name, by_term, per, sheet_unit
+from imucal.fleet_report.pages import bound_name, by_term, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
 from imucal.report.figure_style import (
@@ -81,9 +80,6 @@ def fleet_pictures(fleet: Fleet) -> Iterator[Picture]:
             yield Picture(f"units-{sensor.short}{end}", f"units-{number}", shows, draw)
         shows = f"{model.title}: distance of each unit from the median in each term"
         yield Picture(f"heat{end}", "heat", shows, partial(heat_figure, model))
-        if any(term.trend for term in model.terms):
-            shows = f"{model.title}: change of each term with temperature and time"
-            yield Picture(f"drift{end}", "trend", shows, partial(drift_figure, model))
     if several:
         shows = "Each term of each axis: one row per model, one dot per unit"
         yield Picture("models", "models", shows, partial(models_figure, fleet.models))
@@ -278,39 +274,6 @@ def heat_figure(model: SensorModel) -> "Figure":
     axes.set_title(title, loc="left", **_LABEL)
     figure.tight_layout()
     return figure
-
-
-def drift_figure(model: SensorModel) -> "Figure":
-    """Return the change of each term a °C and a year, with its interval; units that move otherwise in red."""
-    moving = {f"{term.name} {term.term}": term.trend for term in model.terms if term.trend}
-    trends = list(moving.values())
-    labels = [label for label in NEAREST if any(m.label == label for trend in trends for m in trend.means)]
-    figure = new_figure(max(5.0 * len(labels), 6.0), 0.27 * len(trends) + 1.4, _DPI)
-    places = figure.subplots(1, len(labels), sharey=True, squeeze=False)[0]
-    for axes, label in zip(places, labels, strict=True):
-        name, part = per(label, trends)
-        for row, trend in enumerate(trends):
-            for slope in (slope for slope in (*trend.means, *trend.slopes) if slope.label == label):
-                _draw_slope(axes, slope, row, 100 * part)
-        axes.axvline(0, color=FADED, linewidth=1)
-        _style(axes, f"% a {name}", "")
-        axes.set_yticks(range(len(trends)), list(moving), fontsize=SMALL_SIZE)
-        axes.set_ylim(len(trends) - 0.4, -0.6)
-    figure.suptitle(f"{model.title}: temperature and time", fontsize=TITLE_SIZE, color=INK)
-    figure.tight_layout()
-    return figure
-
-
-def _draw_slope(axes: "Axes", slope: Slope, row: int, size: float) -> None:
-    """Draw a mean with its interval, or a unit that moves otherwise; a slope of 1 has a `size`."""
-    at = size * slope.slope.value, row
-    if not slope.unit:
-        ends = [size * slope.slope.low, size * slope.slope.high]
-        axes.plot(ends, [row, row], color=DATA.light, linewidth=1.2)
-        axes.plot(*at, marker="o", markersize=5, color=MODEL.light)
-    elif slope.odd:
-        axes.plot(*at, marker="D", markersize=5, color=LEFT_OUT)
-        axes.annotate(slope.unit, at, (5, 3), color=LEFT_OUT, **_NEAR)
 
 
 def _style(axes: "Axes", x: str, title: str) -> None:

@@ -7,15 +7,16 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from imucal._version import __version__
 from imucal.arguments import takes
 from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.fitting.homogeneity import symbol_of
-from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
+from imucal.fleet.population import UnitValue
 from imucal.fleet.store import FleetStore
-from imucal.fleet.trend import adjust
 from imucal.fleet.values import LogValue
 from imucal.fleet_report import answers
 from imucal.fleet_report.answers import Ask, LogRows, TermAnswer, TermKey, UnitLogs
@@ -25,6 +26,9 @@ from imucal.recording import Axis, Sensor
 
 if TYPE_CHECKING:
     import polars as pl
+
+#: Expected share of false ones among the units whose logs are reported to differ.
+_FALSE_SHARE = 0.05
 
 
 @frozen
@@ -89,12 +93,6 @@ class FleetTerm(TermAnswer):
     def odd(self) -> tuple[UnitValue, ...]:
         """The units that are not like the others."""
         return tuple(unit for unit in self.population.units if unit.odd)
-
-    @property
-    def drifting(self) -> tuple[str, ...]:
-        """The units that do not move with time or temperature as the others do."""
-        slopes = self.trend.slopes if self.trend else ()
-        return tuple(dict.fromkeys(slope.unit for slope in slopes if slope.odd))
 
     @property
     def differing(self) -> tuple[str, ...]:
@@ -307,13 +305,24 @@ def _judged_together(
 
     What is rare in one of many terms is none of these.
     """
-    moved = iter(adjust([answer.trend for _, answer in found.values() if answer.trend]))
-    chances = iter(adjusted([test.p_value for key in found for test in tests.get(key, ())]))
+    chances = iter(false_discovery([test.p_value for key in found for test in tests.get(key, ())]))
     for key, (logs, answer) in found.items():
         told: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
-        told |= {"trend": next(moved) if answer.trend else None, "axis": key[2], "term": key[3]}
-        own = (replace(test, differs=next(chances) <= FALSE_SHARE) for test in tests.get(key, ()))
+        told |= {"axis": key[2], "term": key[3]}
+        own = (replace(test, differs=next(chances) <= _FALSE_SHARE) for test in tests.get(key, ()))
         yield key[0], FleetTerm(sensor=Sensor(key[1]), logs=logs, unit_logs=tuple(own), **told)
+
+
+def false_discovery(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted for the number of tests.
+
+    Source: Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289. Holm's
+    correction would miss most units of a fleet in which many have logs that differ.
+    """
+    p, order = np.array(p_values), np.argsort(p_values)
+    stepped = p[order] * p.size / np.arange(1, p.size + 1)
+    p[order] = np.minimum(np.minimum.accumulate(stepped[::-1])[::-1], 1.0)
+    return [*map(float, p)]
 
 
 def _log(row: Mapping[str, Any]) -> FleetLog:

@@ -2,17 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from lxml import html
 
 import imucal
 from imucal import Fleet
-from imucal.fitting.noise_fit import Interval
-from imucal.fleet.trend import Slope, Trend
-from imucal.fleet_report.pages import p_text, per, price_text, render_fleet_page, slope_text, verdict
+from imucal.fleet_report.pages import p_text, price_text, render_fleet_page, verdict
 from imucal.fleet_report.pictures import (
-    drift_figure,
     heat_figure,
     labelled_ticks,
     models_figure,
@@ -45,30 +41,6 @@ def one_axis(fleet: Fleet) -> Fleet:
 def test_no_chance_is_zero(p: float, text: str) -> None:
     """Nor is 1e-58 a probability that anyone believes."""
     assert p_text(p) == text
-
-
-def _trend(value: float, label: str = "days") -> Trend:
-    slope = Interval(value=value, low=value - 0.5, high=value + 0.5)
-    mean = Slope(unit="", label=label, slope=slope, p_value=1.0, p_odd=1.0, odd=False)
-    return Trend(means=(mean,), slopes=(), units=3)
-
-
-def test_a_change_of_more_than_all_a_year_is_said_of_a_day() -> None:
-    """Of all rows of a table alike; e to the 56 is no 5600 %."""
-    assert per("days", [_trend(0.3), _trend(-0.9)]) == ("year", 1.0)
-    unit, part = per("days", [_trend(0.3), _trend(55.82)])
-    assert unit == "day"
-    slope = Interval(value=55.82, low=53.88, high=57.77)
-    assert (
-        slope_text(slope, unit, part).replace("\N{NO-BREAK SPACE}", " ") == "+15.28 [+14.75, +15.82] % a day"
-    )
-    assert per("temperature_c", [_trend(2.0, "temperature_c")]) == ("°C", 1.0)
-
-
-def test_zero_has_no_sign() -> None:
-    """Nor -0."""
-    slope = Interval(value=-0.0004, low=-0.8, high=0.79)
-    assert slope_text(slope, "year", 1.0).startswith("0 [\N{MINUS SIGN}80, +79] %")
 
 
 @pytest.mark.parametrize(
@@ -131,7 +103,7 @@ def _failed(log: FleetLog, path: str) -> FleetLog:
 
 
 def test_pictures_say_all_inside_their_frames(one_axis: Fleet) -> None:
-    """Titles of narrow ones, too; each has a key; only labels that there are have a plot."""
+    """Titles of narrow ones, too; each has a key."""
     model = one_axis.models[0]
     heat = heat_figure(model)
     both = (model, replace(model, name="BOLT-9"))
@@ -146,8 +118,3 @@ def test_pictures_say_all_inside_their_frames(one_axis: Fleet) -> None:
     assert [text.get_text() for text in units_figure(model, Sensor.GYROSCOPE).legends[0].texts][-1] == (
         "tolerance bound"
     )
-    dated = tuple(replace(term, trend=_trend(3.0)) for term in model.terms)
-    plots = drift_figure(replace(model, terms=dated)).axes
-    assert [axes.get_xlabel() for axes in plots] == ["% a day"]
-    marks = [line.get_xdata()[0] for line in plots[0].lines if line.get_marker() == "o"]  # type: ignore[index]
-    assert np.array(marks, dtype=float) == pytest.approx(300 / 365.25)
