@@ -481,7 +481,7 @@ def test_the_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
     """Nor does it need a script for any number or picture."""
     assert not page.cssselect("link[href^=http], script[src], img[src^=http], iframe")
     pictures = page.cssselect("figure img[alt]")
-    assert len(pictures) == 4
+    assert len(pictures) == 3
     assert all((picture.get("src") or "").startswith("data:image/svg+xml;base64,") for picture in pictures)
 
 
@@ -723,7 +723,7 @@ def test_the_page_in_a_browser(browser: Browser, written: tuple[Path, ...]) -> N
     """No error, no request; narrow screens scroll only downwards; paper is white and wide enough."""
     browser.open(written[-1].as_uri())
     drawn = "return [...document.images].map((image) => image.complete && image.naturalWidth > 300)"
-    assert browser.run(drawn) == [True] * 4
+    assert browser.run(drawn) == [True] * 3
     assert browser.run("return getComputedStyle(document.querySelector('td .si')).display") == "none"
     browser.run("document.querySelector('input[value=si]').click()")
     assert browser.run("return getComputedStyle(document.querySelector('td .sheet')).display") == "none"
