@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from unittest import mock
 
-from imucal.fleet_run import running
+from imucal.fleet_run import log_work
 from imucal.processes import Answer, ChildProcess
 
 __all__ = ["logs_done_here"]
@@ -41,5 +41,5 @@ class DoneHere(ChildProcess):
 @contextlib.contextmanager
 def logs_done_here() -> Iterator[None]:
     """Have the logs of fleets done in this process."""
-    with mock.patch.object(running, "ChildProcess", DoneHere):
+    with mock.patch.object(log_work, "ChildProcess", DoneHere):
         yield

@@ -9,8 +9,8 @@ import pytest
 from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import running
+from imucal.fleet_run.log_work import child_process, work_on_batch
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogTask
-from imucal.fleet_run.running import child_process, work_on_batch
 from imucal.processes import ChildProcess
 from imucal.resources import POOLS, THREADS
 from tests.fleet.simulated_fleet import make_fleet

@@ -11,9 +11,9 @@ import pytest
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, FleetSettings, LogTask
+from imucal.fleet_run.log_work import commit, first_row
 from imucal.fleet_run.logs import content_at, edge_at, stamps_of
 from imucal.fleet_run.plan import batches, plan_fleet
-from imucal.fleet_run.running import commit, first_row
 
 
 @pytest.fixture

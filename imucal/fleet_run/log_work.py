@@ -1,0 +1,205 @@
+"""Process the logs of a batch in a child process with limits of time and memory, and commit their rows.
+
+If a log hangs, crashes or needs too much memory, only the child ends, and the log is known.
+"""
+
+import math
+import signal
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+from imucal._version import __version__
+from imucal.errors import DataError, ImucalError, WriteError
+from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
+from imucal.fleet_run.logs import content_at, edge_at, stamp_of
+from imucal.fleet_run.plan import FleetSettings, LogTask, has_failed
+from imucal.processes import ChildProcess
+from imucal.readers.remote_logs import LocalLogs, local_logs
+from imucal.recording import Recording
+from imucal.remote import is_url
+from imucal.remote.stores import identify
+from imucal.resources import MEMORY, POOLS, THREADS
+
+#: Attempts for a log whose process ends: another log may have been the cause.
+_ATTEMPTS = 2
+#: Texts that Rust and C++ print if an allocation fails, before the process ends.
+_NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
+#: One step of reading a log may use the memory of the child divided by this.
+_SHARE = 4
+#: A first stamp is a date if it is after 1999: clocks that start with the sensor begin in 1970.
+_FIRST_DATE_NS = 946_684_800 * 10**9
+
+#: A row of the store's table of logs, with the log's rows of the tables ``results`` and ``bins``.
+LogRow: TypeAlias = dict[str, Any]
+
+
+def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
+    """Process logs in a child process and commit all or none of them; return how many failed.
+
+    Raises WriteError if the store can't be written; then these logs are not done.
+    """
+    return commit([_work_in_child(task, settings, child) for task in tasks], settings)
+
+
+def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
+    """Write the rows of logs into the store; return how many have no usable numbers."""
+    results, bins = ([one for row in rows for one in row.get(name, ())] for name in ("results", "bins"))
+    FleetStore(settings.store).commit(rows, results, bins, shard=str(settings.shard[0]))
+    return sum(has_failed(row["status"], row.get("verdict")) for row in rows)
+
+
+def first_row(task: LogTask, settings: FleetSettings, *, status: str = "", reason: str = "") -> LogRow:
+    """Return the row of a log before it is read, with a key from its path."""
+    return {
+        "key": settings.key(f"path:{task.path}", task.reading),
+        "content": "",
+        "path": task.path,
+        **{name: task.labels.get(name) for name in LABELS},
+        "status": status,
+        "reason": reason,
+        "findings": [],
+        "bytes": task.size,
+        "finished": time.time(),
+        "report": "",
+        "version": __version__,
+    }
+
+
+def _memory_reason(settings: FleetSettings) -> str:
+    return f"it takes more than {settings.memory / 1e9:.3g} GB of memory; give it more, or a part of the log"
+
+
+def child_process(settings: FleetSettings) -> ChildProcess:
+    """Return a child process for logs, with one thread in all libraries and its share of memory."""
+    # Dask makes its workers return all memory at once; to allocate it again costs a fifth of a fit.
+    environment = {
+        "MALLOC_TRIM_THRESHOLD_": None,
+        **dict.fromkeys((THREADS, *POOLS), "1"),
+        MEMORY: str(settings.memory // _SHARE),
+        "MPLBACKEND": "agg",
+    }
+    # Relative paths start at the folder of the run, if this machine has it.
+    folder = settings.folder if Path(settings.folder).is_dir() else None
+    return ChildProcess(environment=environment, counted="data", folder=folder)
+
+
+def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRow:
+    seconds, status = settings.patience(task), "crash"
+    for _ in range(_ATTEMPTS):
+        try:
+            answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
+        except OSError as error:
+            said = f"its process can't be started ({error.strerror or error}), as on an overloaded machine"
+            why = f"{said}; run again when it is less loaded"
+            break
+        if answer.outcome == "done":
+            return cast("LogRow", answer.value)
+        if answer.outcome == "late":
+            status = "timeout"
+            why = f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
+            break
+        raised = answer.outcome == "failed"
+        if answer.words.startswith("MemoryError") if raised else any(map(answer.words.count, _NO_MEMORY)):
+            status, why = "memory", _memory_reason(settings)
+            break
+        if raised:
+            if answer.words.startswith(f"{WriteError.__name__}: "):
+                raise WriteError(answer.words.partition(": ")[2])
+            why = f"internal error ({answer.words}); please report it"
+        else:
+            how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
+            why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+    return first_row(task, settings, status=status, reason=f"{task.path}: {why}")
+
+
+def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
+    """Read and characterise a log in the child process; its row contains any error."""
+    log = first_row(task, settings)
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        place = identify(task.place, keep=False) if is_url(task.place) else task.place
+        # A downloaded file is removed after use.
+        with local_logs([place]) as logs:
+            if (stamp := stamp_of(place)) is not None:
+                path = str(logs.paths[0])
+                content = content_at(path)
+                log |= {"bytes": stamp.size, "mtime_ns": stamp.mtime_ns, "edge": edge_at(path)}
+                log |= {"content": content, "key": settings.key(content, task.reading)}
+            log |= _characterised(task, settings, logs, key=log["key"])
+        ended = "ok", ""
+    except MemoryError:
+        ended = "memory", _memory_reason(settings)
+    except DataError as error:
+        ended = "no-data", str(error)
+    except WriteError:
+        # The report can't be written: this is not an error of the log.
+        raise
+    except (ImucalError, ValueError) as error:
+        ended = "unreadable", str(error)
+    except OSError as error:
+        ended = "unreadable", f"{task.path}: {error.strerror or error}"
+    except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
+        what = f"{type(error).__name__}: {error}"
+        ended = "crash", f"{task.path}: internal error ({what}); please report it"
+    log |= {"status": ended[0], "reason": ended[1], "finished": time.time()}
+    log |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    return log
+
+
+def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, key: str) -> LogRow:
+    """Return the entries of a log's row that follow from its samples."""
+    from imucal.fitting.bins import pack
+    from imucal.fleet import log_values
+    from imucal.noise.terms import TERMS
+    from imucal.pipeline import Settings, characterize
+    from imucal.readers import read
+
+    # Arguments of `imucal.read`, and the part to use.
+    reading = dict(task.reading)
+    skip_s, take_s = reading.pop("skip_s", 0.0), reading.pop("take_s", math.inf)
+    recording: Recording = read(logs.paths[0], **reading)
+    if skip_s or take_s < math.inf:
+        recording = recording.between(skip_s, skip_s + take_s)
+    recording = logs.named(recording)
+    wanted = Settings(
+        model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
+    )
+    # One axis at a time: other processors work on other logs.
+    report = characterize(recording, wanted, workers=1)
+    results, bins, name = [], [], ""
+    for axis in report.axes:
+        where = {"key": key, "sensor": axis.sensor.value, "axis": axis.axis}
+        if axis.fit.bins is not None:
+            bins.append({**where, "bins": pack(axis.fit.bins)})
+        values = log_values("", axis.fit, model=settings.model, level=settings.level)
+        for term, value in values.items():
+            told = {field: getattr(value, field) for field in OF_VALUE}
+            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
+            results.append({**where, "term": term, "unit_si": unit, **told})
+    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
+        from imucal.report import write_report
+
+        name = f"reports/{key}"
+        write_report(report, Path(settings.store) / name, formats=())
+    return {
+        "verdict": report.verdict.grade,
+        "findings": sorted({finding.code for finding in report.all_findings if finding.level != "info"}),
+        "samples": max(axis.samples for axis in report.axes),
+        "seconds": max(axis.duration_s for axis in report.axes),
+        "rate_hz": report.axes[0].rate_hz,
+        "started": task.labels.get("started") or _started(recording),
+        "report": name,
+        "results": results,
+        "bins": bins,
+    }
+
+
+def _started(recording: Recording) -> str | None:
+    """Return the time of the first sample in ISO 8601; None if the stamps are not dates."""
+    stamps = [series.clock.start_ns for series in recording.series if series.clock.start_ns is not None]
+    if not stamps or min(stamps) < _FIRST_DATE_NS:
+        return None
+    return datetime.fromtimestamp(min(stamps) // 10**9, tz=UTC).isoformat()
