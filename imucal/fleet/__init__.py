@@ -1,4 +1,4 @@
-"""fleet: the logs of many units -> what the sensor model is like, and which unit is odd."""
+"""fleet: the logs of many units -> the statistics of the sensor model, and odd units."""
 
 from imucal.fleet.pooling import PooledFit, log_values, pool
 from imucal.fleet.population import Population, population

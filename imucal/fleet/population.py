@@ -46,7 +46,7 @@ _TOO_FEW = (
 class UnitValue:
     """One unit of a fleet: its coefficient from all of its logs, None if they only bound it.
 
-    `p_value` is the probability of such a difference from the others by chance, None if it was not tested.
+    `p_value` is the probability of this difference from the others by chance, None if it was not tested.
     `p_odd` is adjusted for the number of units; the unit is `odd` if it is small.
     """
 
@@ -66,7 +66,7 @@ class NextLog:
 
     `centre`, `scale` and `dof` are its parameters; `scale` includes a log of the error variance `known`.
     `within` is the scatter between logs of one unit. If the fleet only bounds the coefficient, `highest` is
-    the upper bound of the next unit, and nothing else is known.
+    the upper bound of the next unit, and the other fields are not used.
     """
 
     centre: float = 0.0

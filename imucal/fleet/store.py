@@ -1,11 +1,11 @@
-"""The store of a fleet: a folder of parquet parts, which many write at once and any crash leaves whole.
+"""The store of a fleet: a folder of parquet parts for parallel writers, which remains valid after a crash.
 
-A part is written under another name, forced to disk and then renamed: it is there whole or not at all. Of
-the three parts of a batch of logs the one in ``logs`` comes last and commits the others: what it does not
-name never happened. Nothing is ever changed in place, so several runs on one store add up.
+A part is written under another name, forced to disk and then renamed, so it is never incomplete. A batch of
+logs has three parts. The part in ``logs`` is written last and commits the others: parts without it are
+ignored. No part is changed in place, so several runs can use one store.
 
-Each file carries a checksum of its bytes and of the columns that it should have. Where one does not fit, the
-file is named and nothing is read: a disk that lost a bit, or a version with other columns, changes no number.
+Each file contains a checksum of its bytes and expected columns. If it is wrong, reading ends with an error
+that names the file. So neither a lost bit nor another version changes a number.
 """
 
 import hashlib
@@ -24,16 +24,16 @@ import polars as pl
 from imucal.atomic import alone, replacing, sweep, sync_folder
 from imucal.errors import ReadError, StoreError, WriteError
 
-#: How a log ended. The first three are of the log itself; the others may go otherwise another time.
+#: Results of a log. The first three depend on the log alone; the others may change in another run.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
 
 _TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
-#: What a log's labels are, from the manifest or its path.
+#: Labels of a log, from the manifest or its path.
 LABELS = {"model": _TEXT, "unit": _TEXT, "temperature_c": _REAL, "started": _TEXT}
-#: One row a log asked for; free columns of text may follow. `options` is how to read it where that differs
-#: from the others (JSON), `copy_of` the path of the log that has the same content.
+#: One row per requested log; free columns of text may follow. `options` are reading options of this log alone
+#: (JSON), `copy_of` is the path of a log with the same content.
 MANIFEST = {"path": _TEXT, **LABELS, "options": _TEXT, "copy_of": _TEXT}
-#: One row a log done. `edge` is a checksum of size, beginning and end, `finished` a Unix time in s.
+#: One row per finished log. `edge` is a checksum of size, beginning and end, `finished` a Unix time in s.
 LOGS = {
     **dict.fromkeys(("key", "content", "edge", "path"), _TEXT),
     **LABELS,
@@ -45,22 +45,22 @@ LOGS = {
     **dict.fromkeys(("cpu_s", "wall_s", "finished"), _REAL),
     **dict.fromkeys(("report", "version"), _TEXT),
 }
-#: Fields of a `imucal.LogValue` that are kept.
+#: Stored fields of an `imucal.LogValue`.
 OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "variance_growth", "level", "correlation_time")
-#: One row a log, axis and term; in SI.
+#: One row per log, axis and term; in SI.
 RESULTS = {
     **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
     **dict.fromkeys(OF_VALUE, _REAL),
 }
-#: One row a log and axis: its binned spectrum.
+#: One row per log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
-#: What was made of other rows, as JSON, by a checksum of these: it need not be made again.
+#: Statistics of other rows (JSON), with a checksum of these rows as the key.
 DERIVED = {"key": _TEXT, "value": _TEXT}
 #: The tables of a batch, in the order in which they are written; and all.
 _OF_BATCH: dict[str, dict[str, Any]] = {"bins": BINS, "results": RESULTS, "logs": LOGS}
 _TABLES: dict[str, dict[str, Any]] = {"derived": DERIVED, **_OF_BATCH}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
-#: Bytes of a checksum, and of what ends a parquet file: the size of its footer, and four letters. Source:
+#: Length of a checksum, and of the end of a parquet file (footer size and four letters), in bytes. Source:
 #: Apache Parquet, file format.
 _SEAL, _END = 32, 8
 _NOT_WHOLE = "is damaged or from an earlier version"
@@ -69,10 +69,9 @@ Row = Mapping[str, object]
 
 
 class FleetStore:
-    """A fleet's folder, which `create` makes: its manifest, and what is known of each log.
+    """The folder of a fleet, made by `create`: its manifest and the results of each log.
 
-    Each method that writes or removes raises `WriteError` if that can't be done, and each that reads
-    `StoreError` if what is there is damaged.
+    Methods raise `WriteError` if a file can't be written or removed, and `StoreError` if a file is damaged.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -80,20 +79,20 @@ class FleetStore:
 
     @property
     def exists(self) -> bool:
-        """Whether a fleet has been begun here."""
+        """Whether the folder contains a fleet."""
         return (self.folder / _MANIFEST).is_file()
 
     def create(self) -> None:
-        """Make the folder, or check that it is a fleet's and may be written to; sweep what crashes left.
+        """Make the folder, or check that it contains a fleet; remove remains of crashes.
 
-        A folder that holds something else is a `WriteError`, too.
+        Raises `WriteError` also for a folder with other content.
         """
         begun = self.exists
         with suppress(StoreError):
             begun = begun or bool(self.settings())
         if self.folder.is_dir() and not begun:
             names = sorted({path.name for path in self.folder.iterdir()} - {_SETTINGS, *_TABLES})
-            # Another run may begin here, too: its scratch files and its lock begin with a dot.
+            # Another run may start here, too: its scratch files and its lock begin with a dot.
             if strange := [name for name in names if not name.startswith(".")]:
                 found = f"contains {', '.join(strange[:3])} but no imucal fleet"
                 raise WriteError(f"{self.folder}: {found}; nothing was changed; choose another folder")
@@ -103,16 +102,16 @@ class FleetStore:
                 sweep((self.folder / name).glob(".part-*"))
 
     def clear(self) -> None:
-        """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is."""
+        """Remove every part and the manifest, but not the settings, which mark the folder of a fleet."""
         with translated(self.folder):
-            # The commit records first: what they named is nobody's from then on.
+            # The commit records first: without them other parts are ignored.
             for path in (path for table in reversed(_TABLES) for path in self._parts(table)):
                 path.unlink(missing_ok=True)
             shutil.rmtree(self.folder / "reports", ignore_errors=True)
             (self.folder / _MANIFEST).unlink(missing_ok=True)
 
     def settings(self) -> dict[str, object]:
-        """Return what holds for every log, as `keep_settings` got it; empty where nothing is known."""
+        """Return the settings of all logs, as given to `keep_settings`; empty if there are none."""
         path = self.folder / _SETTINGS
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -126,13 +125,13 @@ class FleetStore:
         return dict(found)
 
     def keep_settings(self, settings: Row) -> None:
-        """Write down what holds for every log."""
+        """Write the settings of all logs."""
         sealed = {**settings, "checksum": _digest(json.dumps(settings).encode()).hex()}
         with replacing(self.folder / _SETTINGS) as scratch:
             scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
 
     def manifest(self) -> pl.DataFrame:
-        """Return the logs asked for, one row each; where there is no fleet, raise `ReadError`."""
+        """Return the requested logs, one row each; raise `ReadError` if there is no fleet."""
         path = self.folder / _MANIFEST
         try:
             if _is_whole(path, ()):
@@ -144,9 +143,9 @@ class FleetStore:
         raise StoreError(f"{path}: {_NOT_WHOLE}; remove it and give the logs again: finished logs are kept")
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
-        """Add logs, with columns as `MANIFEST` and free ones, to those asked for; return the whole manifest.
+        """Add logs, with the columns of `MANIFEST` and free ones, to the manifest, and return it.
 
-        A log that was named before gets its new labels.
+        A known log gets its new labels.
         """
         with translated(self.folder), alone(self.folder / ".lock"):
             if self.exists:
@@ -165,9 +164,9 @@ class FleetStore:
     def commit(
         self, logs: Iterable[Row], results: Iterable[Row] = (), bins: Iterable[Row] = (), *, shard: str = "0"
     ) -> str:
-        """Write what is known of some logs, all or nothing; return the name of the part, with `shard` in it.
+        """Write the results of some logs, all or nothing; return the name of the part, with `shard` in it.
 
-        The rows have the columns of `LOGS`, `RESULTS` and `BINS`; what is missing is null.
+        The rows have the columns of `LOGS`, `RESULTS` and `BINS`; missing values are null.
         """
         name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
         for table, rows in zip(_OF_BATCH, (bins, results, logs), strict=True):
@@ -175,29 +174,29 @@ class FleetStore:
         return name
 
     def derived(self, keys: Collection[str]) -> dict[str, str]:
-        """Return what was made before, of those keys that have anything."""
+        """Return the stored statistics of those keys that have any."""
         found = self._read("derived", self._parts("derived"), pl.Series(keys, dtype=pl.String))
         return dict(found.select("key", "value").iter_rows())
 
     def keep_derived(self, found: Mapping[str, str]) -> None:
-        """Keep what was made, by its keys."""
+        """Store statistics by their keys."""
         with translated(self.folder):
             (self.folder / "derived").mkdir(exist_ok=True)
         rows = ({"key": key, "value": value} for key, value in found.items())
         self._add("derived", f"part-{secrets.token_hex(8)}.parquet", rows)
 
     def logs(self) -> pl.DataFrame:
-        """Return what is known of each log: the columns of `LOGS`, and `part`; sorted by path.
+        """Return the results of each log: the columns of `LOGS`, and `part`; sorted by path.
 
-        A content counts once (the newest success, else the newest failure), and so does a path (its newest
-        content). Labels are those of the manifest where it has them: they may have been mended since.
+        Equal contents count once (the newest success, otherwise the newest failure), and so does a path (its
+        newest content). Labels of the manifest replace older ones.
         """
         found, newest = self._read("logs", self._parts("logs")), ("finished", "part")
         for one, order in (("key", (pl.col("status") == "ok", *newest)), ("path", newest)):
             found = found.sort(*order, descending=True).unique(one, keep="first", maintain_order=True)
         if self.exists:
             manifest = self.manifest()
-            # A log that was moved since is known to the manifest by its new path.
+            # The manifest contains the new path of a moved log.
             moved = manifest.filter(pl.col("copy_of").is_not_null()).with_columns(path="copy_of")
             labels = pl.concat([manifest, moved]).unique("path", keep="first", maintain_order=True)
             joined = found.join(labels.select("path", *LABELS), on="path", how="left", suffix="_new")
@@ -227,9 +226,9 @@ class FleetStore:
         return self._rows_of("bins", self.logs().select("part", "key"), ("key", "sensor", "axis"))
 
     def damaged(self) -> dict[Path, list[Path]]:
-        """Return the parts that are not as they were written, each with all that it is nothing without.
+        """Return the damaged parts, each with all parts of its batch, the commit record first.
 
-        Of a batch that is all three, the commit record first; a part without such a record is nobody's.
+        Parts without a commit record are ignored.
         """
         batches = [part.name for part in self._parts("logs")]
         groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in batches]
@@ -238,12 +237,12 @@ class FleetStore:
         return {path: group for path, group in every if not _is_whole(path, _TABLES[path.parent.name])}
 
     def refuse_damage(self) -> None:
-        """Raise `StoreError` if a part is not as it was written."""
+        """Raise `StoreError` if a part is damaged."""
         for part in self.damaged():
             raise StoreError(f"{part}: {_NOT_WHOLE}; run the fleet again to repeat its logs")
 
     def mend(self) -> list[Path]:
-        """Remove what is damaged, so that its logs are not done; return which parts."""
+        """Remove damaged batches, so that their logs are repeated; return the damaged parts."""
         damaged = self.damaged()
         with translated(self.folder):
             for path in itertools.chain.from_iterable(damaged.values()):
@@ -259,14 +258,14 @@ class FleetStore:
         _write(self.folder / table / name, frame, schema)
 
     def _rows_of(self, table: str, logs: pl.DataFrame, columns: Collection[str] = ()) -> pl.DataFrame:
-        """Return the rows of a table of `logs`, known by part and key, beside what else these hold."""
+        """Return the rows of a table for `logs`, joined with their columns."""
         parts = [self.folder / table / name for name in logs["part"].unique()]
         return self._read(table, parts, logs["key"], columns).join(logs, on=["part", "key"]).drop("part")
 
     def _read(
         self, table: str, parts: list[Path], keys: pl.Series | None = None, columns: Collection[str] = ()
     ) -> pl.DataFrame:
-        """Return columns, or all, of parts of a table, or of some keys in them; and the part of each row."""
+        """Return columns, or all, of parts of a table, for all or some keys; and the part of each row."""
         schema = {**_TABLES[table], "part": _TEXT}
         wanted = (*columns, "part") if columns else (*schema,)
         if not parts:
@@ -274,7 +273,7 @@ class FleetStore:
         rows = pl.scan_parquet(parts, include_file_paths="part", glob=False).select(wanted)
         rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
         try:
-            # In pieces: of large parts with bins only those that are asked for are ever held.
+            # Streaming, because parts with bins are large.
             found = rows.collect(engine="streaming")
         except (OSError, pl.exceptions.PolarsError) as error:
             why = (str(error) or type(error).__name__).splitlines()[0]
@@ -297,12 +296,12 @@ def _digest(data: bytes, columns: Iterable[str] = ()) -> bytes:
 
 
 def _footer_at(data: bytes) -> int:
-    """Return where a parquet file's footer begins; before it stands the checksum, where no reader looks."""
+    """Return the start of a parquet file's footer; the checksum is before it, and ignored by readers."""
     return len(data) - _END - int.from_bytes(data[-_END:-4], "little")
 
 
 def _is_whole(path: Path, columns: Iterable[str]) -> bool:
-    """Return whether a file is as it was written, with the columns that it should have."""
+    """Return whether a file is undamaged and has the expected columns."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -315,7 +314,7 @@ def _is_whole(path: Path, columns: Iterable[str]) -> bool:
 
 @contextmanager
 def translated(folder: Path) -> Iterator[None]:
-    """Raise `WriteError` where a folder can't be written."""
+    """Raise `WriteError` if a folder can't be written."""
     try:
         yield
     except OSError as error:
