@@ -68,14 +68,14 @@ class UnitSquares:
         means = logs.squares.mean_by(unit, typical)
         self.weak: BoolArray = np.bincount(unit, weak) > 0
         self.square: FloatArray = np.where(self.weak, means.estimate, strong)
-        self._typical, self._noise, self._floor = typical, means.deviation(typical), means.sd
+        self._typical, self._noise = typical, means.deviation(typical)
         self._strong_error: FloatArray = 1 / np.sqrt(total)
         self._scatter: FloatArray = within / np.sqrt(np.bincount(unit))
 
     @property
     def scale(self) -> Scale:
         """The scale for these units: its floor is where their noise is as large as a usual spread."""
-        floor = float(np.median(np.where(self.weak, self._floor, 0.0))) / (2 * _USUAL)
+        floor = float(np.median(np.where(self.weak, self._noise, 0.0))) / (2 * _USUAL)
         return Scale(max(floor, _SHARP * self._typical))
 
     @property

@@ -79,7 +79,9 @@ def outcome(found: Population, logs: Sequence[LogValue], truth: float, tau: floa
         found.bounded,
         math.log(found.median.value / truth) if told else math.nan,
         found.median.low <= truth <= found.median.high,
-        math.log(found.median.high / found.median.low) / (2 * float(ndtri(0.975))) if told else math.nan,
+        math.log(found.median.high / found.median.low) / (2 * float(ndtri(0.975)))
+        if told and found.median.low
+        else math.nan,
         spread.low <= tau <= spread.high if spread else math.nan,
         (found.tolerance or 0.0) >= bound,
         (found.tolerance or 0.0) / bound if truth else math.nan,
@@ -127,7 +129,7 @@ def print_row(kind: Kind, term: str, table: np.ndarray) -> None:
     told = table[~np.isnan(table[:, 2])]
     many = len(told) > 1
     bias = f"{100 * np.mean(told[:, 2]):+.1f}" if many else "–"
-    error = f"{np.std(told[:, 2], ddof=1) / np.mean(told[:, 4]):.2f}" if many else "–"
+    error = f"{np.std(told[:, 2], ddof=1) / np.nanmean(told[:, 4]):.2f}" if many else "–"
     tau = f"{100 * np.nanmean(told[:, 5]):.0f}" if many else "–"
     share = 100 * table.mean(axis=0)
     far = f", {np.median(table[:, 7]):.2f}" if kind.truth.get(term) else ""
