@@ -51,7 +51,7 @@ class Homogeneity:
     """Whether records have one coefficient of the term `key`, whose kind is `symbol`.
 
     `statistic` is twice the log-likelihood ratio of one coefficient for each record against one for all,
-    chi-squared with `dof` degrees of freedom if all records have one, and `p_value` its probability. For a
+    chi-squared with `dof` degrees of freedom for equal records, and `p_value` its probability. For a
     weak term the statistic is smaller, because no variance is negative. `values` are the coefficients of the
     records, in SI, 0 if a record does not show the term; `spread` is their relative standard deviation beyond
     chance. If the records differ (`differs`), the estimate is widened.

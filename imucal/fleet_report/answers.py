@@ -1,9 +1,8 @@
-"""What takes long of a fleet: made once, by whoever has the time, and kept in its store.
+"""The slow statistics of a fleet: computed once and kept in its store.
 
-A question has all that its answer is made of, and a key of it: the same logs, labels and version give the
-same key, so that what stands in the store under it is the answer. The workers of a run leave the answers
-there; a report, a check or a comparison reads them, and makes only those that are missing, as after a label
-was mended.
+A question contains all data of its answer, and a key: equal logs, labels and versions give equal keys. The
+workers of a run store the answers. A report, a check or a comparison reads them and computes only missing
+ones, for example after a change of labels.
 """
 
 import hashlib
@@ -25,6 +24,7 @@ from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.pooling import pool_bins
 from imucal.fleet.population import Population, population
 from imucal.fleet.store import FleetStore
+from imucal.fleet.unit_means import tolerance_factor
 from imucal.fleet.values import LogValue
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
@@ -37,31 +37,31 @@ if TYPE_CHECKING:
 
 #: Model, sensor, axis and term.
 TermKey: TypeAlias = tuple[str, str, str, str]
-#: Relative difference of two sampling rates that is none.
+#: Largest relative difference of equal sampling rates.
 _SAME_RATE = 1e-3
 _LEVEL = 0.95
-#: So many logs' bins are held at once, 18 kB each.
-_AT_ONCE = 5000
-#: The bound that is near enough, and the most units that are thought of.
+#: Number of logs whose bins are in memory at a time, 18 kB each.
+_LOGS_IN_MEMORY = 5000
+#: Price at which more units are not worth it, and largest number of units considered.
 NEAR = 1.1
-_MOST = 10_000
-#: What a row of results says of a log.
+_LARGEST_FLEET = 10_000
+#: Columns of a row of results that make a `LogValue`.
 _OF_LOG = tuple(field.name for field in fields(LogValue))
 
 
 class LogRows(Sequence[LogValue]):
-    """Values of many logs, from their `rows` of results; made where somebody looks at one.
+    """Values of many logs, made from their `rows` of results when one is needed.
 
-    The digest and the key of a question need only the rows, a `LogValue` each.
+    The digest and the key of a question need only the rows.
     """
 
     def __init__(self, rows: "pl.DataFrame") -> None:
-        # A term without a square has none that could grow.
+        # A term without a square has no growth either.
         self.rows = rows.select(_OF_LOG).with_columns(rows["variance_growth"].fill_null(0.0))
 
     @property
     def digest(self) -> str:
-        """Of the same values of the same units the same."""
+        """A checksum of the values and their units."""
         numbers, units = self.rows.drop("unit").to_numpy(), self.rows["unit"].to_list()
         return hashlib.blake2b(numbers.tobytes() + json.dumps(units).encode()).hexdigest()
 
@@ -78,10 +78,10 @@ class LogRows(Sequence[LogValue]):
 
 @frozen
 class TermAnswer:
-    """What the units are like in one term: their `population`, with the tolerance bound.
+    """The statistics of the units in one term: their `population`, with the tolerance bound.
 
-    `price` has pairs of a number of units, and the bound that so many give over the quantile that it
-    bounds. `without_odd` is the bound of the other units; None where none is odd, or too few are left.
+    `price` contains pairs: a number of units, and the ratio of their bound to the true quantile.
+    `without_odd` is the bound without the odd units; None if no unit is odd, or too few are left.
     """
 
     population: Population
@@ -91,7 +91,7 @@ class TermAnswer:
 
 @frozen
 class TermQuestion:
-    """The question what the units of one term are like."""
+    """The question for the statistics of one term."""
 
     logs: LogRows
     content: float
@@ -99,11 +99,11 @@ class TermQuestion:
 
     @property
     def key(self) -> str:
-        """Of the same question the same."""
+        """A checksum of the question."""
         return _key(TermAnswer, self.logs.digest, self.content, self.confidence)
 
     def answer(self) -> TermAnswer:
-        """Find it out."""
+        """Compute the statistics."""
         of = partial(population, content=self.content, confidence=self.confidence)
         found = of(self.logs)
         odd = {unit.unit for unit in found.units if unit.odd}
@@ -119,10 +119,9 @@ class TermQuestion:
 class UnitLogs:
     """Several logs of one unit, of one term: whether they have one coefficient.
 
-    `p_value` is of this test alone, `differs` is judged over all units and terms of the fleet (Benjamini &
-    Hochberg 1995). `value`, `low` and `high` are those of the joint fit, widened where the logs differ; None
-    where the term is only bounded. `spread` is the relative deviation between logs beyond chance, 0 where
-    they agree.
+    `p_value` belongs to this test alone; `differs` is adjusted for all units and terms of the fleet. `value`,
+    `low` and `high` are from the joint fit, widened if the logs differ; value is None if the term is only
+    bounded. `spread` is the relative deviation between logs beyond chance, 0 if they agree.
     """
 
     unit: str
@@ -138,7 +137,7 @@ class UnitLogs:
 
 @frozen
 class UnitAnswer:
-    """The tests of a unit's axis, a term each; none where it can't be judged, and a finding that says so."""
+    """The tests of a unit's axis, one per term; none if it can't be tested, and a finding with the reason."""
 
     tests: tuple[UnitLogs, ...]
     findings: tuple[Finding, ...]
@@ -148,7 +147,7 @@ class UnitAnswer:
 class UnitQuestion:
     """The question whether the logs of one axis of a unit have one coefficient of each term.
 
-    `logs` are their keys; `packed`, their bins, are needed where the answer is not there yet.
+    `logs` are their keys; `packed`, their bins, are needed to compute the answer.
     """
 
     unit: str
@@ -160,11 +159,11 @@ class UnitQuestion:
 
     @property
     def key(self) -> str:
-        """Of the same question the same."""
+        """A checksum of the question."""
         return _key(UnitAnswer, self.unit, self.sensor, self.axis, self.symbols, self.logs)
 
     def answer(self) -> UnitAnswer:
-        """Find it out, from the bins."""
+        """Test the logs, from their bins."""
         where = f"{Sensor(self.sensor).short}_{self.axis}"
         tests, findings = try_side_work(
             self._tests,
@@ -195,30 +194,30 @@ class UnitQuestion:
 
 
 Question: TypeAlias = TermQuestion | UnitQuestion
-#: Who makes answers: questions -> their texts, None for one that was not to be had.
+#: Computes answers: questions -> their texts, None for a missing one.
 Ask: TypeAlias = Callable[[Sequence[Question]], Iterable[str | None]]
 Q = TypeVar("Q", TermQuestion, UnitQuestion)
 A = TypeVar("A", TermAnswer, UnitAnswer)
 
 
 def answer_text(question: Question) -> str:
-    """Return the answer to a question as it is kept."""
+    """Return the answer to a question as JSON."""
     return json.dumps(asdict(question.answer()))
 
 
 def answer_texts(questions: Sequence[Question]) -> list[str]:
-    """Return the answers to some questions as they are kept; a worker may be asked for them."""
+    """Return the answers to some questions as JSON; runs in a worker, too."""
     return [answer_text(question) for question in questions]
 
 
-def _key(kind: type, *said: object) -> str:
-    """Return a key of what an answer is made of, and of what it has."""
-    text = json.dumps([kind.__name__, [field.name for field in fields(kind)], *said, __version__])
+def _key(kind: type, *parts: object) -> str:
+    """Return a checksum of the parts of a question and the fields of its answer."""
+    text = json.dumps([kind.__name__, [field.name for field in fields(kind)], *parts, __version__])
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def here(questions: Sequence[Question]) -> Iterable[str]:
-    """Return the answers of this process, and of others beside it."""
+    """Return answers computed by this process and its children."""
     return side_by_side(answer_text, questions, workers=threads())
 
 
@@ -229,10 +228,9 @@ def answers_to(
     ask: Ask,
     fill: Callable[[list[Q]], Iterable[list[Q]]] = lambda every: [every],
 ) -> list[A]:
-    """Return the answers to questions, in their order: those that a store has, and others as they are made.
+    """Return the answers to questions, in their order, from the store or computed.
 
-    Those that are not there are made in groups, as `fill` yields them with all that they need. They are kept;
-    a store that can't be written to is only read.
+    Missing answers are computed in groups, which `fill` completes with data, and stored if possible.
     """
     keys, read = [question.key for question in questions], _reader(kind)
     known = store.derived(keys)
@@ -249,7 +247,7 @@ def answers_to(
 def unit_tests(
     store: FleetStore, ask: Ask, units: Mapping[str, tuple[str, str]], terms: Iterable[TermKey]
 ) -> tuple[dict[TermKey, list[UnitLogs]], tuple[Finding, ...]]:
-    """Return for each of some terms the units with several logs, and what could not be judged.
+    """Return the tests of units with several logs for each term, and findings on failed tests.
 
     `units` has the model and the unit of each log that counts, by its key.
     """
@@ -260,7 +258,7 @@ def unit_tests(
     for key, sensor, axis in store.axes().iter_rows():
         if key in units and (units[key][0], sensor, axis) in symbols:
             logs.setdefault((*units[key], sensor, axis), []).append(key)
-    # By question, the model.
+    # Question -> model.
     asked = {
         UnitQuestion(
             unit=unit,
@@ -283,11 +281,11 @@ def unit_tests(
 
 
 def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[list[UnitQuestion]]:
-    """Yield questions with the bins of their logs, as many at a time as memory is meant to hold."""
+    """Yield groups of questions with the bins of their logs, for a limited number of logs."""
     groups: list[tuple[list[UnitQuestion], set[str]]] = []
-    # The axes of a unit have the same logs, which are read once.
+    # The axes of a unit have the same logs: read them once.
     for question in sorted(questions, key=lambda one: one.logs):
-        if not groups or len(groups[-1][1]) >= _AT_ONCE:
+        if not groups or len(groups[-1][1]) >= _LOGS_IN_MEMORY:
             groups.append(([], set()))
         groups[-1][0].append(question)
         groups[-1][1].update(question.logs)
@@ -299,42 +297,37 @@ def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[lis
 
 
 def _reader(kind: Any) -> Any:  # noqa: ANN401 - of any type
-    """Return what makes a value of a type of what JSON says; None where JSON says the value itself.
+    """Return the function that converts JSON to a type; None for a type that JSON contains itself.
 
-    A type is a dataclass, a tuple of any length of one type, a pair of plain values, something or None, or
-    plain. That is found out once: of a thousand units most fields are plain, and cost nothing.
+    A type is a dataclass, a tuple of any length of one type, a pair of plain values, an optional type, or
+    plain. Most fields are plain and need no conversion.
     """
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind).items()
         deeper = {name: read for name, hint in hints if (read := _reader(hint))}
-        return lambda said: kind(**said | {name: read(said[name]) for name, read in deeper.items()})
+        return lambda value: kind(**value | {name: read(value[name]) for name, read in deeper.items()})
     first, *others = get_args(kind) or (None,)
     read = _reader(first) if others in ([types.NoneType], [...]) else None
     if get_origin(kind) is tuple:
-        return lambda said: tuple(map(read, said) if read else said)
-    return read and (lambda said: None if said is None else read(said))
+        return lambda value: tuple(map(read, value) if read else value)
+    return read and (lambda value: None if value is None else read(value))
 
 
 def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
-    """Return the median bound of two units or more over the quantile that it bounds: what more would buy.
+    """Return the median ratio of the bound of two or more units to the quantile that it bounds.
 
-    Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
-    of a `spread` tau between units, in the logarithm, exp(tau (k - z)) is the price of having tested so few.
-    `content` and `confidence` are those of the bound. Source: Krishnamoorthy & Mathew (2009), Statistical
-    Tolerance Regions, eq. (2.2.3): k is a quantile of the noncentral t law.
+    For units without error, the bound is k deviations above the mean in the logarithm, and the quantile z.
+    With a `spread` between units, in the logarithm, the ratio is exp(spread (k - z)).
     """
-    from scipy.special import nctdtrit, ndtri
+    from scipy.special import ndtri
 
-    z = float(ndtri(content))
-    root = math.sqrt(units)
-    factor = float(nctdtrit(units - 1, z * root, confidence)) / root
-    return math.exp(spread * (factor - z))
+    return math.exp(spread * (tolerance_factor(units, content, confidence) - float(ndtri(content))))
 
 
 def _prices(found: Population) -> tuple[tuple[int, float], ...]:
-    """Return numbers of units with what they cost: these, twice as many, and those that come near enough.
+    """Return prices for the tested units, twice as many, and a number at which more are not worth it.
 
-    Empty where the spread between units is not known.
+    Empty if the spread between units is unknown.
     """
     if found.spread is None:
         return ()
@@ -343,7 +336,7 @@ def _prices(found: Population) -> tuple[tuple[int, float], ...]:
         tolerance_excess, spread=found.spread.value, content=found.content, confidence=found.confidence
     )
     wanted = {n, 2 * n}
-    if excess(n) > NEAR >= excess(_MOST):
-        every = range(n, _MOST)
+    if excess(n) > NEAR >= excess(_LARGEST_FLEET):
+        every = range(n, _LARGEST_FLEET)
         wanted.add(n + bisect_left(every, -NEAR, key=lambda units: -excess(units)))
     return tuple((units, excess(units)) for units in sorted(wanted))

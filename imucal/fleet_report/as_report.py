@@ -1,7 +1,4 @@
-"""A sensor model of a fleet where a log stands elsewhere: exported, compared, and checked against.
-
-As a `Report` it is exported and compared; for a check each term of a log is one of the next unit, or is not.
-"""
+"""A sensor model of a fleet in the form of a log's `Report`, and the check of a log against the fleet."""
 
 from dataclasses import asdict
 from typing import Literal, TypeAlias, get_args
@@ -25,8 +22,8 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
 FleetValue: TypeAlias = Literal["tolerance", "median"]
-#: What a verdict says of the log.
-_SAID: dict[Verdict, str] = {
+#: Texts of the verdicts.
+_VERDICTS: dict[Verdict, str] = {
     "pass": "as a unit of the fleet",
     "fail": "unlike the units of the fleet",
     "undecided": "the interval reaches beyond; record for longer to decide",
@@ -35,7 +32,7 @@ _SAID: dict[Verdict, str] = {
 
 @takes('imucal.fleet_as_report(imucal.load_fleet("fleet"))', fleet=Fleet)
 def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue = "tolerance") -> Report:
-    """Return what a fleet says of a sensor model, in the form of the report of one log.
+    """Return the values of a sensor model in the form of the report of one log.
 
     Parameters
     ----------
@@ -78,7 +75,7 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
 def _axis(
     fleet: Fleet, model: SensorModel, terms: list[FleetTerm], value: FleetValue, what: str
 ) -> AxisReport:
-    # A Gauss-Markov term that no log shows is none.
+    # Omit a Gauss-Markov term that no log shows.
     shown = (t for t in terms if not TERMS[t.symbol].repeatable or any(log.value for log in t.logs))
     estimates = {term.term: _estimate(fleet, term, value, what) for term in shown}
     if missing := [symbol for symbol in ALWAYS if symbol not in estimates]:
@@ -107,7 +104,7 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
         bound, low = found.tolerance, min(found.quantile, found.tolerance)
         limits = Interval(value=bound, low=low, high=bound)
     if TERMS[term.symbol].repeatable:
-        # The median of the logs' correlation times, and where 95 % of them lie.
+        # The median of the logs' correlation times, and their 95 % range.
         times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
         low, middle, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
         time = Interval(value=middle, low=low, high=high)
@@ -125,19 +122,18 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
 def check_fleet(
     report: Report, fleet: Fleet, model: str | None = None, *, alpha: float = 0.05
 ) -> tuple[Row, ...]:
-    """Return a row for each term of each axis that both have: whether it lies where the next unit would.
+    """Return a row for each common term of each axis: a comparison with the range of the next unit.
 
-    A term passes where its whole interval lies where the next unit does, as it passes a limit. It fails
-    where a unit of this model is so far off with a probability, adjusted for all terms (Holm 1979), below
-    `alpha`: a unit of the fleet fails any with that probability. Any other is undecided, and so is one that
-    fewer than three units of the fleet have.
+    A term passes if its whole interval is in this range. It fails if the probability of this difference in a
+    unit of the model is below `alpha`, adjusted for all terms (Holm 1979): so a unit of the fleet fails with
+    this probability. Other terms are undecided, and so are terms of fewer than three units.
 
     Parameters
     ----------
     report
-        Of the log; fits that carry their bins are fitted anew with the fleet's noise model.
+        The report of the log; fits with bins are repeated with the fleet's noise model.
     fleet, model
-        As `imucal.load_fleet` and `Fleet.model` have them.
+        The fleet, and the name of its sensor model.
     alpha
         Probability that a unit of the fleet fails.
 
@@ -161,8 +157,8 @@ def check_fleet(
         axes = ", ".join(dict.fromkeys(term.name for term in found.terms))
         what = f"no axis and term in common with {found.title} of {fleet.folder}, which has {axes}"
         raise DataError(f"{report.source.path}: {what}; check a log of the same sensor")
-    told = [(term, value) for term, value in common if term.population.prediction]
-    chances = iter(holm([membership(term.population, value) for term, value in told]))
+    tested = [(term, value) for term, value in common if term.population.prediction]
+    chances = iter(holm([membership(term.population, value) for term, value in tested]))
     return tuple(
         _row(found, term, value, p=next(chances) if term.population.prediction else None, alpha=alpha)
         for term, value in common
@@ -170,7 +166,7 @@ def check_fleet(
 
 
 def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:
-    """Return what the log says of each term: by the fleet's own noise model where the fit has its bins."""
+    """Return the values of the log: of the fleet's noise model if the fit has its bins."""
     if fit.bins is not None:
         symbols = dict.fromkeys(symbol for symbol in TERMS if any(t.symbol == symbol for t in terms))
         return log_values("this log", fit, model=" + ".join(symbols))
@@ -181,14 +177,14 @@ def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:
 
 
 def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | None, alpha: float) -> Row:
-    """Return the verdict on a term; without `p` too few units have it, such as of a sensor that most lack."""
+    """Return the verdict on a term; `p` is None if too few units have it."""
     unit, found = sheet_unit(term), term.population
     measured = Quantity.of(value).scaled(unit.factor)
     verdict: Verdict = "undecided"
     if found.prediction is None or p is None:
         subject, units = term.term, f"{len(found.units)} unit{'s' * (len(found.units) > 1)}"
         expected = f"expected at least {FEWEST} to predict the next unit"
-        said = f"{units} of the fleet with it, {expected}: not judged"
+        text = f"{units} of the fleet with it, {expected}: not judged"
     else:
         low, high = (limit * unit.factor for limit in found.prediction)
         if p < alpha:
@@ -197,15 +193,15 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
             verdict = "pass"
         where = f"in [{low:.4g}, {high:.4g}]" if low else f"below {high:.4g}"
         subject = f"{term.term} {where if low else f'<= {high:.4g}'} {unit.name}"
-        said = (
+        text = (
             f"the next unit of {model.title} is {where} with 95 % chance (adjusted p = {p:.2g}): "
-            f"{_SAID[verdict]}"
+            f"{_VERDICTS[verdict]}"
         )
     return Row(
         where=term.name,
         subject=subject,
         verdict=verdict,
-        text=f"{term.name}: {term.term} is {measured.text()} {unit.name}; {said}",
+        text=f"{term.name}: {term.term} is {measured.text()} {unit.name}; {text}",
         unit=unit.name,
         measured=measured,
     )

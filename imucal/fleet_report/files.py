@@ -1,7 +1,7 @@
 """The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
 
-All numbers of JSON and CSV are in SI, in one fixed order. ``schema/fleet-1.schema.json`` pins the layout; a
-change that an old reader would misunderstand raises its number.
+All numbers of JSON and CSV are in SI, in a fixed order. ``schema/fleet-1.schema.json`` describes the layout;
+an incompatible change raises its number.
 """
 
 import csv
@@ -31,7 +31,7 @@ _COLUMNS = (
     *("logs_differ", "median", "spread", "within", "prediction_low", "prediction_high", "tolerance"),
     *("median_low", "median_high", "bounded"),
 )
-#: Attributes that the document has, as `picked` takes them.
+#: Attributes in the document, for `picked`.
 _LIMITS, _FINDING = "value low high", "level code axis text"
 _POPULATION = "logs content confidence median bounded spread within prediction quantile tolerance"
 
@@ -81,7 +81,7 @@ def fleet_document(fleet: Fleet) -> JsonObject:
 
 
 def fleet_csv(fleet: Fleet) -> str:
-    """Return the text of ``fleet.csv``: a row a model, term, axis and unit, with its population beside it."""
+    """Return the text of ``fleet.csv``: a row per model, term, axis and unit, with its population."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(_COLUMNS)
@@ -100,13 +100,13 @@ def fleet_csv(fleet: Fleet) -> str:
     return text.getvalue()
 
 
-#: What a table's cell begins with that spreadsheets take for a formula, in their narrow forms.
+#: First characters of a formula in spreadsheets, in their narrow forms.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def _cell(text: str) -> str:
-    """Return a label that a spreadsheet does not take for a formula, nor a terminal for a command."""
-    # Of wide letters, and behind spaces, it takes them, too.
+    """Return a label that neither a spreadsheet nor a terminal executes."""
+    # Spreadsheets also accept wide letters and leading spaces.
     plain_text = unicodedata.normalize("NFKC", text).lstrip(" \n")
     return f"'{printable(text)}" if plain_text.startswith(_FORMULA) else printable(text)
 
@@ -177,7 +177,7 @@ def write_fleet(
 def _drawn(
     fleet: Fleet, *, pictures: bool, html: bool, tell: Callable[[Finding], None]
 ) -> tuple[dict[str, bytes | None], Fleet]:
-    """Return PNGs and page, None for those that can't be drawn, and the fleet with findings that say so."""
+    """Return PNGs and page, None for failed ones, and the fleet with their findings."""
     written: dict[str, bytes | None] = {}
     on_page: dict[str, list[tuple[str, bytes]]] = {}
     findings = list(fleet.findings)
@@ -198,7 +198,7 @@ def _drawn(
         if "svg" in drawn:
             on_page.setdefault(picture.section, []).append((picture.shows, drawn["svg"]))
     if html:
-        told = replace(fleet, findings=tuple(findings))
-        page = tried(lambda: {"html": render_fleet_page(told, on_page).encode()}, "fleet.html")
+        complete = replace(fleet, findings=tuple(findings))
+        page = tried(lambda: {"html": render_fleet_page(complete, on_page).encode()}, "fleet.html")
         written["fleet.html"] = page.get("html")
     return written, replace(fleet, findings=tuple(findings))

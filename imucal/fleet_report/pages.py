@@ -1,7 +1,7 @@
-"""What people read of a fleet: numbers and a verdict in words, ``fleet.html``, and values in a notebook.
+"""The text of a fleet's report: numbers, the verdict, ``fleet.html``, and tables in a notebook.
 
-The page opens without a network, and its tables and pictures are there without any script: the templates lay
-them out, the functions here word the numbers, in data-sheet units and in SI.
+The page needs neither a network nor a script. The templates contain its layout; the functions here format
+numbers in data-sheet units and in SI.
 """
 
 import base64
@@ -25,14 +25,14 @@ from imucal.units import DatasheetUnit
 if TYPE_CHECKING:
     import polars as pl
 
-#: Most logs without a label that the page lists, and most sensor models that a notebook's text names.
-_MOST_LOOSE, _MOST_MODELS = 500, 9
+#: Largest number of logs without a label on the page, and of sensor models in a notebook's text.
+_LISTED_LOGS, _LISTED_MODELS = 500, 9
 
-#: Section of the page -> what each of its pictures shows, and its SVG.
+#: Section of the page -> description and SVG of each picture.
 Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
 
 
-#: Less is not told apart.
+#: Smallest p-value that is printed.
 _LEAST_P = 1e-4
 
 
@@ -41,9 +41,9 @@ def sheet_unit(term: FleetTerm) -> DatasheetUnit:
     return TERMS[term.symbol].datasheet_unit(term.sensor)
 
 
-def _both(say: Callable[[Quantity], str], plain: Quantity, sheet: DatasheetUnit) -> Markup:
-    """Return what is said of a coefficient, which is in SI, in the unit of data sheets and in SI."""
-    return both_units(say(plain.scaled(sheet.factor, sheet.name)), say(plain))
+def _both(write: Callable[[Quantity], str], plain: Quantity, sheet: DatasheetUnit) -> Markup:
+    """Return the text of a coefficient, given in SI, in the unit of data sheets and in SI."""
+    return both_units(write(plain.scaled(sheet.factor, sheet.name)), write(plain))
 
 
 def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -> Markup:
@@ -53,7 +53,7 @@ def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -
 
 
 def loose_value(where: tuple[str, str], value: LogValue) -> Markup:
-    """Return what a log without a unit says of an axis and term, in both units."""
+    """Return the value of a log without a unit label for an axis and term, in both units."""
     axis, term = where
     sensor = next(s for s in Sensor if axis.startswith(s.short))
     law = TERMS[symbol_of(term)]
@@ -76,15 +76,15 @@ def alone(term: FleetTerm, value: float) -> Markup:
 def between(term: FleetTerm, low: float, high: float) -> Markup:
     """Return ``0.24 to 0.42 deg/√h`` in both units."""
 
-    def say(q: Quantity) -> Markup:
+    def write(q: Quantity) -> Markup:
         first = _rounded_up(replace(q, value=q.low)).rpartition(" ")[0]
         return _kept(f"{first} to {_rounded_up(q)}")
 
-    return _both(say, Quantity(value=high, low=low, high=high, unit=term.unit), sheet_unit(term))
+    return _both(write, Quantity(value=high, low=low, high=high, unit=term.unit), sheet_unit(term))
 
 
 def _kept(text: str) -> Markup:
-    """Return a text whose last word, a unit, stays in one line: browsers part ``deg/h`` after the stroke."""
+    """Return a text whose unit is not broken into two lines, as browsers do after the stroke."""
     number, _, unit = text.rpartition(" ")
     return Markup('{} <span class="keep">{}</span>').format(number, unit)
 
@@ -103,7 +103,7 @@ def percent(value: float) -> str:
 
 
 def p_text(p: float) -> str:
-    """Return ``p = 0.0046``, or that it is less than what anyone asks for."""
+    """Return ``p = 0.0046``, or ``p < 0.0001``."""
     return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
 
 
@@ -119,28 +119,28 @@ def bound_name(term: FleetTerm) -> str:
 
 
 def price_text(term: FleetTerm) -> str:
-    """Return what the bound costs, and what more units would buy."""
+    """Return the price of the bound for these and for more units."""
     if not term.price:
         return ""
     return ", ".join(f"{ratio:.2f}\N{NO-BREAK SPACE}× with {units}" for units, ratio in term.price) + " units"
 
 
 def loose_text(fleet: Fleet) -> str:
-    """Return how many logs stand without a unit."""
+    """Return the number of logs without a unit label."""
     number = len(fleet.loose)
     return f"{number} log has no unit label" if number == 1 else f"{number} logs have no unit label"
 
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
     """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
-    said, chance = _strange(fleet)
+    parts, chance = _odd_units(fleet)
     if failed := sum(bool(log.left_out) for log in fleet.logs):
-        said.append(f"{failed} of {len(fleet.logs)} logs do{'es' * (failed == 1)} not count")
+        parts.append(f"{failed} of {len(fleet.logs)} logs do{'es' * (failed == 1)} not count")
     if fleet.loose:
-        said.append(loose_text(fleet))
+        parts.append(loose_text(fleet))
     if few := [model.title for model in fleet.models if len(model.units) < 3]:
-        said.append(f"{', '.join(few)}: too few units for a spread or a bound")
-    grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
+        parts.append(f"{', '.join(few)}: too few units for a spread or a bound")
+    grade, text = ("look", "; ".join(parts)) if parts else ("good", "no unit is odd, and every log counts")
     if chance:
         text += f"; far off in one of many terms, perhaps by chance: {'; '.join(chance)}"
     # A model's name stays as it is.
@@ -148,24 +148,24 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     return grade, f"{text if named else text[0].upper() + text[1:]}."
 
 
-def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
-    """Return which units of each model are odd or move otherwise, and which may be odd by chance."""
+def _odd_units(fleet: Fleet) -> tuple[list[str], list[str]]:
+    """Return the odd units of each model, and units that may be odd by chance."""
     several, sure = len(fleet.models) > 1, beyond_chance(fleet)
-    said, chance = list[str](), list[str]()
+    parts, chance = list[str](), list[str]()
     for model in fleet.models:
         title = f"{model.title}: " if several else ""
         odd = [(unit.unit, term) for term in model.terms for unit in term.odd]
         if surely := [(unit, term) for unit, term in odd if (id(term), unit) in sure]:
-            said.append(f"{title}odd unit{'s' * (len(dict(surely)) > 1)} {_listed(surely)}")
+            parts.append(f"{title}odd unit{'s' * (len(dict(surely)) > 1)} {_listed(surely)}")
         if perhaps := _listed((unit, term) for unit, term in odd if (id(term), unit) not in sure):
             chance.append(f"{title}{perhaps}")
-    return said, chance
+    return parts, chance
 
 
 def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
-    """Return the terms, by identity, and units that are odd among all units of all terms together.
+    """Return the terms, by identity, and units that are odd among all units of all terms.
 
-    Each term has its false alarms, of which a fleet with many terms has some.
+    Without this correction a fleet with many terms has false alarms.
     """
     every = ((id(t), unit) for m in fleet.models for t in m.terms for unit in t.population.units)
     tested = {(term, unit.unit): unit.p_value for term, unit in every if unit.p_value is not None}
@@ -183,7 +183,7 @@ def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
 
 def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
     """Return the page, with the pictures that are drawn; the same fleet always gives the same text."""
-    loose = fleet.loose[:_MOST_LOOSE]
+    loose = fleet.loose[:_LISTED_LOGS]
     return _filled(
         "fleet.html",
         fleet=fleet,
@@ -198,26 +198,26 @@ def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
     )
 
 
-#: What templates call.
-_WORDS: tuple[Callable[..., object], ...] = (
+#: Functions for the templates.
+_FORMATS: tuple[Callable[..., object], ...] = (
     *(with_limits, loose_value, median_text, alone, between, percent, p_text, by_term),
     *(bound_name, price_text, loose_text, verdict, numbers.term_name),
 )
 
 
 def _filled(template: str, **values: object) -> Markup:
-    """Return a template, which may call the functions that word numbers."""
-    texts = {function.__name__: function for function in _WORDS}
+    """Return a filled template, which may call the functions that format numbers."""
+    texts = {function.__name__: function for function in _FORMATS}
     return render(template, package="imucal.fleet_report", **texts, **values)
 
 
 def text_of(fleet: Fleet) -> str:
-    """Return what a fleet holds, in at most twelve lines."""
+    """Return a summary of a fleet, in at most twelve lines."""
     lines = [f"Fleet of {len(fleet.logs)} logs in {fleet.folder}: {verdict(fleet)[1]}"]
-    for model in fleet.models[:_MOST_MODELS]:
+    for model in fleet.models[:_LISTED_MODELS]:
         many = f"{len(model.units)} units, {len(model.logs)} logs, {len(model.terms)} terms"
         lines.append(f"{model.title}: {many}")
-    more = len(fleet.models) - _MOST_MODELS
+    more = len(fleet.models) - _LISTED_MODELS
     return "\n".join([*lines, *([f"and {more} more sensor models"] if more > 0 else [])])
 
 

@@ -1,6 +1,6 @@
-"""The pictures of a fleet, each drawn once: as a file beside its page, and on the page.
+"""The pictures of a fleet, as files and on its page.
 
-Units sorted by each term, models side by side, units against terms, and what time and temperature do.
+Units sorted by each term, models side by side, and units against terms.
 """
 
 import io
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _DPI = 110
 #: Colour of the tolerance bound.
 _BOUND = "#8a5200"
-#: Units whose names are written beside their rows; inches of a row, and most of a panel.
+#: Largest number of units with names; height of a row, and largest height of a panel, in inches.
 _NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
 _SMALL: Style = {"fontsize": SMALL_SIZE, "color": INK}
 _LABEL: Style = {"fontsize": LABEL_SIZE, "color": INK}
@@ -60,7 +60,7 @@ _FONTS = (
 
 
 class Picture(NamedTuple):
-    """A picture of a fleet: its name, its section of the page, what it shows there, and what draws it."""
+    """A picture of a fleet: its name, section of the page, description, and drawing function."""
 
     name: str
     section: str
@@ -88,7 +88,7 @@ def fleet_pictures(fleet: Fleet) -> Iterator[Picture]:
 def drawn_as(draw: Callable[[], "Figure"], forms: Sequence[str]) -> dict[str, bytes]:
     """Return a picture in some formats; the same picture always gives the same bytes.
 
-    Signs that the usual font lacks are of others of this machine; a page's browser has its own.
+    Characters that the usual font lacks come from other installed fonts.
     """
     from matplotlib import rc_context, rcParams
     from matplotlib.font_manager import fontManager
@@ -97,13 +97,13 @@ def drawn_as(draw: Callable[[], "Figure"], forms: Sequence[str]) -> dict[str, by
     families = [*rcParams["font.family"], *(name for name in _FONTS if name in installed)]
     settings: Any = {"font.family": families, "svg.fonttype": "none", "svg.hashsalt": "imucal"}
     with rc_context(settings), warnings.catch_warnings():
-        # A box says it as well.
+        # A box is drawn instead.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         figure = draw()
         for form in forms:
             stream = io.BytesIO()
-            said = {"Software": None} if form == "png" else {"Date": None, "Creator": None}
-            figure.savefig(stream, format=form, metadata=said)
+            metadata = {"Software": None} if form == "png" else {"Date": None, "Creator": None}
+            figure.savefig(stream, format=form, metadata=metadata)
             files[form] = stream.getvalue()
     return files
 
@@ -127,7 +127,7 @@ def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
 
 
 def _key(figure: "Figure", columns: int, *, bound: bool = True) -> None:
-    """Say at the bottom what the marks mean."""
+    """Draw the legend of the marks at the bottom."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -187,7 +187,7 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
         unit = sheet_unit(own[0][1])
         lows, highs = zip(*(span(term) for _, term in own), strict=True)
         for i, (_, term) in enumerate(own):
-            # In one unit, whatever is usual for so small a value.
+            # One unit for all models of a term.
             _draw_strip(place, term.population, i, unit.factor, min(lows))
         place.set_yticks(range(len(own)), [title for title, _ in own], **_SMALL)
         _log_axis(place, own[0][1], unit, min(lows) * unit.factor, max(highs) * unit.factor)
@@ -216,7 +216,7 @@ def _draw_marks(
 ) -> None:
     """Draw a dot for each unit; a diamond for an odd one, an open triangle for a bound.
 
-    With intervals, those of bounds from `least` on, where that is given.
+    With `least`, intervals are drawn; intervals of bounds start there.
     """
     kinds: dict[tuple[bool, bool], list[tuple[float, UnitValue]]] = {}
     for row in rows:
@@ -239,9 +239,9 @@ def _draw_marks(
 
 
 def heat_figure(model: SensorModel) -> "Figure":
-    """Return units × terms: how far off the median each unit lies, in standard deviations of the next.
+    """Return units × terms: distance of each unit from the median, in standard deviations of the next unit.
 
-    Both in the logarithm; nothing where one of them is not known, or only bounded.
+    Both are in the logarithm; cells without a value are hatched.
     """
     from matplotlib.patches import Rectangle
 
@@ -295,7 +295,7 @@ def _log_axis(axes: "Axes", term: FleetTerm, unit: DatasheetUnit, low: float, hi
 
 
 def sorted_units(term: FleetTerm) -> list[UnitValue]:
-    """Return the units from the largest to the smallest; those that are only bounded by their bounds."""
+    """Return the units from the largest to the smallest; bounded units by their upper limits."""
     return sorted(term.population.units, key=lambda unit: -(unit.value or unit.high))
 
 
@@ -305,9 +305,9 @@ def span(term: FleetTerm) -> tuple[float, float]:
     values = [unit.value or unit.high for unit in found.units]
     values += [found.median.value, *(found.prediction or ()), *([found.tolerance] if found.tolerance else ())]
     low, high = min(value for value in values if value > 0), max(values)
-    told = [unit for unit in found.units if unit.value]
-    low = max(min([low, *(unit.low for unit in told)]), low / _BELOW)
-    high = min(max([high, *(unit.high for unit in told)]), high * _BELOW)
+    shown = [unit for unit in found.units if unit.value]
+    low = max(min([low, *(unit.low for unit in shown)]), low / _BELOW)
+    high = min(max([high, *(unit.high for unit in shown)]), high * _BELOW)
     return low / 1.06, high * 1.06
 
 

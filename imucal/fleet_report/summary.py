@@ -1,4 +1,4 @@
-"""The store of a fleet -> Fleet: what many logs say of each sensor model; renderers are functions of it."""
+"""The store of a fleet -> Fleet: the statistics of each sensor model, which all reports use."""
 
 import math
 import re
@@ -33,12 +33,12 @@ _FALSE_SHARE = 0.05
 
 @frozen
 class FleetLog:
-    """One log of a fleet; of its labels `model` is empty and `unit` None where there is none.
+    """One log of a fleet; without labels `model` is empty and `unit` None.
 
-    `status` is ``ok``, or how it failed, and `reason` says why; `verdict` is good, look, not-noise or empty,
-    and `findings` are the codes of what was found. `seconds` and `rate_hz` are None where it was not read.
-    `report` is the folder of its own report, relative to the fleet's, and empty where there is none;
-    `left_out` says why its numbers do not count, and is empty where they do.
+    `status` is ``ok`` or the kind of failure, with its `reason`; `verdict` is good, look, not-noise or empty,
+    and `findings` are codes. `seconds` and `rate_hz` are None if it was not read. `report` is the folder of
+    its own report, relative to the fleet's folder, or empty. `left_out` is the reason why its numbers do not
+    count, or empty.
     """
 
     path: str
@@ -65,7 +65,7 @@ class FleetLog:
 class FleetTerm(TermAnswer):
     """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`.
 
-    `logs` is what each log says, `unit_logs` has the units with several.
+    `logs` are the values of the logs; `unit_logs` are the tests of units with several.
     """
 
     sensor: Sensor
@@ -91,7 +91,7 @@ class FleetTerm(TermAnswer):
 
     @property
     def odd(self) -> tuple[UnitValue, ...]:
-        """The units that are not like the others."""
+        """The units that differ from the others."""
         return tuple(unit for unit in self.population.units if unit.odd)
 
     @property
@@ -102,7 +102,7 @@ class FleetTerm(TermAnswer):
 
 @frozen
 class SensorModel:
-    """The units of one sensor model; `name` is empty where no label says which.
+    """The units of one sensor model; `name` is empty without a label.
 
     `rate_hz` is the median rate of its logs; `terms` are sorted by sensor, term and axis.
     """
@@ -115,7 +115,7 @@ class SensorModel:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """The name, or ``Sensor``."""
         return self.name or "Sensor"
 
     def __getitem__(self, key: tuple[str, str]) -> FleetTerm:
@@ -136,11 +136,11 @@ class LooseLog:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Fleet(Displayed):
-    """What the logs of a fleet say.
+    """The results of a fleet.
 
-    `folder` is the store, `models` are sorted by name, `logs` by path; `asked` is how many logs there were to
-    do. `loose` are those without a unit's label, which are in no population, and `labels` the text to give
-    for them. `findings` should be known of all of it; `version` is imucal's.
+    `folder` is the store, `models` are sorted by name, `logs` by path; `asked` is the number of requested
+    logs. `loose` are logs without a unit label, which are in no population, and `labels` is a pattern for
+    them. `findings` belong to the whole fleet; `version` is imucal's.
     """
 
     drawn_by: ClassVar[str] = "imucal.fleet_report.pages"
@@ -158,7 +158,7 @@ class Fleet(Displayed):
     def failures(self) -> dict[tuple[str, str], tuple[FleetLog, ...]]:
         """Logs that do not count, by status and reason; the most frequent first.
 
-        Reasons that differ in numbers alone, such as a place in the file, are one: that of the first log.
+        Reasons that differ only in numbers, such as a place in the file, are one group.
         """
         groups: dict[tuple[str, str], list[FleetLog]] = {}
         for log in filter(lambda log: log.left_out, self.logs):
@@ -170,7 +170,7 @@ class Fleet(Displayed):
     def model(self, name: str | None = None) -> SensorModel:
         """Return a sensor model by its name; without one the only model.
 
-        A ChoiceError says that there is no such model, or several and no name.
+        Raises ChoiceError if there is no such model, or several and no name is given.
         """
         chosen = choose_model(self.folder, [model.name for model in self.models], name)
         return next(model for model in self.models if model.name == chosen)
@@ -186,22 +186,22 @@ def load_fleet(
     model: str | None = None,
     ask: Ask | None = None,
 ) -> Fleet:
-    """Return what the logs of a fleet say of each sensor model.
+    """Return the statistics of each sensor model of a fleet.
 
-    What was made of the same logs before stands in the folder, and is not made again.
+    Statistics of unchanged logs are read from the folder.
 
     Parameters
     ----------
     folder
-        Where ``imucal fleet run`` keeps a fleet.
+        The folder of ``imucal fleet run``.
     content, confidence
-        Of the tolerance bounds: a share `content` of all units with probability `confidence`.
+        A share `content` of all units is below the tolerance bound with the probability `confidence`.
     unit_logs
         Whether to test if several logs of a unit have one coefficient.
     model
-        Name of the only sensor model that is wanted; None for all.
+        Name of one sensor model; None for all.
     ask
-        Who makes what is not there yet; by default this process, and others beside it.
+        Function that computes missing statistics; by default this process and its children do.
 
     Raises
     ------
@@ -220,9 +220,9 @@ def load_fleet(
 
 
 def load_model(folder: str | Path, model: str | None = None) -> Fleet:
-    """Return a fleet with one sensor model alone, without tests of its units' logs, as `load_fleet` does.
+    """Return a fleet with one sensor model, without the tests of its units' logs.
 
-    A ChoiceError, as of `Fleet.model`, comes before anything is worked out.
+    Raises ChoiceError, as `Fleet.model` does, before any computation.
     """
     return _loaded(FleetStore(folder), lambda names: [choose_model(folder, names, model)], unit_logs=False)
 
@@ -236,7 +236,7 @@ def _loaded(
     unit_logs: bool,
     ask: Ask | None = None,
 ) -> Fleet:
-    """Return a fleet with those of its sensor models that are chosen by their names."""
+    """Return a fleet with the chosen sensor models."""
     # A copy of another log is counted with it.
     asked = store.manifest()["copy_of"].null_count()
     store.refuse_damage()
@@ -268,17 +268,17 @@ def _loaded(
 
 
 def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) -> str:
-    """Return the sensor model that is asked for, or the only one; raise ChoiceError where there is none."""
+    """Return the requested sensor model, or the only one; raise ChoiceError if there is none."""
     found = [name for name in names if asked in {None, name}]
     if len(found) == 1:
         return found[0]
-    said = ", ".join(map(repr, names)) or "none: no log has a unit label"
+    choices = ", ".join(map(repr, names)) or "none: no log has a unit label"
     what = "no model name" if asked is None else repr(asked)
-    raise ChoiceError(f"{folder}: found {what}, expected one of the sensor models: {said}")
+    raise ChoiceError(f"{folder}: found {what}, expected one of the sensor models: {choices}")
 
 
 def labels_to_type(paths: Sequence[str]) -> str:
-    """Return a text of labels that tells a unit for each path: the last folder that differs, or the name."""
+    """Return a pattern of labels in which the last folder that differs, or the file name, is the unit."""
     places = [PurePosixPath(path.replace("\\", "/")) for path in paths]
     suffixes = {place.suffix for place in places}
     folders = {place.parent.name for place in places}
@@ -301,16 +301,16 @@ def _model(name: str, every: Iterable[FleetLog], terms: Iterable[tuple[str, Flee
 def _judged_together(
     found: Mapping[TermKey, tuple[LogRows, TermAnswer]], tests: Mapping[TermKey, Sequence[UnitLogs]]
 ) -> Iterator[tuple[str, FleetTerm]]:
-    """Yield the terms, each with the name of its model, and judged over all of them.
+    """Yield the terms, each with the name of its model.
 
-    What is rare in one of many terms is none of these.
+    The tests of logs are adjusted for all units and terms.
     """
     chances = iter(false_discovery([test.p_value for key in found for test in tests.get(key, ())]))
     for key, (logs, answer) in found.items():
-        told: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
-        told |= {"axis": key[2], "term": key[3]}
+        values: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
+        values |= {"axis": key[2], "term": key[3]}
         own = (replace(test, differs=next(chances) <= _FALSE_SHARE) for test in tests.get(key, ()))
-        yield key[0], FleetTerm(sensor=Sensor(key[1]), logs=logs, unit_logs=tuple(own), **told)
+        yield key[0], FleetTerm(sensor=Sensor(key[1]), logs=logs, unit_logs=tuple(own), **values)
 
 
 def false_discovery(p_values: Sequence[float]) -> list[float]:
@@ -332,9 +332,9 @@ def _log(row: Mapping[str, Any]) -> FleetLog:
     findings = tuple(row["findings"] or ())
     if not left_out and verdict in ("not-noise", "empty"):
         left_out = f"not noise at rest: {', '.join(findings) or verdict}"
-    told = {name: row[name] for name in ("unit", "temperature_c", "started", "seconds", "rate_hz")}
-    told |= {name: row[name] or "" for name in ("path", "model", "status", "reason", "verdict", "report")}
-    return FleetLog(**told, findings=findings, left_out=left_out)
+    values = {name: row[name] for name in ("unit", "temperature_c", "started", "seconds", "rate_hz")}
+    values |= {name: row[name] or "" for name in ("path", "model", "status", "reason", "verdict", "report")}
+    return FleetLog(**values, findings=findings, left_out=left_out)
 
 
 def _grouped(results: "pl.DataFrame", counted: Mapping[str, str]) -> dict[TermKey, "pl.DataFrame"]:

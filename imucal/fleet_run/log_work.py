@@ -92,8 +92,8 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
         try:
             answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
         except OSError as error:
-            said = f"its process can't be started ({error.strerror or error}), as on an overloaded machine"
-            why = f"{said}; run again when it is less loaded"
+            start = f"its process can't be started ({error.strerror or error}), as on an overloaded machine"
+            why = f"{start}; run again when it is less loaded"
             break
         if answer.outcome == "done":
             return cast("LogRow", answer.value)
@@ -176,9 +176,9 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
             bins.append({**where, "bins": pack(axis.fit.bins)})
         values = log_values("", axis.fit, model=settings.model, level=settings.level)
         for term, value in values.items():
-            told = {field: getattr(value, field) for field in OF_VALUE}
+            fields = {field: getattr(value, field) for field in OF_VALUE}
             unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
-            results.append({**where, "term": term, "unit_si": unit, **told})
+            results.append({**where, "term": term, "unit_si": unit, **fields})
     if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
         from imucal.report import write_report
 

@@ -1,9 +1,8 @@
-"""Batches of a fleet on a Dask cluster that is there already; what this machine does needs no Dask.
+"""Batches of a fleet on an existing Dask cluster; work on this machine needs no Dask.
 
-The scheduler only hands out work: what is done is in the store. So a lost scheduler costs what was in hand,
-and nothing waits for ever: connections and workers have times after which they are given up, logs have theirs
-in the child processes of the workers, and a worker that froze is given up by the scheduler (Dask's own
-``distributed.scheduler.worker-ttl``).
+The scheduler distributes work; results are in the store. So a lost scheduler costs only the batches in
+progress. All waits have a time limit: for connections and workers, for logs in the child processes of the
+workers, and for frozen workers in the scheduler (``distributed.scheduler.worker-ttl``).
 """
 
 import ipaddress
@@ -30,9 +29,9 @@ SILENCE_S = 30.0
 WINDOW = 3
 #: Seconds between looks at time limits and at the connection.
 _LOOK_S = 1.0
-#: Who logs while workers come and go.
+#: Loggers of messages about workers.
 _NOISY = ("distributed", "tornado", "asyncio")
-#: What Dask's client waits for at most.
+#: Time limits of Dask's client.
 _TIMES = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
     "distributed.comm.timeouts.tcp": f"{SILENCE_S}s",
@@ -44,15 +43,15 @@ R = TypeVar("R")
 
 @frozen
 class Lost:
-    """Why a batch has no result, in words: its worker ended again and again, or failed."""
+    """The reason why a batch has no result: its worker ended repeatedly, or failed."""
 
     reason: str
 
 
 def unprotected(address: str | None) -> str:
-    """Return what is to be said of an address by which others may reach a cluster; empty where none can.
+    """Return a warning for the address of a cluster that others can reach; empty if nobody can.
 
-    Tasks of Dask are pickles: whoever can send one runs code as the user of the workers. Dask's own
+    Tasks of Dask are pickles: their sender runs code as the user of the workers. Dask's own
     configuration has the certificates of ``tls://`` addresses.
     """
     parts = urlsplit(address or "inproc://")
@@ -87,8 +86,8 @@ class DaskWorkers(Generic[T, R]):
             if self._threads:
                 self._heard = time.monotonic()
             elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
-                said = "scheduler or workers are gone; finished logs are kept; start them, and run again"
-                raise EngineError(f"{self._where}: {said}")
+                reason = "scheduler or workers are gone; finished logs are kept; start them, and run again"
+                raise EngineError(f"{self._where}: {reason}")
         return WINDOW * max(self._threads, 1) - len(self.hands)
 
     def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
@@ -135,7 +134,7 @@ class DaskWorkers(Generic[T, R]):
 
 @contextmanager
 def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T, R]]:
-    """Yield the workers of the cluster of a scheduler's address, who do batches.
+    """Yield the workers of the cluster with the address of a scheduler.
 
     `work` is what they do with a batch, in a time that it holds itself: a function of a module, which may be
     a `functools.partial`. It is an EngineError if dask is missing, or the scheduler or all workers can't be
@@ -158,7 +157,7 @@ def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T
             check_workers(client, address)
             yield workers
         finally:
-            # What was not begun is not begun any more.
+            # Cancel batches that have not started.
             with suppress(Exception):
                 client.cancel(list(workers.hands), force=True)
             with suppress(Exception):
@@ -187,7 +186,7 @@ def _version() -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence what distributed logs while workers come and go; what matters is an error of the run."""
+    """Silence log messages of distributed about its workers; lost workers are reported as errors."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in _NOISY]
     levels = {logger: logger.level for logger in map(logging.getLogger, (*_NOISY, *names))}
     for logger in levels:

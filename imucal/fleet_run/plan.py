@@ -49,7 +49,7 @@ _SEVERAL = ("topic", "fields", "message_definition")
 
 #: Description of a column for messages, parser of its text, and test of the parsed value.
 Column: TypeAlias = tuple[str, Callable[[Any], Any], Callable[[Any], object]]
-#: What the run does with a log.
+#: The action of the run for a log.
 State: TypeAlias = Literal["run", "again", "done", "copy"]
 
 
@@ -110,8 +110,8 @@ class FleetSettings:
 
     def key(self, content: str, reading: Mapping[str, object]) -> str:
         """Return the key of a result, a hash of content, settings and version."""
-        said = json.dumps([content, self.model, self.level, reading, __version__], sort_keys=True)
-        return hashlib.blake2b(said.encode(), digest_size=16).hexdigest()
+        text = json.dumps([content, self.model, self.level, reading, __version__], sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def patience(self, task: LogTask) -> float:
         """Return the time limit of a log in s."""
@@ -141,10 +141,10 @@ class FleetPlan:
     def manifest(self) -> pl.DataFrame:
         """Return the rows for the store's manifest."""
         free = sorted({name for log in self.logs for name in log.labels if name not in LABELS})
-        said = (json.dumps(log.reading, sort_keys=True) if log.reading else None for log in self.logs)
+        reading = (json.dumps(log.reading, sort_keys=True) if log.reading else None for log in self.logs)
         rows = [
             {**log.labels, "path": log.path, "options": options, "copy_of": log.copy_of}
-            for log, options in zip(self.logs, said, strict=True)
+            for log, options in zip(self.logs, reading, strict=True)
         ]
         return pl.DataFrame(rows, schema={**MANIFEST, **dict.fromkeys(free, pl.String())})
 
@@ -194,11 +194,11 @@ def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask
     """Return the log of a row; raise ValueError with what is wrong."""
     _refuse_unless(len(row) == len(heading), f"{len(row)} cells, expected {len(heading)} as in the headings")
     cells = ((name, text) for name, text in zip(heading, row, strict=True) if text)
-    said = {name: meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is") for name, text in cells}
-    place = said.pop("path", "")
+    labels = {name: meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is") for name, text in cells}
+    place = labels.pop("path", "")
     _refuse_unless(place, "no path; expected the path of a log")
-    reading = {name: said.pop(name) for name in _COLUMNS if name in said and name not in LABELS}
-    return LogTask(place=place if is_url(place) else str(folder / place), labels=said, reading=reading)
+    reading = {name: labels.pop(name) for name in _COLUMNS if name in labels and name not in LABELS}
+    return LogTask(place=place if is_url(place) else str(folder / place), labels=labels, reading=reading)
 
 
 def _refuse_unless(right: object, text: str) -> None:
@@ -206,13 +206,13 @@ def _refuse_unless(right: object, text: str) -> None:
         raise ValueError(text)
 
 
-def meant(column: Column, said: Any, name: str, error: type[Exception] = ValueError) -> Any:  # noqa: ANN401
+def meant(column: Column, text: Any, name: str, error: type[Exception] = ValueError) -> Any:  # noqa: ANN401
     """Return the parsed value; raise an error with the name, the value and what was expected."""
     what, parse, fits = column
     with suppress(ValueError, KeyError, TypeError):
-        if fits(value := parse(said)):
+        if fits(value := parse(text)):
             return value
-    raise error(f"{name} {said!r}, expected {what}")
+    raise error(f"{name} {text!r}, expected {what}")
 
 
 def _unit_of(sensor: Sensor, such_as: str) -> Column:
@@ -246,15 +246,15 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
 
     Empty values, false, and a skip of 0 are omitted. Any other 0 is kept, so that the reader refuses it.
     """
-    said: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for name, value in reading.items():
         plain: Any = str(value) if isinstance(value, Path) else value
         if name in _SEVERAL:
             several = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
             plain = [str(one) for one in several if one]
         if plain or (plain == 0 and plain is not False and name != "skip_s"):
-            said[name] = plain
-    return said
+            result[name] = plain
+    return result
 
 
 #: Share of the machine's memory for all workers, and the memory in bytes if it is unknown.
@@ -292,24 +292,24 @@ def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSetting
     kept = {} if given.get("fresh") else store.settings()
     for name in kept.keys() & {"model", "level"}:
         if given.setdefault(name, kept[name]) != kept[name]:
-            said = f"contains fits with {name} {kept[name]}, found {given[name]}"
-            msg = f"{store.folder}: {said}; choose another folder, or repeat all logs with --fresh"
+            found = f"contains fits with {name} {kept[name]}, found {given[name]}"
+            msg = f"{store.folder}: {found}; choose another folder, or repeat all logs with --fresh"
             raise ArgumentError(msg)
     given["jobs"] = 1 if "shard" in given else given.get("jobs") or threads()
     memory = int((memory_there_is() or _UNKNOWN) * _SHARE) // given["jobs"]
     return FleetSettings(**{"store": str(store.folder), "folder": str(Path.cwd()), "memory": memory, **given})
 
 
-def _meant(name: str, said: Any) -> Any:  # noqa: ANN401 - of any argument
+def _meant(name: str, value: Any) -> Any:  # noqa: ANN401 - of any argument
     """Return the parsed value of an argument."""
     if name == "labels":
-        label_pattern(said)
+        label_pattern(value)
     try:
-        if name == "model" and said != "auto":
-            return structure_text(parse_structure(said))
+        if name == "model" and value != "auto":
+            return structure_text(parse_structure(value))
     except ValueError as error:
         raise ArgumentError(str(error)) from error
-    return meant(_ARGUMENTS[name], said, name, ArgumentError) if name in _ARGUMENTS else said
+    return meant(_ARGUMENTS[name], value, name, ArgumentError) if name in _ARGUMENTS else value
 
 
 def planned(
@@ -401,9 +401,9 @@ def _contents(
         if sizes[stamps[path].size] > 1:
             with suppress(OSError, ReadError):
                 edges[path] = edge_at(places[path])
-    alike = Counter([*edges.values(), *{log["edge"] for log in done.values()}])
+    counts = Counter([*edges.values(), *{log["edge"] for log in done.values()}])
     for path, edge in edges.items():
-        if alike[edge] > 1:
+        if counts[edge] > 1:
             with suppress(OSError, ReadError):
                 contents[path] = content_at(places[path])
     return contents

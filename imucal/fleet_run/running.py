@@ -144,8 +144,8 @@ def run_fleet(
     settings = fleet_settings(folder, {name: asked[name] for name in ASKED})
     plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
     prepare(plan, settings)
-    if said := unprotected(scheduler):
-        warnings.warn(said, stacklevel=2)
+    if warning := unprotected(scheduler):
+        warnings.warn(warning, stacklevel=2)
     tell = progress or (lambda _, __: None)
     run_plan(plan, settings, tell=lambda count: tell(count.done, count.logs))
     return load_fleet(folder, ask=asking(settings))
@@ -213,7 +213,7 @@ def asking(settings: FleetSettings) -> Ask:
     def ask(questions: Sequence[Question]) -> list[str | None]:
         groups = [questions[i : i + _QUESTIONS] for i in range(0, len(questions), _QUESTIONS)]
         done = outcomes(partial(next, iter(groups), None), partial(_answered, settings), settings)
-        texts = {id(group): said for group, said in done if not isinstance(said, Lost)}
+        texts = {id(group): answers for group, answers in done if not isinstance(answers, Lost)}
         return [text for group in groups for text in texts.get(id(group), [None] * len(group))]
 
     return ask
