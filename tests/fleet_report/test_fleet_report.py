@@ -129,7 +129,7 @@ def test_units_are_tested_in_turn_as_at_once(tmp_path: Path, monkeypatch: pytest
         names=("gyro_x",),
     )  # fmt: skip
     at_once = [term.unit_logs for term in imucal.load_fleet(tmp_path).model().terms]
-    monkeypatch.setattr(answers, "_AT_ONCE", 1)
+    monkeypatch.setattr(answers, "_LOGS_IN_MEMORY", 1)
     shutil.rmtree(tmp_path / "derived")
     assert [term.unit_logs for term in imucal.load_fleet(tmp_path).model().terms] == at_once
     assert [len(tests) for tests in at_once] == [3, 3, 3]
