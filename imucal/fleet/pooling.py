@@ -1,8 +1,8 @@
 """pool: several records of one unit -> one fit, from the bins that their fits carry.
 
-The likelihoods of the records are multiplied, like the blocks of one record between long gaps. Each term is
-tested for being equal in all records. If it is not, the estimate is the mean of the records with their
-spread, and never the narrow interval of one coefficient.
+The records' likelihoods multiply, as those of the blocks of one record between long gaps do. Each term is
+tested for being the same in all of them; where it is not, what one would expect of yet another record is
+the mean of the records with their spread, and never the narrow interval of one coefficient.
 
 Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial sensor
 calibration", fit several records of one sensor; Hartung & Knapp (2001), Statistics in Medicine 20, 1771, give
@@ -31,7 +31,7 @@ from imucal.fitting.spectral.given_model import (
     record_tests,
     squared_coefficients,
 )
-from imucal.fleet.mean_square import random_mean
+from imucal.fleet.population import random_mean
 from imucal.fleet.values import LogValue
 from imucal.frozen import frozen
 from imucal.noise.model import NoiseModel, structure_text
@@ -42,8 +42,8 @@ from imucal.recording import Sensor
 CHANCE = 0.05
 #: Relative difference of two sampling rates, and of two filters' corners, that is none.
 _SAME_RATE, _SAME_CORNER = 1e-3, 0.15
-#: Largest standard error of a logarithm at which each record determines a term alone.
-_DETERMINED = 0.3
+#: Standard error of a logarithm below which each record tells a term by itself.
+_TOLD = 0.3
 
 
 @frozen
@@ -51,10 +51,11 @@ class Homogeneity:
     """Whether records have one coefficient of the term `key`, whose kind is `symbol`.
 
     `statistic` is twice the log-likelihood ratio of one coefficient for each record against one for all,
-    chi-squared with `dof` degrees of freedom for equal records, and `p_value` its probability. For a
-    weak term the statistic is smaller, because no variance is negative. `values` are the coefficients of the
-    records, in SI, 0 if a record does not show the term; `spread` is their relative standard deviation beyond
-    chance. If the records differ (`differs`), the estimate is widened.
+    chi-squared with `dof` degrees of freedom where there is one, and `p_value` the chance of so much. A weak
+    term's is smaller, because no variance is negative: it is found to differ more rarely. `values` has the
+    coefficient in each record, in SI, 0 where its data want none; `spread` is its relative standard deviation
+    between records, beyond what chance gives. Where the records are found to differ (`differs`), the estimate
+    is widened.
     """
 
     key: str
@@ -71,11 +72,12 @@ class Homogeneity:
 class PooledFit:
     """The noise model of one axis of one unit, from a number of `records`.
 
-    `sensor`, `rate_hz` and `level` are as in each record's fit; `model` contains the terms found, with their
-    values. `estimates` has one for each requested term, and always for N, B and K. If the records differ, the
-    limits are for the mean over records, and `widening` is their width relative to one common coefficient.
-    `homogeneity` is the test of each term but the ramp, empty for a single record. `goodness` describes the
-    agreement of the model with all records; `findings` are warnings about them.
+    `sensor`, `rate_hz` and `level` are as in each record's fit; `model` has the terms found, with their
+    values. `estimates` has one for each term of the model that was asked for, and for N, B and K always.
+    Where the records differ its limits are those of the mean over records, and `widening` says by what factor
+    they lie farther apart than those of one common coefficient. `homogeneity` is the test of each term but
+    the ramp, empty for a single record; `goodness` says how well the model describes all records together,
+    and `findings` are what is to be said of them.
     """
 
     sensor: Sensor | None
@@ -96,19 +98,22 @@ class PooledFit:
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
     """Fit several records of one axis of one unit together, from the bins of their fits.
 
-    The likelihood is evaluated from `NoiseFit.bins`, without the samples. The `fits` come from `imucal.fit`,
-    `imucal.characterize`, or a report that was written with bins. Use the terms of one `model` for all units
-    to compare: ``auto`` depends on the record. `level` is the confidence level of the limits, which are
-    profile limits of the joint likelihood.
+    Without the samples: the likelihood is evaluated from what each of the `fits` carries in `NoiseFit.bins`.
+    They are by `imucal.fit`, `imucal.characterize`, or read back from a report that was written with bins.
+    The terms of `model` are the same for every unit that is to be compared: ``auto`` would choose by the
+    record. `level` is that of the limits, profile limits of the joint likelihood as those of `imucal.fit`.
 
-    Raises DataError if a fit has no bins, or the records have different sensors, sampling rates or output
-    filters; ValueError if there is no fit, `model` is not a sum of terms, or `level` is not between 0 and 1.
+    It is a DataError if a fit has no bins, or the records are not of one sensor, one sampling rate and one
+    output filter; a ValueError if there is no fit, `model` is no sum of terms, or `level` is not between 0
+    and 1.
 
-    For stationary records without spikes and lines, the result equals the fit with ``segments=1`` of one
-    record that contains them with gaps of more than 64 samples, to rounding, for up to four blocks in all: a
-    longer record has wider bins. Steps, cycles and the effect of temperature are removed from each record
-    alone; heavy tails, spikes and the output filter are also found in each record alone. A ramp, if `model`
-    has one, is common to all records.
+    Of stationary records without spikes, lines apart, it equals the fit with ``segments=1`` of the one
+    record that has them one after the other with gaps of more than 64 samples between, to rounding: such
+    gaps part the blocks of a record, whose likelihoods multiply. That holds for up to four blocks in all (a
+    record of more has wider bins, and the pooled fit is the finer one), and not for shorter gaps, which a fit
+    completes by expectation. Steps, cycles and the effect of temperature are taken out of each record by
+    itself; heavy tails and spikes are judged by record, and an output filter that no record shows by itself
+    is none. A ramp, where `model` has one, is common to all records.
     """
     structure, every = _structure_of(model, level), _bins_of(fits)
     _refuse_different(fits)
@@ -118,10 +123,10 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
 def pool_bins(
     every: Sequence[Bins], structure: tuple[str, ...], *, sensor: Sensor | None, rate_hz: float, level: float
 ) -> PooledFit:
-    """Return the pooled fit of records of one unit, one rate and one output filter."""
+    """Return the fit of records of one unit, one rate and one output filter; as `pool` from there on."""
     found = fit_bins(every, structure, level=level)
     tests = record_tests(found)
-    # If records differ in one term, the other terms are means over the records, too.
+    # Where records differ in one term, the others are means over them, too.
     differ = any(test.p_value < CHANCE for test in tests)
     widened = _means(every, structure, tests, found.estimates, level) if differ else {}
     estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
@@ -156,28 +161,29 @@ def _means(
 ) -> dict[str, tuple[Estimate, float]]:
     """Return the mean over records of each term, with its relative spread between them.
 
-    The interval always contains the interval of one common coefficient.
+    The interval is never inside that of one common coefficient.
     """
     joint = {e.key: e for e in estimates}
     alone: list[dict[str, SquaredCoefficient]] = []
     means = {}
     for test in (test for test in tests if test.key in joint):
         differs, shared = test.p_value < CHANCE, joint[test.key]
-        if np.all((test.log_deviations < _DETERMINED) & (test.values > 0)):
+        if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
             *limits, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
             value, low, high = map(math.exp, limits)
         else:
             alone = alone or [squared_coefficients(fit_bins([one], structure, level=level)) for one in every]
             squares = [record[test.key] for record in alone]
             values = np.array([square.value for square in squares])
-            # At one square for all: at its own, a large square would get a large deviation and little weight.
+            # At one place for all: at its own, a large square has a large deviation, the small more weight.
             common = max(float(values.mean()), 0.0)
             deviations = np.array([square.deviation + square.growth * common for square in squares])
             if differs:
                 deviations = np.full(len(squares), np.sqrt(np.mean(deviations**2)))
             *limits, spread = _mean(values, deviations, level, random=differs)
             value, low, high = (math.sqrt(max(limit, 0.0)) for limit in limits)
-            # Relative to the upper limit if the mean may be zero.
+            # Of the square, relative to the upper end where the mean is not told from zero; that of the
+            # common coefficient where all limits of the mean are below it.
             spread = 0.5 * spread / max(value, 0.5 * max(high, shared.high)) ** 2
         low, high = min(low, shared.low), max(high, shared.high)
         mean = replace(shared, status="estimated", value=value, low=low, high=high)
@@ -214,14 +220,11 @@ def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
 
 def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> Iterator[Finding]:
     differing = (t for t in homogeneity if t.differs)
-    if differences := "; ".join(
-        f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in differing
-    ):
+    if said := "; ".join(f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in differing):
         yield Finding(
             "warning",
             "records-differ",
-            f"The records differ by more than chance: {differences}. "
-            "The intervals are for the mean of the records.",
+            f"The records differ by more than chance: {said}. The intervals are for the mean of the records.",
             "Find the cause (temperature, mounting, supply). Another record may differ as much.",
         )
     if goodness.statistic > MISFIT:
@@ -242,14 +245,14 @@ def log_values(
     model: str = "N + B + K",
     level: float = 0.95,
 ) -> dict[str, LogValue]:
-    """Return the value of each term in one log, for `imucal.population`, from the bins of its fit.
+    """Return what one log says of each term, for `imucal.population`; from the bins of its fit, as `pool`.
 
-    Every term has its value and limits, from a fit of the same `model` for every log, and an unbiased
-    estimate of its square with its standard deviation, which may be negative: the mean of many weak logs is
-    then right. A ramp has limits only. Raises the same errors as `pool`.
+    Every term has its value and limits, from a fit of the same `model` for every log, and its squared
+    coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak
+    logs together are right. A ramp has limits only. It raises what `pool` does.
     """
     bins, structure = _bins_of([fit]), _structure_of(model, level)
-    # A search would find the band of a fit of the same terms again, if it is not flat.
+    # The band of a fit of the same given terms is the one that a search would find again, if it is not flat.
     fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_poles"))
     same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
     near = fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
@@ -293,20 +296,20 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
 
 
 def _refuse_different(fits: Sequence[NoiseFit]) -> None:
-    """Raise DataError if fits have different sensors, rates or filters."""
+    """Refuse what is not of one sensor, one rate and one filter."""
     first = fits[0]
     for number, fit in enumerate(fits[1:], 2):
         corners = [one.response.cutoff_hz if one.response else 0.0 for one in (fit, first)]
         if fit.sensor != first.sensor:
-            pair = [f"the {one.sensor}" if one.sensor else "no sensor's name" for one in (fit, first)]
+            said = [f"the {one.sensor}" if one.sensor else "no sensor's name" for one in (fit, first)]
             advice = "pool one axis at a time"
         elif abs(fit.rate_hz / first.rate_hz - 1) > _SAME_RATE:
-            pair = [f"{one.rate_hz:.6g} Hz" for one in (fit, first)]
+            said = [f"{one.rate_hz:.6g} Hz" for one in (fit, first)]
             advice = "pool records of one sampling rate"
         elif any(corners) and (not all(corners) or abs(math.log(corners[0] / corners[1])) > _SAME_CORNER):
-            pair = [f"an output filter at {hz:.4g} Hz" if hz else "no output filter" for hz in corners]
+            said = [f"an output filter at {hz:.4g} Hz" if hz else "no output filter" for hz in corners]
             advice = "pool records of one setting of the sensor"
         else:
             continue
         where = f"fit {number} of {len(fits)}"
-        raise DataError(f"{where}: found {pair[0]}, expected {pair[1]} as in fit 1; {advice}")
+        raise DataError(f"{where}: found {said[0]}, expected {said[1]} as in fit 1; {advice}")

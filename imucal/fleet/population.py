@@ -1,11 +1,18 @@
-"""The population of a fleet's units: the coefficient of a sensor model.
+"""The population that a fleet's units are drawn from: the coefficient of a sensor model, not of one unit.
 
-The unit means are the data (`imucal.fleet.unit_means`). A unit is odd if it differs from the others by
-Student's t, with Holm's correction for the number of units.
+A unit is odd by what the others are like, so that it can't hide by widening the spread that it is judged by;
+over all units Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289, hold the
+false discovery rate.
+
+Where the logs of a whole fleet only bound a coefficient, the mean of the units' squares is still measured
+without bias, whatever the spread between them. It bounds the median unit's square, and through it each share
+of the units: of all lognormal laws with root mean square r, exp(m + t²) = r, a share p lies below
+exp(m + z t), which is r exp(z t - t²) ≤ r exp(z² / 4) for the quantile z of p. So the bound needs no spread,
+which such logs do not tell.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,23 +20,23 @@ import numpy as np
 import scipy
 
 from imucal.arguments import takes
+from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
 from imucal.findings import Finding
-from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Interval
-from imucal.fleet.mean_square import MeanSquare
-from imucal.fleet.unit_means import UnitMeans
-from imucal.fleet.unit_squares import Scale, UnitSquares, with_squares
-from imucal.fleet.values import TWO_SIDED, LogValue, LogValues
+from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLikelihoods, interval_of
+from imucal.fleet.values import LogValue, LogValues
 from imucal.frozen import frozen
 
-#: Smallest number of units that determines a spread.
+#: Fewer units tell no spread.
 FEWEST = 3
-#: Probability of a false alarm among the units of a term.
-FALSE_ALARM = 0.05
-#: Share of bounds in per cent above which a finding is reported.
+#: Expected share of false ones among the units that are called odd.
+FALSE_SHARE = 0.05
+#: Share of bounds, in per cent, above which they are worth a sentence.
 _MOSTLY = 50.0
-#: Probability that the next unit is in its interval.
+#: Units that are judged by the others alone at most, and up to which chance at a quick look.
+_SUSPECTS, _SUSPECT = 5, 0.2
+#: Probability with which the next unit lies in its limits.
 _CONTENT = 0.95
 _MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would help more than more units."
 _ALL_BOUNDED = (
@@ -40,14 +47,17 @@ _TOO_FEW = (
     f"{{}}: the spread between units, the next unit and a tolerance bound need at least {FEWEST}; test about "
     "10."
 )
+#: Points of a mean square's likelihood, up to where its logarithm is so far below the peak; how often its
+#: reach is doubled at most; and units that are added at a time.
+_POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 
 
 @frozen
 class UnitValue:
-    """One unit of a fleet: its coefficient from all of its logs, None if they only bound it.
+    """One unit of a fleet: its coefficient from all of its logs, None where they only bound it.
 
-    `p_value` is the probability of this difference from the others by chance, None if it was not tested.
-    `p_odd` is adjusted for the number of units; the unit is `odd` if it is small.
+    `p_value` is the chance that one of the others is so far off, None where it was not tested; `p_odd` is
+    adjusted for the number of units, and `odd` says that it does not belong to the others.
     """
 
     unit: str
@@ -61,49 +71,20 @@ class UnitValue:
 
 
 @frozen
-class NextLog:
-    """The distribution of a log of a new unit in the logarithm: Student's t.
-
-    `centre`, `scale` and `dof` are its parameters; `scale` includes a log of the error variance `known`.
-    `within` is the scatter between logs of one unit. If the fleet only bounds the coefficient, `highest` is
-    the upper bound of the next unit, and the other fields are not used.
-    """
-
-    centre: float = 0.0
-    scale: float = 0.0
-    dof: int = 0
-    known: float = 0.0
-    within: float = 0.0
-    floor: float = 1.0
-    highest: float | None = None
-
-    def p_value(self, new: LogValues) -> float:
-        """Return the two-sided probability of a log that differs as much; one-sided for a bound."""
-        if self.highest is not None:
-            return float(1 - new.squares.below(np.array([self.highest**2]))[0, 0])
-        scale = Scale(self.floor)
-        unit = UnitSquares(with_squares(new), scale.square(self.centre), self.within)
-        (centre,), (error,) = unit.on(scale)
-        sd = math.sqrt(self.scale**2 + max(error**2 - self.known, 0.0))
-        return float(2 * scipy.special.stdtr(self.dof, -abs(centre - self.centre) / sd))
-
-
-@frozen
 class Population:
-    """The coefficient of the units of one sensor model.
+    """What a coefficient is like over the units of one sensor model.
 
-    `units` are in the order of their first log; `logs` is the number of logs. `median` is the coefficient of
-    the median unit, with its 95 % interval. It is `bounded` if all logs together do not show the term: its
-    interval then begins at 0, value and high are its upper limit, and the spreads are unknown.
+    `units` are in the order of their first log; `logs` is how many there are. `median` is the coefficient of
+    the median unit, with its 95 % interval. It is `bounded` where the logs, all together, do not tell it from
+    that of a unit without this term: its interval then begins at 0, value and high are its upper limit, and
+    the spreads are not known either.
 
-    `spread` is the standard deviation between units, in the logarithm (0.1: 10 %), None below three units.
-    `within` is the standard deviation between logs of one unit, None if no unit has two. `prediction` is the
-    interval that contains the next unit with a probability of 0.95, and `next_log` the distribution of its
-    log; None below three units.
+    `spread` is the standard deviation between units, in the logarithm (0.1: 10 %), None below three units;
+    `within` that between logs of one unit, None where no unit has two. `prediction` are limits that hold the
+    next unit with probability 0.95, and `next_log` is where a log of it lies; None below three units.
 
-    A share `content` of all units is below `quantile` by the best estimate, and below `tolerance` with the
-    probability `confidence`: the number for the config of every unit. `findings` describe weak terms and
-    fleets of few units.
+    A share `content` of all units stays below `quantile`, by its median estimate, and with `confidence` below
+    `tolerance`, which is the number for the config of every unit. `findings` should be known with these.
     """
 
     units: tuple[UnitValue, ...]
@@ -122,121 +103,227 @@ class Population:
 
     @property
     def middle(self) -> float | None:
-        """The coefficient of the median unit; None if the logs only bound it."""
+        """The median unit's coefficient; None where the logs only bound it."""
         return None if self.bounded else self.median.value
 
 
 @takes("imucal.population(values)", logs=[LogValue])
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
-    """Return the statistics of a coefficient over the units of a fleet, from any number of logs per unit.
+    """Return what the units of a fleet are like, by what each log says, any number of `logs` a unit.
 
-    A share `content` of all units is below the tolerance bound with the probability `confidence`. Raises
-    ValueError if there is no log, or a probability is not between 0 and 1.
+    The tolerance bound holds a share `content` of all units with probability `confidence`. It is a ValueError
+    if there is no log, or a probability is not between 0 and 1.
     """
     if not logs:
         raise ArgumentError("a population needs at least one log")
     if not (0 < content < 1 and 0 < confidence < 1):
         raise ArgumentError(f"content and confidence must be between 0 and 1, got {content} and {confidence}")
     values = LogValues.of(logs)
-    result = partial(Population, logs=len(logs), content=content, confidence=confidence)
+    answer = partial(Population, logs=len(logs), content=content, confidence=confidence)
     if len(values.names) < FEWEST:
-        return _few_units(values, result)
-    square = MeanSquare(values)
-    means = UnitMeans(values) if square.shows else None
-    if means is None or not means.interval(0.95).value:
-        return _bounded(values, square, result)
-    next_unit = means.interval(_CONTENT, ahead=True)
+        return _too_few(values, answer)
+    posterior = Posterior.whole(values)
+    within = interval_of(posterior.quantiles(posterior.omega, TAILS))
+    units = _judged(values, UnitLikelihoods(values, within.value), posterior)
+    answer, square = partial(answer, units=units, next_log=posterior.next_log()), MeanSquare(values)
+    if not square.shows:
+        highest, median = square.share_bound(content, confidence), square.bound(TAILS[-1])
+        return answer(
+            median=Interval(value=median, low=0.0, high=median),
+            bounded=True,
+            prediction=(0.0, square.share_bound(_CONTENT, _CONTENT)),
+            quantile=min(square.share_bound(content, 0.5), highest),
+            tolerance=highest,
+            findings=(Finding("info", "weak-term", _ALL_BOUNDED),),
+        )
     share = 100 * float(np.mean(values.bounded))
-    tolerance = means.tolerance(content, confidence)
-    return result(
-        units=_tested(values, means),
-        median=means.interval(0.95),
-        spread=means.spread,
-        within=means.within,
-        prediction=(next_unit.low, next_unit.high),
-        quantile=min(means.quantile(content), tolerance),
+    reach = posterior.mu + float(scipy.special.ndtri(content)) * posterior.tau
+    quantile, tolerance = np.exp(posterior.quantiles(reach, (0.5, confidence))).tolist()
+    low, high = np.exp(posterior.prediction(TAILS[::2])).tolist()
+    return answer(
+        median=interval_of(np.exp(posterior.quantiles(posterior.mu, TAILS))),
+        spread=interval_of(posterior.quantiles(posterior.tau, TAILS)),
+        within=within if len(posterior.omega) > 1 else None,
+        prediction=(low, high),
+        quantile=quantile,
         tolerance=tolerance,
+        # The median then leans on the bounds.
         findings=(Finding("info", "weak-term", _MOSTLY_BOUNDED.format(share)),) if share > _MOSTLY else (),
-        next_log=NextLog(
-            centre=means.mean,
-            scale=means.sd * math.sqrt(1 + 1 / len(values.names)),
-            dof=means.dof,
-            known=means.known,
-            within=means.within.value if means.within else 0.0,
-            floor=means.scale.floor,
-        ),
     )
 
 
 def membership(found: Population, new: LogValue) -> float:
-    """Return the probability that a unit of the fleet `found` gives a log that differs as a `new` one does.
+    """Return the two-sided chance that a unit of the fleet `found` gives a log like a `new` one.
 
-    It includes the spread between units, the scatter between logs of a unit, and the error of the new log. A
-    fleet of fewer than three units is a `ValueError`.
+    The spread between units, the scatter between logs of a unit and the error of the new log are all in it,
+    and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
     """
     if found.next_log is None:
         raise ArgumentError(f"a spread between units needs at least {FEWEST} units, got {len(found.units)}")
     return found.next_log.p_value(LogValues.of([new]))
 
 
-def _few_units(values: LogValues, result: "partial[Population]") -> Population:
-    """Return one or two units, which do not determine a spread."""
-    units = _units(values, 0.0)
-    known = [unit.value for unit in units if unit.value is not None]
+def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population:
+    """Return one or two units as they are: they tell nothing of a spread between units."""
+    units = _units(values, UnitLikelihoods(values, 0.0))
+    told = [unit.value for unit in units if unit.value is not None]
     low, high = min(unit.low for unit in units), max(unit.high for unit in units)
-    middle = math.exp(sum(map(math.log, known)) / len(known)) if known else high
+    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
     number = f"{len(units)} unit{'s' * (len(units) > 1)}"
-    return result(
+    return answer(
         units=units,
         median=Interval(value=middle, low=low, high=high),
-        bounded=not known,
+        bounded=not told,
         findings=(Finding("info", "few-units", _TOO_FEW.format(number)),),
     )
 
 
-def _bounded(values: LogValues, square: MeanSquare, result: "partial[Population]") -> Population:
-    """Return the upper bounds of a coefficient that all logs together do not show."""
-    content, confidence = result.keywords["content"], result.keywords["confidence"]
-    highest, median = square.share_bound(content, confidence), square.bound(0.975)
-    next_unit = square.share_bound(_CONTENT, _CONTENT)
-    return result(
-        units=_units(values, 0.0),
-        median=Interval(value=median, low=0.0, high=median),
-        bounded=True,
-        prediction=(0.0, next_unit),
-        quantile=min(square.share_bound(content, 0.5), highest),
-        tolerance=highest,
-        findings=(Finding("info", "weak-term", _ALL_BOUNDED),),
-        next_log=NextLog(highest=next_unit),
-    )
-
-
-def _units(values: LogValues, within: float) -> tuple[UnitValue, ...]:
-    """Return each unit by itself, with a scatter `within` between its logs."""
-    counts = np.bincount(values.unit)
-    strong = np.bincount(values.unit, ~values.narrow) == 0
-    # Strong units in the logarithm.
-    weight = 1 / (np.where(values.narrow, values.deviation, 1.0) ** 2 + within**2)
-    total = np.bincount(values.unit, weight)
-    centre, error = np.bincount(values.unit, weight * values.centre) / total, TWO_SIDED / np.sqrt(total)
-    # Weak units by their mean squares.
-    square = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
-    estimate = np.maximum(square.estimate, 0.0)
-    reach = TWO_SIDED * np.hypot(square.deviation(estimate), 2 * estimate * within / np.sqrt(counts))
-    shown = strong | (square.estimate > reach)
-    value = np.where(strong, np.exp(centre), np.sqrt(estimate))
-    low = np.where(strong, np.exp(centre - error), np.sqrt(np.maximum(estimate - reach, 0.0)))
-    high = np.where(strong, np.exp(centre + error), np.sqrt(estimate + reach))
-    columns = (part.tolist() for part in (counts, shown, value, low, high))
+def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
+    """Return each unit by itself; those that only bound the coefficient have no value."""
+    told, limits = units.limits()
+    columns = (told.tolist(), *np.exp(limits).tolist(), np.bincount(values.unit).tolist())
     return tuple(
-        UnitValue(unit=name, logs=logs, value=v if known else None, low=lo if known else 0.0, high=hi)
-        for name, logs, known, v, lo, hi in zip(values.names, *columns, strict=True)
+        UnitValue(unit=name, logs=logs, value=value if known else None, low=low if known else 0.0, high=high)
+        for name, known, low, value, high, logs in zip(values.names, *columns, strict=True)
     )
 
 
-def _tested(values: LogValues, means: UnitMeans) -> tuple[UnitValue, ...]:
-    """Return each unit with the test of its difference from the others."""
-    units = _units(values, means.within.value if means.within else 0.0)
-    p_values = means.p_values().tolist()
-    tested = zip(units, p_values, holm(p_values), strict=True)
-    return tuple(replace(unit, p_value=p, p_odd=odd, odd=odd <= FALSE_ALARM) for unit, p, odd in tested)
+def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> tuple[UnitValue, ...]:
+    """Return each unit with the chance of being so odd.
+
+    A unit is new to the posterior of the others, so that allows for how badly the spreads between and within
+    units are known. The quick look is Student's t of well told units, else the posterior of all.
+    """
+    told = bool(units.normal.all())
+    squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
+    scatter = posterior.quantiles(posterior.omega, [0.5])
+    own = scatter / np.sqrt(np.bincount(values.unit))
+    if told:
+        tau = float(posterior.quantiles(posterior.tau, [0.5])[0])
+        quick = leave_one_out(units.centre, units.deviation, tau)
+    else:
+        quick = posterior.p_values(squares, own)
+
+    def by_others(unit: int) -> float:
+        others = values.take(values.unit != unit)
+        if len(others.names) < FEWEST:
+            return 1.0
+        alone = Posterior(others, None if told else scatter)
+        if told:
+            return alone.p_value(values.take(values.unit == unit))
+        return float(alone.p_values(squares[[unit]], own[[unit]])[0])
+
+    p_values = oddest_by_others(quick, _SUSPECT, by_others).tolist()
+    chances = zip(p_values, adjusted(p_values), strict=True)
+    return tuple(
+        replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= FALSE_SHARE)
+        for unit, (p, p_odd) in zip(_units(values, units), chances, strict=True)
+    )
+
+
+def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int], float]) -> FloatArray:
+    """Return p-values of units, shape (units,): of the oddest by the others alone; the rest can only pass.
+
+    The oddest have a p-value below `suspect` at a quick look.
+    """
+    result = np.ones(quick.size)
+    for unit in np.argsort(quick)[:_SUSPECTS].tolist():
+        if quick[unit] < suspect:
+            result[unit] = by_others(unit)
+    return result
+
+
+def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> FloatArray:
+    """Return two-sided p-values of the units, each against the mean and the spread of the others.
+
+    `centre` and `deviation`, shape (units,), are the logarithm of each unit's coefficient and its standard
+    error. The standard deviation `tau` between units sets their weights, not the scale of the test.
+    """
+    n = centre.size
+    if n <= FEWEST:
+        # No degrees of freedom are left to judge one by the others.
+        return np.ones(n)
+    w = 1 / (deviation**2 + max(tau, 1e-12) ** 2)
+    total = w.sum()
+    rest = total - w
+    off = centre - np.sum(w * centre) / total
+    apart = off * total / rest
+    # Squares about the mean of the others: those about the mean of all, less the unit's own share.
+    squares = np.sum(w * off**2) - w * off * apart
+    scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
+    result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)
+    return result
+
+
+def adjusted(p_values: Sequence[float] | FloatArray) -> list[float]:
+    """Return p-values adjusted for the number of tests by Benjamini and Hochberg's step-up procedure."""
+    p, order = np.array(p_values), np.argsort(p_values)
+    stepped = p[order] * p.size / np.arange(1, p.size + 1)
+    p[order] = np.minimum(np.minimum.accumulate(stepped[::-1])[::-1], 1.0)
+    return [*map(float, p)]
+
+
+def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
+    """Return the mean of values, shape (n,), that differ; its standard error, and their spread.
+
+    The spread beyond their standard errors is by moments, 0 at least; it is in the weights.
+    Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
+    """
+    weight = errors**-2.0
+    total = float(weight.sum())
+    statistic = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
+    between = max(statistic - (values.size - 1), 0.0) / (total - float(np.square(weight).sum()) / total)
+    weight = 1 / (errors**2 + between)
+    mean = float(np.average(values, weights=weight))
+    return mean, 1 / math.sqrt(float(weight.sum())), math.sqrt(between)
+
+
+class MeanSquare:
+    """What all logs of a fleet tell of the mean of its units' squared coefficients, at zero and above."""
+
+    def __init__(self, values: LogValues) -> None:
+        self._units = values.squares.mean_by(values.unit, 0.0)
+        self._known_by_limits = bool(values.by_limits.any())
+
+    @property
+    def shows(self) -> bool:
+        """Whether all logs together show the coefficient; one unit alone does not decide."""
+        weight = self._units.sd**-2.0
+        share = weight * self._units.estimate
+        others = (np.sum(share) - share) / np.sqrt(np.sum(weight) - weight)
+        return self._known_by_limits or bool(others.min() >= TWO_SIDED)
+
+    def share_bound(self, content: float, confidence: float) -> float:
+        """Return what a share `content` of all units stays below with a probability `confidence`."""
+        return self.bound(confidence) * math.exp(max(float(scipy.special.ndtri(content)), 0.0) ** 2 / 4)
+
+    def bound(self, confidence: float) -> float:
+        """Return the value that the units' root mean square stays below with a probability `confidence`.
+
+        Of one square for all units, or of the mean of squares that differ, whichever is larger; neither is
+        below zero (flat prior).
+        """
+        return math.sqrt(max(self._of_one(confidence), self._of_different(confidence)))
+
+    def _of_one(self, confidence: float) -> float:
+        """Return the bound of a square that is the same for all units, from its likelihood."""
+        units, reach = self._units, float(self._units.sd.min())
+        for _ in range(_DOUBLINGS):
+            square = np.linspace(0.0, reach, _POINTS)
+            height = np.zeros(square.size)
+            for first in range(0, units.sd.size, _CHUNK):
+                height += units[first : first + _CHUNK].log_likelihood(square).sum(axis=0)
+            height -= height.max()
+            if height[-1] < _NOTHING:
+                break
+            reach *= 2
+        total = scipy.integrate.cumulative_simpson(np.exp(height), x=square, initial=0.0)
+        return float(np.interp(confidence, total / total[-1], square))
+
+    def _of_different(self, confidence: float) -> float:
+        """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
+        units = self._units
+        at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
+        mean, error, spread = random_mean(units.estimate, units.deviation(at))
+        beyond = (1 - confidence) * float(scipy.special.ndtr(mean / error))
+        return mean - error * float(scipy.special.ndtri(beyond)) if spread else 0.0

@@ -1,12 +1,12 @@
-"""The value of a coefficient in each log: an estimate with limits, a bound, or an estimate of its square.
+"""What each log says of one coefficient: an estimate with limits, a bound, or the square of the coefficient.
 
-The estimate of a squared coefficient is nearly a scaled chi-square on a known background: normal for a weak
-term, with a deviation in proportion to a strong one.
+The power of a few bins is a scaled chi-square on top of a known background, and so is, nearly, an estimate
+of a squared coefficient: normal about a weak term, its deviation in proportion to a strong one.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any
 
@@ -18,14 +18,14 @@ from imucal.frozen import frozen
 
 #: A deviation that grows by less is constant.
 _NO_GROWTH = 1e-4
-#: A small square, relative to a deviation.
+#: A square that is small beside a deviation, relative to it.
 _SMALL = 1e-3
-#: Largest standard error of a logarithm that is treated as normal: of an estimate, and of a square.
+#: Logarithms above this are as large as they need to be; keeps their exponentials finite.
+_LARGEST = 50.0
+#: An estimate is taken as normal in the logarithm up to this standard error; a square's, up to that.
 _NARROW, _NARROW_SQUARE = 0.3, 0.1
 #: Numbers of a `LogValue` in `LogValues`.
 _NUMBERS = attrgetter("value", "low", "high", "level", "variance", "variance_sd", "variance_growth")
-#: Quantile of the normal distribution for a two-sided interval of 95 %.
-TWO_SIDED = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +59,11 @@ class Squares:
         return depth(np.maximum(own.estimate, 0.0)) - depth(square)
 
     def below(self, square: FloatArray) -> FloatArray:
-        """Return the probability of an estimate below each, for given squares, shape (n, squares).
+        """Return the chance of an estimate below each, were the squares those, shape (n, squares).
 
         Wilson & Hilferty (1931), Proc. National Academy of Sciences 17, p. 684: the cube root of a
-        chi-square is nearly normal. Far below the mean the estimate itself is normal, because the other
-        terms are not known.
+        chi-square is nearly normal. An estimate may lie below what its background alone would be, since
+        the other terms are not known: far down it is normal.
         """
         own = self[:, None]
         apart = (own.estimate - square) / own.deviation(square)
@@ -73,7 +73,7 @@ class Squares:
         return scipy.special.ndtr(np.where(own.growth < _NO_GROWTH, apart, root))
 
     def mean_by(self, group: IntArray, at: float) -> "Squares":
-        """Return the mean of each group, shape (groups,), with the best weights for a square `at`."""
+        """Return the mean of each group, shape (groups,), with weights that are best at a square `at`."""
         weight = self.deviation(at) ** -2.0
         share = weight / np.bincount(group, weight)[group]
 
@@ -81,7 +81,7 @@ class Squares:
             return np.sqrt(np.bincount(group, (share * self.deviation(square)) ** 2))
 
         sd = error(0.0)
-        # The deviation of a mean is nearly linear, too: use its slope at a small square.
+        # The deviation of a mean is nearly linear too; any small square tells how it begins.
         far = at or _SMALL * float(sd.min())
         mean: FloatArray = np.bincount(group, share * self.estimate).astype(np.float64)
         return Squares(mean, sd, (error(far) - sd) / far)
@@ -89,15 +89,16 @@ class Squares:
 
 @frozen
 class LogValue:
-    """The value of a coefficient in one log of the `unit`, such as a serial number.
+    """What one log of the `unit`, such as its serial number, says of a coefficient.
 
-    `value` is the coefficient, None if the log only bounds it; `low` and `high` are its limits at the
-    confidence `level`, 0 and the upper limit if it is bounded. Raises ValueError if the limits are out of
-    order or not positive, or a variance has no deviation.
+    `value` is the coefficient, None where the log only bounds it; `low` and `high` are its limits at the
+    confidence `level`, 0 and the upper limit where it is bounded. A ValueError says that the limits are out
+    of order, not positive, or that a variance comes without its deviation.
 
-    `variance` is the estimate of the squared coefficient, which may be negative. If it is given, value and
-    limits are only a first guess. Its standard deviation is ``variance_sd + variance_growth * v`` for the
-    squared coefficient v. Do not compute these two from the estimate: large estimates would get less weight.
+    `variance` is the estimate of the squared coefficient, which may be negative. It says more than value and
+    limits, which are no more than a first guess where there is one. Its standard deviation is
+    ``variance_sd + variance_growth * v`` where the squared coefficient is v; these two must not follow the
+    estimate, or weights would: high ones would count for less.
 
     `correlation_time`, in s, belongs to a Gauss-Markov term that the log estimates; None otherwise.
     """
@@ -114,12 +115,10 @@ class LogValue:
 
     def __post_init__(self) -> None:
         inside, wrong = self.value is None or 0 <= self.low <= self.value <= self.high, ""
-        deviation = 1.0 if self.variance_sd is None else self.variance_sd
+        told = 1.0 if self.variance_sd is None else self.variance_sd
         if not (inside and 0 < self.high < math.inf and 0 < self.level < 1 and self.value != 0):
             wrong = f"limits must contain a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
-        elif (self.variance is None) != (self.variance_sd is None) or not (
-            deviation > 0 <= self.variance_growth
-        ):
+        elif (self.variance is None) != (self.variance_sd is None) or not (told > 0 <= self.variance_growth):
             wrong = "a variance needs a positive standard deviation, and must not shrink"
         if wrong:
             raise ValueError(f"{self.unit}: {wrong}")
@@ -129,18 +128,23 @@ class LogValue:
 class LogValues:
     """The logs of a fleet as columns, shape (logs,); logarithms are natural.
 
-    `names` are the units in the order of their first log, `unit` the index of each log's unit. `middle` is
-    the median logarithm. `centre` and `deviation` are the logarithm of the estimate and its standard error,
-    infinite if the log only bounds it. `narrow` logs are normal in the logarithm; `bounded` ones have no
-    value; `weighed` ones have an estimate of the squared coefficient. `squares` contains it; otherwise the
-    square of the value, or zero for a bound. Logs `by_limits` have only a value and its limits.
+    `names` are the units in the order of their first log, `unit` the index of each log's. The fleet lies
+    about the logarithm `middle`, a robust first guess, with a spread like `scale`. `centre` and
+    `deviation` are the logarithm of the estimate and its standard error, infinite where the log only bounds
+    it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `narrow` logs are
+    normal in the logarithm; `bounded` ones have no value; `weighed` ones have an estimate of the squared
+    coefficient, which is in `squares`: without one there is the square of the value, or zero for a bound.
+    Logs `by_limits` have only a value and its limits.
     """
 
     names: tuple[str, ...]
     middle: float
+    scale: float
     unit: IntArray
     centre: FloatArray
     deviation: FloatArray
+    low_sd: FloatArray
+    high_sd: FloatArray
     narrow: BoolArray
     bounded: BoolArray
     weighed: BoolArray
@@ -156,26 +160,28 @@ class LogValues:
         bounded, weighed = np.isnan(value), ~np.isnan(variance)
         centre = np.log(np.where(bounded, high / 2, value))
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
-        two_sided = ~bounded & (low > 0)
-        low_sd = np.where(
-            two_sided, np.maximum((centre - np.log(np.where(two_sided, low, 1.0))) / z, 1e-9), high_sd
-        )
-        # The mean logarithm of a chi-square is lower by half its relative variance.
+        told = ~bounded & (low > 0)
+        low_sd = np.where(told, np.maximum((centre - np.log(np.where(told, low, 1.0))) / z, 1e-9), high_sd)
+        # The logarithm of a chi-square has a mean below that of its mean: by half its relative variance.
         positive = weighed & (variance > 0)
         square = np.where(positive, variance, 1.0)
         error = np.where(positive, (sd + growth * variance) / (2 * square), np.inf)
         of_square = 0.5 * np.log(square) + np.minimum(error, _NARROW_SQUARE) ** 2
         centre = np.where(error <= _NARROW_SQUARE, of_square, centre)
-        deviation = np.where(weighed, error, np.where(two_sided, (high_sd + low_sd) / 2, np.inf))
+        deviation = np.where(weighed, error, np.where(told, (high_sd + low_sd) / 2, np.inf))
         of_limits = np.where(bounded, 0.0, np.exp(2 * centre))
         middle = float(np.median(centre))
+        mad = 1.4826 * float(np.median(np.abs(centre - middle)))
         place = {name: i for i, name in enumerate(dict.fromkeys(log.unit for log in logs))}
         return cls(
             names=tuple(place),
             middle=middle,
+            scale=max(mad, float(np.std(centre)) / 2, 0.02),
             unit=np.array([place[log.unit] for log in logs], dtype=np.int64),
             centre=centre,
             deviation=deviation,
+            low_sd=low_sd,
+            high_sd=high_sd,
             narrow=deviation <= np.where(weighed, _NARROW_SQUARE, _NARROW),
             bounded=bounded,
             weighed=weighed,
@@ -186,3 +192,16 @@ class LogValues:
                 np.where(weighed, growth, 0.0),
             ),
         )
+
+    def take(self, which: BoolArray | IntArray) -> "LogValues":
+        """Return some of the logs, and the units that they are of; about where all of the fleet lies."""
+        units, unit = np.unique(self.unit[which], return_inverse=True)
+        columns = {f.name: getattr(self, f.name)[which] for f in fields(self)[4:]}
+        return replace(self, names=tuple(self.names[i] for i in units.tolist()), unit=unit, **columns)
+
+    def log_likelihood(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each log at logarithms of the coefficient, shape (logs, theta)."""
+        apart = theta - self.centre[:, None]
+        score = apart / np.where(apart >= 0, self.high_sd[:, None], self.low_sd[:, None])
+        of_square = self.squares.log_likelihood(np.exp(2 * np.minimum(theta, _LARGEST)))
+        return np.where(self.by_limits[:, None], -0.5 * score**2, of_square)

@@ -24,7 +24,6 @@ from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.pooling import pool_bins
 from imucal.fleet.population import Population, population
 from imucal.fleet.store import FleetStore
-from imucal.fleet.unit_means import tolerance_factor
 from imucal.fleet.values import LogValue
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
@@ -317,11 +316,15 @@ def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confid
     """Return the median ratio of the bound of two or more units to the quantile that it bounds.
 
     For units without error, the bound is k deviations above the mean in the logarithm, and the quantile z.
-    With a `spread` between units, in the logarithm, the ratio is exp(spread (k - z)).
+    With a `spread` between units, in the logarithm, the ratio is exp(spread (k - z)). Source:
+    Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3).
     """
-    from scipy.special import ndtri
+    from scipy.special import nctdtrit, ndtri
 
-    return math.exp(spread * (tolerance_factor(units, content, confidence) - float(ndtri(content))))
+    z = float(ndtri(content))
+    root = math.sqrt(units)
+    factor = float(nctdtrit(units - 1, z * root, confidence)) / root
+    return math.exp(spread * (factor - z))
 
 
 def _prices(found: Population) -> tuple[tuple[int, float], ...]:

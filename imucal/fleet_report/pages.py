@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
-from imucal.fitting.homogeneity import holm, symbol_of
-from imucal.fleet.population import FALSE_ALARM
+from imucal.fitting.homogeneity import symbol_of
+from imucal.fleet.population import FALSE_SHARE, adjusted
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
@@ -169,8 +169,8 @@ def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
     """
     every = ((id(t), unit) for m in fleet.models for t in m.terms for unit in t.population.units)
     tested = {(term, unit.unit): unit.p_value for term, unit in every if unit.p_value is not None}
-    chances = zip(tested, holm([*tested.values()]), strict=True)
-    return {place for place, p in chances if p <= FALSE_ALARM}
+    chances = zip(tested, adjusted([*tested.values()]), strict=True)
+    return {place for place, p in chances if p <= FALSE_SHARE}
 
 
 def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:

@@ -7,15 +7,13 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
 from imucal._version import __version__
 from imucal.arguments import takes
 from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.fitting.homogeneity import symbol_of
-from imucal.fleet.population import UnitValue
+from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
 from imucal.fleet.store import FleetStore
 from imucal.fleet.values import LogValue
 from imucal.fleet_report import answers
@@ -26,9 +24,6 @@ from imucal.recording import Axis, Sensor
 
 if TYPE_CHECKING:
     import polars as pl
-
-#: Expected share of false ones among the units whose logs are reported to differ.
-_FALSE_SHARE = 0.05
 
 
 @frozen
@@ -305,24 +300,12 @@ def _judged_together(
 
     The tests of logs are adjusted for all units and terms.
     """
-    chances = iter(false_discovery([test.p_value for key in found for test in tests.get(key, ())]))
+    chances = iter(adjusted([test.p_value for key in found for test in tests.get(key, ())]))
     for key, (logs, answer) in found.items():
         values: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
         values |= {"axis": key[2], "term": key[3]}
-        own = (replace(test, differs=next(chances) <= _FALSE_SHARE) for test in tests.get(key, ()))
+        own = (replace(test, differs=next(chances) <= FALSE_SHARE) for test in tests.get(key, ()))
         yield key[0], FleetTerm(sensor=Sensor(key[1]), logs=logs, unit_logs=tuple(own), **values)
-
-
-def false_discovery(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted for the number of tests.
-
-    Source: Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289. Holm's
-    correction would miss most units of a fleet in which many have logs that differ.
-    """
-    p, order = np.array(p_values), np.argsort(p_values)
-    stepped = p[order] * p.size / np.arange(1, p.size + 1)
-    p[order] = np.minimum(np.minimum.accumulate(stepped[::-1])[::-1], 1.0)
-    return [*map(float, p)]
 
 
 def _log(row: Mapping[str, Any]) -> FleetLog:

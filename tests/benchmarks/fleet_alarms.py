@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.fitting.spectral.given_model import fit_bins, record_tests
-from imucal.fleet.population import FALSE_ALARM
-from imucal.fleet_report.summary import false_discovery
+from imucal.fleet.population import FALSE_SHARE, adjusted
 from tests.fleet.records import bins_from, simulated
 
 #: Relative spread of N, B and K between units.
@@ -47,8 +46,8 @@ def p_values(size: Size, truth: dict[str, float], seed: Sequence[int], *, last: 
 
 def named(tests: list[list[float]]) -> set[int]:
     """Return the units that a report of these tests, by unit and term, names."""
-    judged = np.reshape(false_discovery(np.ravel(tests).tolist()), (len(tests), -1))
-    return set(np.flatnonzero((judged <= FALSE_ALARM).any(axis=1)).tolist())
+    judged = np.reshape(adjusted(np.ravel(tests)), (len(tests), -1))
+    return set(np.flatnonzero((judged <= FALSE_SHARE).any(axis=1)).tolist())
 
 
 def main() -> None:

@@ -24,8 +24,8 @@ from imucal.units import G0
 #: Median N, B, K of a sensor, in SI; relative spread between units.
 MEDIANS = {"gyroscope": (1e-4, 1e-4, 1e-4), "accelerometer": (1e-3, 1e-3, 1e-3)}
 TAU = 0.15
-#: Factor of the odd unit's N in one axis: 6.1 deviations. With Holm's correction for 720 values, a test that
-#: knows the spread finds it in 98 of 100 labs, and a factor of 2, 4.6 deviations, in 74.
+#: The odd unit has so many times the N of one axis: 6.1 deviations, which a test of 720 values that holds the
+#: false discovery rate finds in 99 of 100 labs; twice the N, 4.6 deviations, in 60.
 ODD_FACTOR = 2.5
 RATE = 100.0
 

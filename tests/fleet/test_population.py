@@ -1,19 +1,22 @@
-"""The population of a fleet: exact limits, coverage, odd units and new logs."""
+"""The population of a fleet: exact limits, a slow witness, laws, coverage and odd units."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
 from imucal.fleet import LogValue, population
-from imucal.fleet.mean_square import MeanSquare
-from imucal.fleet.population import membership
-from imucal.fleet.unit_means import leave_one_out
-from imucal.fleet.unit_squares import Scale
-from imucal.fleet.values import LogValues
+from imucal.fleet.population import (
+    MeanSquare,
+    adjusted,
+    leave_one_out,
+    membership,
+)
+from imucal.fleet.posterior import Posterior, UnitLikelihoods
+from imucal.fleet.values import LogValues, Squares
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
 
@@ -25,13 +28,63 @@ def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
     mean, sd = float(y.mean()), float(y.std(ddof=1))
     found = population(logs)
     factor = stats.nct.ppf(0.95, units - 1, ndtri(0.95) * math.sqrt(units)) / math.sqrt(units)
-    assert math.log(found.tolerance or 0.0) == pytest.approx(mean + factor * sd, rel=1e-6)
+    assert math.log(found.tolerance or 0.0) == pytest.approx(mean + factor * sd, abs=0.02 * factor * sd)
     half = stats.t.ppf(0.975, units - 1) * sd / math.sqrt(units)
-    assert math.log(found.median.high) == pytest.approx(mean + half, rel=1e-5)
-    assert math.log(found.median.low) == pytest.approx(mean - half, rel=1e-5)
+    assert math.log(found.median.high) == pytest.approx(mean + half, abs=0.02 * half)
+    assert math.log(found.median.low) == pytest.approx(mean - half, abs=0.02 * half)
     assert found.prediction is not None
     reach = stats.t.ppf(0.975, units - 1) * sd * math.sqrt(1 + 1 / units)
-    assert math.log(found.prediction[1]) == pytest.approx(mean + reach, rel=1e-5)
+    assert math.log(found.prediction[1]) == pytest.approx(mean + reach, abs=0.03 * reach)
+
+
+def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) -> float:
+    """Return the log-posterior by nested quadrature of each unit's and each log's own effect."""
+    units = UnitLikelihoods(values, omega)
+    s2 = units.deviation**2
+    jeffreys = 2 * math.log(tau) + 0.5 * math.log(sum(1 / (s + tau**2) ** 2 for s in s2))
+    usual = math.log(tau) - (tau**2 + omega**2) / (2 * 0.25)
+    untold = sum((s / (s + 0.25)) ** 2 for s in s2) / s2.size
+    total = float((1 - untold) * jeffreys + untold * usual)
+    # Of the median: a weak unit's error at mu is that of its square, and all weak ones have the same.
+    weak = 1 / (np.mean(1 / s2[~units.normal]) * math.exp(4 * (mu - values.middle)))
+    told = sum(1 / (s + 0.25) for s in s2[units.normal])
+    count = int(np.sum(~units.normal))
+    total += 0.5 * math.log((told + count / (weak + 0.25)) / (told + count / 0.25))
+    theta = np.linspace(mu - 6 - 3 * tau, mu + 3 + 4 * tau, 2401)
+    # Simpson's weights, for all effects of a log at once.
+    weights = np.resize([2.0, 4.0], theta.size) * (theta[1] - theta[0]) / 3
+    weights[[0, -1]] /= 2
+    scatter = _normal(theta[:, None] - theta, omega) * weights if omega else None
+    for unit in range(len(values.names)):
+        likelihood = np.ones(theta.size)
+        for row in np.exp(values.take(values.unit == unit).log_likelihood(theta)):
+            likelihood *= row if scatter is None else scatter @ row
+        total += math.log(integrate.simpson(likelihood * _normal(theta - mu, tau), x=theta))
+    return total
+
+
+def _normal(x: np.ndarray, sd: float) -> np.ndarray:
+    return np.exp(-0.5 * (x / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("omega", [0.0, 0.2])
+def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
+    """Differences over mu and tau, for a fleet of told, weakly told and bounded units."""
+    rng = np.random.default_rng(41)
+    told = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
+    weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
+    values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
+    found = Posterior(values, np.array([omega]))
+    tau, mu, weight = found.tau.ravel(), found.mu[0], found.weight[0]
+    # A density in mu, of which each tau has a grid of its own. Also medians from which a wide spread
+    # reaches beyond the grid of the units' own likelihoods.
+    fast = np.log(weight / (mu[:, 1] - mu[:, 0])[:, None])
+    points = [(t, m) for t in (0, 20, 35, 47) for m in (10, 25, 30, 50)]
+    slow = [_slow_log_posterior(values, omega, float(tau[t]), float(mu[t, m])) for t, m in points]
+    differences = np.array([fast[point] for point in points]) - slow
+    assert mu[47, 50] + tau[47] > 2
+    assert np.ptp(differences) < 0.03
 
 
 def test_a_median_lies_among_units_that_are_told() -> None:
@@ -187,6 +240,27 @@ def test_units_known_unequally_are_called_odd_rarely() -> None:
     assert odd == ["u4"]
 
 
+def test_scatter_of_logs_makes_a_unit_less_odd() -> None:
+    """The chance of a squared coefficient is that of one drawn from the spread, the scatter and the error."""
+    rng = np.random.default_rng(4504)
+    values = LogValues.of(strong_fleet(rng, units=30, tau=0.2, error=0.01))
+    posterior = Posterior(values, np.zeros(1))
+    squares = Squares(np.array([2.5, 2.5]), np.array([0.1, 0.1]), np.zeros(2))
+    narrow, wide = posterior.p_values(squares, np.array([0.0, 0.3]))
+    draws = rng.choice(posterior.prediction((np.arange(4000) + 0.5) / 4000), 400_000)
+    square = np.exp(2 * (draws + 0.3 * rng.standard_normal(draws.size))) + 0.1 * rng.standard_normal(
+        draws.size
+    )
+    assert wide == pytest.approx(2 * np.mean(square > 2.5), rel=0.1)
+    assert narrow < wide / 2
+
+
+def test_p_values_are_adjusted_as_scipy_does() -> None:
+    """Benjamini and Hochberg's procedure."""
+    p = np.random.default_rng(48).random(30) ** 2
+    assert adjusted(p) == pytest.approx(stats.false_discovery_control(p))
+
+
 def test_few_units_have_no_spread_and_it_is_said() -> None:
     """One or two units: what they are, and what is missing."""
     found = population(strong_fleet(np.random.default_rng(49), units=2, tau=0.1, error=0.1))
@@ -277,91 +351,30 @@ def test_units_without_any_value_are_bounded_below_three_too() -> None:
     assert found.median.value == found.median.high == pytest.approx(3.0, rel=0.01)
 
 
-def test_odd_units_have_the_p_values_of_student_and_holm() -> None:
-    """With equal errors: each unit against the others, multiplied as Holm's procedure does."""
-    logs = strong_fleet(np.random.default_rng(52), units=9, tau=0.2, error=0.01)
-    y = np.log([log.value or math.nan for log in logs])
-    p = []
-    for i in range(y.size):
-        others = np.delete(y, i)
-        t = (y[i] - others.mean()) / (others.std(ddof=1) * math.sqrt(1 + 1 / others.size))
-        p.append(2 * stats.t.sf(abs(t), others.size - 1))
-    units = population(logs).units
-    assert [unit.p_value for unit in units] == pytest.approx(p, rel=1e-6)
-    smallest, second = np.sort(p)[:2]
-    by_p = sorted(units, key=lambda unit: unit.p_value or 0.0)
-    assert by_p[0].p_odd == pytest.approx(min(9 * smallest, 1.0), rel=1e-6)
-    assert by_p[1].p_odd == pytest.approx(min(max(8 * second, 9 * smallest), 1.0), rel=1e-6)
-
-
-def test_a_unit_with_a_large_error_is_less_odd() -> None:
-    """A difference of six spreads is odd if it is known to 2 %, and not if it is known to 30 %."""
-    rng = np.random.default_rng(53)
-    logs = strong_fleet(rng, units=20, tau=0.1, error=0.02)
-
-    def odd(error: float) -> bool:
-        value = math.exp(0.6)
-        low, high = value * math.exp(-1.96 * error), value * math.exp(1.96 * error)
-        found = population([*logs, LogValue(unit="far", value=value, low=low, high=high)])
-        return found.units[-1].odd
-
-    assert odd(0.02)
-    assert not odd(0.29)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("units", "logs", "tau", "error"), [(50, 1, 0.3, 0.8), (10, 6, 0.3, 0.8), (24, 3, 0.3, 2.8)]
-)
-def test_weak_terms_have_valid_bounds_and_few_false_alarms(
-    units: int, logs: int, tau: float, error: float
-) -> None:
-    """In 100 fleets, whose units mostly bound the term or nearly so; three standard errors are chance."""
-    rng = np.random.default_rng(4507)
-    found = [population(weak_fleet(rng, units=units, logs=logs, tau=tau, error=error)) for _ in range(100)]
-    assert np.mean([(f.tolerance or 0) >= math.exp(ndtri(0.95) * tau) for f in found]) >= 0.92
-    assert np.mean([f.median.low <= 1 <= f.median.high for f in found]) >= 0.85
-    assert np.mean([any(u.odd for u in f.units) for f in found]) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 100)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("logs", [1, 3])
-@pytest.mark.parametrize("error", [0.004, 0.2])
-def test_a_new_log_fails_as_often_as_its_p_value(logs: int, error: float) -> None:
-    """In 400 fleets of eight units: p below 0.05 in about 5 %, also with errors as large as the spread."""
+@pytest.mark.parametrize("error", [0.004, 0.1])
+def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) -> None:
+    """The law of the next log, at 801 points, gives the p-values of the sum over all of the posterior."""
     rng = np.random.default_rng(4711)
-    low = 0
-    for _ in range(400):
-        fleet = strong_fleet(rng, units=9, logs=logs, tau=0.2, error=error, omega=0.1 * (logs > 1))
-        found = population(fleet[: 8 * logs])
-        low += membership(found, fleet[-1]) < 0.05
-    assert 0.02 <= low / 400 <= 0.08
+    fleet = strong_fleet(rng, units=7, logs=logs, tau=0.2, error=error)
+    values = LogValues.of(fleet)
+    posterior, found = Posterior.whole(values), population(fleet)
+    for far in (-1.2, -0.5, 0.0, 0.3, 0.9):
+        value = found.median.value * math.exp(far)
+        new = LogValue(
+            unit="new", value=value, low=value * math.exp(-1.96 * error), high=value * math.exp(1.96 * error)
+        )
+        exact = posterior.p_value(LogValues.of([new]))
+        # Points lie 0.015 deviations apart; what is less probable than 1e-7 is left out.
+        assert membership(found, new) == pytest.approx(exact, rel=0.01, abs=1e-5)
 
 
-def test_a_new_log_far_above_a_bound_is_unlikely() -> None:
-    """In a fleet that only bounds the term: a log below its bound is likely, one far above is not."""
-    found = population(weak_fleet(np.random.default_rng(54), units=8, logs=2, tau=0.3, error=8.0))
-    assert found.bounded
-
-    def chance(square: float) -> float:
-        high = math.sqrt(max(square, 0.0) + 2.0)
-        new = LogValue(unit="new", value=None, low=0.0, high=high, variance=square, variance_sd=1.0)
-        return membership(found, new)
-
-    assert found.prediction is not None
-    assert chance(-1.0) > 0.99
-    assert chance(found.prediction[1] ** 2) == pytest.approx(0.5, abs=0.01)
-    assert chance(found.prediction[1] ** 2 + 5.0) < 1e-4
-
-
-def test_a_scale_is_the_logarithm_of_large_squares_and_linear_for_small_ones() -> None:
-    """And each place leads back to its coefficient; negative squares have none."""
-    scale = Scale(0.5)
-    large, small = np.array([1e4, 4e4]), np.array([-0.01, 0.0, 0.01])
-    assert scale.place(large) == pytest.approx(np.log(large) / 2, abs=1e-8)
-    steps = np.diff(scale.place(small))
-    assert steps[0] == pytest.approx(steps[1], rel=1e-3)
-    for square in (1e-3, 1.0, 1e5):
-        place = float(scale.place(np.array(square)))
-        assert scale.coefficient(place) == pytest.approx(math.sqrt(square), rel=1e-9)
-    assert scale.coefficient(float(scale.place(np.array(-0.1)))) == 0.0
+def test_the_law_of_the_next_log_is_that_of_every_point_of_the_posterior() -> None:
+    """Normal laws that are nearly the same are merged, which moves no chance by as much as 2e-5."""
+    values = LogValues.of(weak_fleet(np.random.default_rng(31), units=12, logs=2, tau=0.3, error=0.3))
+    posterior = Posterior.whole(values)
+    assert len(posterior.omega) > 1
+    law, wide = posterior.next_log(), np.hypot(posterior.tau, posterior.omega)
+    for point, below in list(zip(law.points, law.below, strict=True))[::40]:
+        exact = float(np.sum(posterior.weight * ndtr((point - posterior.mu) / wide)))
+        assert below == pytest.approx(exact, abs=2e-5)

@@ -787,7 +787,7 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
 
 def test_logs_of_units_are_judged_over_all_units_and_terms(tmp_path: Path) -> None:
     """Six units without a difference but for the last: what is rare in one of many tests is not named."""
-    from imucal.fleet_report.summary import false_discovery
+    from imucal.fleet.population import adjusted
 
     write_store(
         tmp_path, units=6, temperatures=(25.0, 25.0), special=False, failures=False, weak="", bins=6,
@@ -796,15 +796,7 @@ def test_logs_of_units_are_judged_over_all_units_and_terms(tmp_path: Path) -> No
     fleet = imucal.load_fleet(tmp_path)
     tests = [test for term in fleet.model().terms for test in term.unit_logs]
     assert len(tests) == 18
-    p_values = false_discovery([test.p_value for test in tests])
+    p_values = adjusted([test.p_value for test in tests])
     assert [test.differs for test in tests] == [p <= 0.05 for p in p_values]
     assert {test.unit for test in tests if test.differs} == {"u05"}
     assert "u05 by" in render_fleet_page(fleet)
-
-
-def test_p_values_of_logs_are_adjusted_as_scipy_does() -> None:
-    """Benjamini and Hochberg's procedure."""
-    from imucal.fleet_report.summary import false_discovery
-
-    p = (np.random.default_rng(48).random(30) ** 2).tolist()
-    assert false_discovery(p) == pytest.approx(stats.false_discovery_control(p))

@@ -1,0 +1,339 @@
+"""The posterior of a fleet's median, of the spread between its units and of the scatter within them.
+
+In the logarithm of a coefficient, each log of unit u has ``mu + tau b_u + omega c_ul`` with b and c standard
+normal, known through its own likelihood. Logs of a unit scatter by omega: temperature, mounting and the day
+are never the same. A unit whose logs are all well told is a normal law; any other stands on a grid, to which
+a bound is as welcome as an estimate.
+
+Where the units are well told mu is flat and tau has Jeffreys' prior: where all are exact, the tolerance bound
+is then the noncentral-t factor. Where they are only bounded, flat would be an answer: the likelihood does not
+fall towards zero, nor for a wide spread about a small median. There the square of the median is flat instead,
+as a measured variance asks for, and tau is as likely as units of one model are alike. omega is on a short
+grid. Each tau has a grid of mu of its own, and both are narrowed until they fit the support.
+
+Hardy & Thompson (1996), Statistics in Medicine 15, p. 619, give the likelihood of random effects; Tiao & Tan
+(1965), Biometrika 52, p. 37, the prior for a one-way layout; Krishnamoorthy & Mathew (2009), Statistical
+Tolerance Regions, chapters 2 and 5, the bound.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.fitting.noise_fit import Interval
+from imucal.fleet.values import LogValues, Squares
+from imucal.frozen import frozen
+
+#: Grid points of the coefficient of weakly told units, of mu, of tau and of omega.
+_POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
+#: How often a grid is narrowed at most.
+_ROUNDS = 6
+#: How far below the first guess of the median the grid of units reaches, and how far from it that of mu, in
+#: the logarithm: a coefficient 50 times smaller shows nowhere.
+_DEEPEST = 4.0
+#: Spread of units of one model where the data do not tell it, also between logs of a unit; and the largest
+#: that is thought of; in the logarithm.
+_USUAL, _WIDEST = 0.5, 2.0
+#: A scatter within a unit that the logs show so rarely is not considered; one that is so much less probable
+#: than the most probable is left out at second sight.
+_RARE, _LITTLE = 1e-3, 1e-4
+#: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
+_NOTHING = 16.0
+#: They keep finite the logarithm of a probability that underflows, and the exponential of what is larger.
+_TINY, _LARGEST = math.exp(-690), 600.0
+#: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
+#: than this, against the most probable, say nothing of the latter.
+_GRID, _UNLIKELY = 801, 1e-7
+#: Normal laws whose widths differ by this share, and whose centres by that share of a width, are one.
+_ALIKE, _BESIDE = 0.02, 0.2
+#: How far the law of the next log reaches, in deviations.
+_FARTHEST = 6.0
+#: Points of the predictive law that a weak unit is judged by.
+_DRAWS = 4000
+#: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
+_GOLDEN = (math.sqrt(5) - 1) / 2
+#: Quantile of the normal law at 95 %, two-sided; where an interval begins, the median, and where it ends.
+TWO_SIDED = 1.959963984540054
+TAILS = (0.025, 0.5, 0.975)
+
+
+def interval_of(quantiles: FloatArray) -> Interval:
+    """Return the interval of quantiles at `TAILS`."""
+    low, value, high = quantiles.tolist()
+    return Interval(value=value, low=low, high=high)
+
+
+class UnitLikelihoods:
+    """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
+
+    Units that are `normal` have a `centre` and a `deviation`, shape (units,); `constant` is the logarithm of
+    what all of this leaves out: the scatter of logs about their units, and the peaks of the others. Of those
+    `centre` and `deviation` are for weights only, and hold `about` a logarithm; their likelihoods against
+    their peaks are `weak`, shape (weak units, points), at the logarithms `theta`, shape (points,).
+    """
+
+    def __init__(self, logs: LogValues, omega: float) -> None:
+        self.omega, self.about = omega, logs.middle
+        self.normal: BoolArray = np.bincount(logs.unit, ~logs.narrow) == 0
+        square = math.exp(2 * logs.middle)
+        weak_error = logs.squares.deviation(square) / (2 * square)
+        error = np.where(logs.narrow | logs.by_limits, logs.deviation, weak_error)
+        weights = 1 / (error**2 + omega**2)
+        total = np.maximum(np.bincount(logs.unit, weights), _TINY)
+        self.centre: FloatArray = np.bincount(logs.unit, weights * logs.centre) / total
+        self.deviation: FloatArray = 1 / np.sqrt(total)
+        reach = min(9 * logs.scale, _DEEPEST)
+        ends = logs.middle - _DEEPEST - reach, logs.middle + reach + 3 * logs.scale
+        self.theta: FloatArray = np.linspace(*ends, _POINTS)
+        own = self.normal[logs.unit]
+        others = logs.take(~own)
+        each = others.log_likelihood(self.theta)
+        if omega > 0 and each.size:
+            top = each.max(axis=1, keepdims=True)
+            each = np.log(np.exp(each - top) @ blur(self.theta, self.theta, omega).T + _TINY) + top
+        # The logs of a unit are multiplied.
+        weak = np.zeros((len(others.names), _POINTS))
+        np.add.at(weak, others.unit, each)
+        peaks = weak.max(axis=1, keepdims=True)
+        self.weak: FloatArray = np.exp(weak - peaks)
+        apart = weights * (logs.centre - self.centre[logs.unit]) ** 2
+        scatter = np.sum(np.log(weights[own]) - apart[own]) - np.sum(np.log(total[self.normal]))
+        self.constant = 0.5 * float(scatter) + float(peaks.sum())
+
+    def limits(self) -> tuple[BoolArray, FloatArray]:
+        """Return which units are told, and each unit's most likely logarithm between its limits, (3, units).
+
+        The limits hold 95 %; of a unit that is not told only the upper one holds.
+        """
+        told, limits = self.normal.copy(), self.centre + np.outer((-1, 0, 1), TWO_SIDED * self.deviation)
+        for unit, curve in zip(np.flatnonzero(~told).tolist(), self.weak, strict=True):
+            inside = self.theta[curve > math.exp(-(TWO_SIDED**2) / 2)]
+            limits[:, unit] = inside[0], self.theta[curve.argmax()], inside[-1]
+            told[unit] = inside[0] > self.theta[0]
+        return told, limits
+
+    def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
+        """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau.
+
+        `blurs` are the matrices that take the weak units' likelihoods to each tau's row of mu.
+        """
+        v = self.deviation[self.normal] ** 2 + tau[:, None] ** 2
+        y, offset = self.centre[self.normal] - mu[:, :1], mu - mu[:, :1]
+        first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
+        squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
+        result: FloatArray = self.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
+        if blurs:
+            result += [np.log(matrix @ self.weak.T + _TINY).sum(axis=1) for matrix in blurs]
+            result += self._prior_of_median(mu)
+        return result + self._prior(tau)[:, None]
+
+    def _prior(self, tau: FloatArray) -> FloatArray:
+        """Return the logarithm of the prior of log tau and of the scatter: Jeffreys' where told."""
+        t2, variance = tau**2, self.deviation**2
+        told = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
+        usual = np.log(tau) - 0.5 * (t2 + self.omega**2) / _USUAL**2
+        untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
+        result: FloatArray = (1 - untold) * told + untold * usual
+        return result
+
+    def _prior_of_median(self, mu: FloatArray) -> FloatArray:
+        """Return the logarithm of Jeffreys' prior of mu at a usual spread; of weak units in exp(2 mu)."""
+        variance = self.deviation**2
+        told = float(np.sum(1 / (variance[self.normal] + _USUAL**2)))
+        # One deviation for all: a prior need not be more exact.
+        weak, precision = len(self.weak), float(np.mean(1 / variance[~self.normal]))
+        at = np.exp(np.minimum(-4 * (mu - self.about), _LARGEST)) / precision
+        return 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
+
+
+def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
+    """Return the matrix that takes the mean of a function on `theta` over a normal law about `theta_to`.
+
+    Beyond the ends of the grid the function is what it is there.
+    """
+    step = float(theta[1] - theta[0])
+    wide = max(width, step / 2)
+    kernel = np.exp(-0.5 * ((theta_to[:, None] - theta) / wide) ** 2)
+    cell = math.sqrt(2 * math.pi) * wide / step
+    kernel[:, 0] = cell * scipy.special.ndtr((theta[0] + step / 2 - theta_to) / wide)
+    kernel[:, -1] = cell * scipy.special.ndtr((theta_to - theta[-1] + step / 2) / wide)
+    result: FloatArray = kernel / kernel.sum(axis=1, keepdims=True)
+    return result
+
+
+def two_sided(chance: FloatArray) -> FloatArray:
+    """Return the chance of lying as far out on either side, from that of lying on one."""
+    return 2 * np.minimum(chance, 1 - chance)
+
+
+@frozen
+class NextLog:
+    """Where a log of a unit that was not seen lies, its own error aside.
+
+    `points` are logarithms of the coefficient, ascending, as dense as the law itself; `below` is the chance
+    of less, at each of them.
+    """
+
+    points: tuple[float, ...]
+    below: tuple[float, ...]
+
+    def p_value(self, new: LogValues) -> float:
+        """Return the two-sided chance of one log like this."""
+        step, weight = np.diff(self.points), np.diff(self.below)
+        at = np.asarray(self.points[1:]) - step / 2
+        if new.narrow.all():
+            # Between two points what is there lies evenly.
+            error = np.hypot(new.deviation[0], step / math.sqrt(12))
+            less = scipy.special.ndtr((new.centre[0] - at) / error)
+        else:
+            less = new.squares.below(np.exp(2 * np.minimum(at, _LARGEST / 2)))[0]
+        return float(two_sided(less @ weight / weight.sum()))
+
+
+class Posterior:
+    """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one.
+
+    The scatters within a unit are given, or all that the logs allow; tau and mu are narrowed until they fit
+    their support.
+    """
+
+    def __init__(self, values: LogValues, omegas: FloatArray | None = None) -> None:
+        omegas = _scatters(values) if omegas is None else omegas
+        units = [UnitLikelihoods(values, omega) for omega in omegas.tolist()]
+        taus = (math.log(0.01 * values.scale), math.log(max(_WIDEST, 2 * values.scale)))
+        for _ in range(_ROUNDS):
+            tau = np.exp(np.linspace(*taus, _TAUS))
+            mu, height = _over_mu(values, units, tau)
+            height -= height.max()
+            narrower = support(np.log(tau), np.any(height > -_NOTHING, axis=(0, 2)))
+            if 2 * (narrower[1] - narrower[0]) > taus[1] - taus[0]:
+                break
+            taus = narrower
+        self.omega, self.tau, self.mu = omegas[:, None, None], tau[None, :, None], mu[None]
+        self.weight: FloatArray = np.exp(height) / np.exp(height).sum()
+
+    @classmethod
+    def whole(cls, values: LogValues) -> "Posterior":
+        """Return that over all scatters within a unit; of weak logs on a finer grid, at second sight."""
+        found = cls(values)
+        if values.narrow.all() or len(found.omega) < 2:
+            return found
+        omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
+        low, high = support(omega, weight > _LITTLE * weight.max())
+        return cls(values, np.linspace(low, high, _OMEGAS))
+
+    def quantiles(self, values: FloatArray, at: Sequence[float]) -> FloatArray:
+        """Return quantiles of a function of the grid."""
+        keep = self.weight > math.exp(-_NOTHING) * self.weight.max()
+        every, weights = np.broadcast_to(values, self.weight.shape)[keep], self.weight[keep]
+        order = np.argsort(every)
+        total = np.cumsum(weights[order])
+        result: FloatArray = np.interp(np.asarray(at) * total[-1], total - weights[order] / 2, every[order])
+        return result
+
+    def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
+        """Return quantiles of the logarithm of a unit that was not seen."""
+        return _Law(self.mu[0], self.tau[0], self.weight.sum(axis=0)).quantiles(at)
+
+    def next_log(self) -> NextLog:
+        """Return where a log of a unit that was not seen lies."""
+        law = _Law(self.mu, np.hypot(self.tau, self.omega), self.weight)
+        points = np.unique(law.quantiles(scipy.special.ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
+        return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
+
+    def p_value(self, unit: LogValues) -> float:
+        """Return the two-sided chance of the logs of one new unit, all of them narrow."""
+        weight = 1 / (unit.deviation**2 + self.omega**2)
+        total = weight.sum(axis=-1, keepdims=True)
+        apart = weight @ unit.centre[:, None] / total - self.mu
+        score = apart / np.sqrt(self.tau**2 + 1 / total)
+        return float(two_sided(np.sum(self.weight * scipy.special.ndtr(score))))
+
+    def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
+        """Return the two-sided chance of estimates of squared coefficients like these.
+
+        `scatter`, shape (units,), is that of the mean of a unit's logs about the unit, in the logarithm.
+        """
+        at = (np.arange(_DRAWS) + 0.5) / _DRAWS
+        log, moved = self.prediction(at), scipy.special.ndtri((at * _DRAWS * _GOLDEN) % 1)
+        return two_sided(units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1))
+
+
+class _Law:
+    """Normal laws about `mu`, `wide`, with weights, broadcast; `points` are where they lie."""
+
+    def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
+        keep = weight > _UNLIKELY * weight.max()
+        mu, wide, weight = (np.broadcast_to(part, weight.shape)[keep] for part in (mu, wide, weight))
+        weight /= weight.sum()
+        # Laws that are nearly the same are one, with the mean and the variance of all of them.
+        widths = np.floor(np.log(wide) / _ALIKE)
+        places = np.floor(mu / (_BESIDE * np.exp(widths * _ALIKE)))
+        same = np.unique(widths + 1j * places, return_inverse=True)[1]
+        self._weight = np.bincount(same, weight)
+        self._mu = np.bincount(same, weight * mu) / self._weight
+        apart = np.bincount(same, weight * (wide**2 + (mu - self._mu[same]) ** 2))
+        self._wide = np.sqrt(apart / self._weight)
+        # Dense where most of it lies, and far apart in the tails of the widest.
+        middle, usual = float(self._mu @ self._weight), float(self._wide @ self._weight)
+        reach = 6 * float(self._wide.max()) + np.array([middle - self._mu.min(), self._mu.max() - middle])
+        ends = np.arcsinh(reach / usual)
+        self.points = middle + usual * np.sinh(np.linspace(-ends[0], ends[1], _GRID))
+
+    def below(self, points: FloatArray) -> FloatArray:
+        """Return the chance of less at each point."""
+        # A point at a time: all of them would take more memory than the posterior itself.
+        apart = ((at - self._mu) / self._wide for at in points)
+        return np.array([float(scipy.special.ndtr(one) @ self._weight) for one in apart])
+
+    def quantiles(self, at: Sequence[float] | FloatArray) -> FloatArray:
+        """Return where the chance of less is `at`."""
+        return np.interp(at, self.below(self.points), self.points)
+
+
+def _scatters(values: LogValues) -> FloatArray:
+    """Return the scatters within a unit to consider, evenly spaced; only 0 where no unit has two logs."""
+    counts = np.bincount(values.unit)
+    degrees = values.unit.size - counts.size
+    if degrees == 0:
+        return np.zeros(1)
+    means = np.bincount(values.unit, values.centre) / counts
+    squares = float(np.sum((values.centre - means[values.unit]) ** 2))
+    if not values.narrow.all():
+        return np.linspace(0.0, min(3 * math.sqrt(squares / degrees) + 0.3, _WIDEST), _OMEGAS)
+    known = float(np.mean(values.deviation**2))
+    low, high = (squares / float(scipy.special.chdtri(degrees, tail)) for tail in (_RARE, 1 - _RARE))
+    most = 10 * math.sqrt(squares / degrees) + 1e-6
+    return np.linspace(math.sqrt(max(low - known, 0.0)), min(math.sqrt(high), most), _OMEGAS)
+
+
+def support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
+    """Return the range of the likely points of a grid and one more to each side."""
+    places = np.flatnonzero(likely)
+    return float(grid[max(places[0] - 1, 0)]), float(grid[min(places[-1] + 1, grid.size - 1)])
+
+
+def _over_mu(
+    values: LogValues, units: list[UnitLikelihoods], tau: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return for each tau the grid of mu that fits it, (tau, mu), and the posterior, (omega, tau, mu).
+
+    The less the spread, the better the median is known.
+    """
+    reach = min(9 * values.scale, _DEEPEST) + 6 * tau
+    ends = np.column_stack([values.middle - reach, values.middle + reach])
+    for _ in range(_ROUNDS):
+        mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
+        # The same for every omega, and what takes the time where units are weak.
+        weak = len(units[0].weak) > 0
+        blurs = [blur(row, units[0].theta, t) for t, row in zip(tau.tolist(), mu, strict=True) if weak]
+        height = np.array([of_omega.log_posterior(tau, mu, blurs) for of_omega in units])
+        own = height - height.max(axis=(0, 2), keepdims=True)
+        narrower = np.array(list(map(support, mu, np.any(own > -_NOTHING, axis=0))))
+        if np.all(2 * np.diff(narrower) > np.diff(ends)):
+            break
+        ends = narrower
+    return mu, height + np.log(mu[:, 1] - mu[:, 0])[:, None]
