@@ -141,6 +141,7 @@ def test_the_same_curve_gives_the_same_fit() -> None:
     npt.assert_array_equal(one.covariance, other.covariance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", ["full", "eta3"])
 def test_intervals_cover(weights: str) -> None:
     """Of 80 records, 95 % intervals of N, B and K hold the truth in 88 to 100 %.
