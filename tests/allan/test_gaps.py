@@ -21,6 +21,7 @@ from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
 from imucal.recording import AxisSeries
+from tests.slow_cases import first_by_default
 
 OVERLAPPING = ESTIMATORS["overlapping"]
 MODEL = NoiseModel.parse("N=1 + K=0.0031622776601683794")
@@ -155,7 +156,8 @@ def _pattern(kind: str, rng: np.random.Generator, places: int) -> NDArray[np.boo
 
 
 @pytest.mark.parametrize(
-    "kind", ["10 % scattered", "20 bursts of 0.5 %", "5 bursts of 4 %", "many bursts of 8"]
+    "kind",
+    first_by_default(["10 % scattered", "20 bursts of 0.5 %", "5 bursts of 4 %", "many bursts of 8"], 2),
 )
 def test_values_are_unbiased(kind: str) -> None:
     """60 series with N and K, m = 1, 16, 256, 1024: the mean is right to four standard errors.

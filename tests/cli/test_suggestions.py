@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run import run
+from tests.slow_cases import first_by_default
 
 RATE = 25.0
 #: White noise of the axes, in SI.
@@ -79,9 +80,7 @@ def suggestions(text: str) -> set[tuple[float, float]]:
     return {(float(a or 0), float(a or 0) + float(b)) for a, b in SUGGESTED.findall(flat)}
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=[pytest.mark.slow] if seed >= 15 else []) for seed in range(300)]
-)
+@pytest.mark.parametrize("seed", first_by_default(range(300), 8))
 def test_a_suggestion_works_and_holds_no_disturbance(seed: int, tmp_path: Path) -> None:
     """One part is suggested wherever there is one; typed, it gives code 0 and is not suggested again."""
     log = drawn(seed)

@@ -20,6 +20,7 @@ from imucal.noise.model import NoiseModel
 from imucal.pipeline import characterize
 from imucal.recording import AxisSeries, Recording, Source
 from tests.fitting.moments.curves import simulated_curve
+from tests.slow_cases import first_by_default
 
 
 @pytest.fixture(scope="module", name="fit")
@@ -127,7 +128,7 @@ def _opinion(samples: FloatArray, rate_hz: float) -> tuple[NoiseFit, tuple[Findi
     return first, second_opinion(first, fit_of_curve(series, first))
 
 
-@pytest.mark.parametrize("name", ["mean of 4", "held", "resonance"])
+@pytest.mark.parametrize("name", first_by_default(["mean of 4", "held", "resonance"], 1))
 def test_the_curve_is_fitted_as_before_the_filter(name: str) -> None:
     """Two records behind each; 24 of 1 000 000 samples a row: `tests/benchmarks/disturbances.py filters`."""
     from scipy.signal import lfilter

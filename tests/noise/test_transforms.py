@@ -15,6 +15,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import GaussMarkov
 from tests.noise.test_terms import STOCHASTIC, TAU0, ids
+from tests.slow_cases import first_by_default
 
 #: Short and long, odd and even, up to what no sum over frequencies could afford.
 M = np.array([1, 2, 3, 7, 64, 1000, 12_345, 1_000_000])
@@ -61,7 +62,7 @@ def test_in_continuous_time_it_is_that_of_ieee_952(slope: float, expected: objec
     npt.assert_allclose(got, expected(M * TAU0), rtol=1e-10)
 
 
-@pytest.mark.parametrize("theta", [-1.0, -0.4, 0.0, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("theta", first_by_default([-0.4, 1.0, 3.0, 0.0, 0.5, -1.0], 4))
 def test_a_moving_average_has_the_chapters_closed_form(theta: float) -> None:
     """By its psd s² tau0 (1 + theta² + 2 theta cos w) and by its autocovariance."""
     tau0, variance, m = 0.02, 2.5, np.array([1, 2, 3, 10, 999, 50_000])

@@ -23,6 +23,7 @@ from imucal.prediction.propagation import (
     modelled,
     upper_limit,
 )
+from tests.slow_cases import first_by_default
 
 TIMES = np.array([1.0, 10.0, 60.0, 300.0])
 REST = 60.0
@@ -63,7 +64,7 @@ def test_rest_and_coast_of_one_length_are_an_allan_variance(time: float) -> None
         np.testing.assert_allclose(found, 2 * time**2 * term.avar(m, 0.01), rtol=1e-9)
 
 
-@pytest.mark.parametrize("integrals", [ANGLE, POSITION, TILT])
+@pytest.mark.parametrize("integrals", first_by_default([TILT, ANGLE, POSITION], 1))
 def test_drawn_coasts_have_this_variance(integrals: int) -> None:
     """Samples less the mean of the rest, summed up once, twice, three times: within 3 %."""
     model = NoiseModel.parse("N=1e-3 + B=1e-3 + K=1e-4 + GM(sigma=1e-3, T=8)")

@@ -22,9 +22,10 @@ from tests.readers.containers.test_mutations import CHANGES
 from tests.readers.tables.hdf5_logs import write_hdf5, write_matlab
 from tests.readers.ulog.ardupilot_logs import write_dataflash, write_telemetry
 from tests.readers.ulog.test_ulog import two_sensors
+from tests.slow_cases import first_by_default
 
-#: Cases of each format by each change; 1088 in all.
-CASES = 16
+#: Cases of each format by each change, in parts; 1088 in all.
+CASES, PARTS = 16, 4
 #: No case may take longer, in s; the usual one takes 10 ms, the first of a child one second.
 PATIENCE = 20.0
 
@@ -83,11 +84,14 @@ OPTIONS: dict[str, Any] = {"columns": "t=0,g=1:4,a=4:7", "gyro_unit": "rad/s", "
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 @pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("part", first_by_default(range(PARTS), 1))
 def test_survives(
     name: str,
     change: Callable[[bytearray, np.random.Generator], None],
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
+    *,
+    part: int,
 ) -> None:
     """No exception but imucal's own, nothing printed, no hang; a message names the file."""
     whole = tmp_path / name
@@ -95,7 +99,7 @@ def test_survives(
     original = whole.read_bytes()
     options = OPTIONS if name == "plain.npy" else {}
     assert len(read(whole, **options).series) == 6
-    for case in range(CASES):
+    for case in range(part, CASES, PARTS):
         rng = np.random.default_rng([case, zlib.crc32(name.encode()), CHANGES.index(change)])
         data = bytearray(original)
         change(data, rng)

@@ -1,10 +1,10 @@
 """GMWM: the noise model whose Allan variances are nearest to the measured ones.
 
-The generalised method of wavelet moments on the overlapping Allan variance, with the exact Allan
-variance of every sampled term. ``full`` weighs by the inverse covariance of the curve in closed
-form, in steps: of a fit of everything at once first, then of the model itself until nothing moves.
-``eta3`` weighs by the widths of the published intervals, a diagonal that ignores how averaging
-times hang together; its minimum is found all the same, and its intervals know the covariance.
+The generalised method of wavelet moments on the overlapping Allan variance, with the exact Allan variance of
+every sampled term. The weight ``full`` is the inverse covariance of the curve in closed form: first of the
+largest model, then of the chosen model until it converges. The weight ``eta3`` is the inverse square of the
+widths of the published intervals, which ignores the correlation of averaging times; the confidence intervals
+allow for this correlation.
 
 Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for
 composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.points`.
@@ -19,8 +19,8 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed, spread_of
-from imucal.fitting.moments.search import CurveFit, Solution, best_band, curve_estimates, goodness, ranked
+from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed
+from imucal.fitting.moments.search import Solution, best_band, curve_estimates, goodness
 from imucal.fitting.noise_fit import MISFIT, Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
@@ -51,16 +51,11 @@ def fit_gmwm(
                 f"{needed} parameters of {structure_text(structure)}; record for longer or leave terms out"
             )
             raise DataError(msg)
-    eta3 = np.diag(1 / _eta3_widths(points))
-    if settings.weights == "eta3":
-        ranking = ranked(points, eta3, settings)
-        kept, fitted = points, CurveFit(ranking, ranking[0][1], eta3, 0.0)
-    else:
-        kept, fitted = best_band(points, eta3, settings)
+    kept, fitted = best_band(points, np.diag(1 / _eta3_widths(points)), settings)
     solution = fitted.solution
     near = [(delta, other) for delta, other in fitted.ranking if delta <= _REPORTED]
     estimates, names, covariance = curve_estimates(kept, solution, fitted.weight, level=settings.level)
-    spread = spread_of(kept, solution.terms).at(solution.variances)
+    spread = solution.covariance(kept)
     fit = goodness(kept, solution, spread)
     return NoiseFit(
         method="gmwm",
@@ -98,7 +93,7 @@ def _with_edf(
     """Return the curve with the model's degrees of freedom, where it came without."""
     if np.any(np.isfinite(curve.edf)):
         return curve
-    edf = 2 * solution.avar(points.m) ** 2 / np.diag(covariance)
+    edf = 2 * solution.avar(points) ** 2 / np.diag(covariance)
     every = np.interp(np.log(curve.m), np.log(points.m), np.log(edf))
     return replace(curve, edf=np.maximum(np.exp(every), 1.0), edf_method="model")
 

@@ -17,8 +17,8 @@ import scipy
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray, read_only
-from imucal.fitting.moments.points import AvarPoints, avar_points, columns, spread_of, unit_terms
-from imucal.fitting.moments.search import Solution, dictionary, goodness
+from imucal.fitting.moments.points import AvarPoints, avar_points, columns, unit_terms
+from imucal.fitting.moments.search import ROUGH, Solution, all_terms, goodness, minimum
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.frozen import frozen_alone
@@ -169,11 +169,10 @@ def fit_slope(
     """
     structure, level = settings.structure, settings.level
     points = avar_points(series, curve)
-    # The covariance that the logarithms have under whatever noise fits the curve.
-    rough = dictionary(points, np.diag(1 / points.avar))
-    model = rough.avar(points.m)
-    scatter = spread_of(points, rough.terms).at(rough.variances)
-    logs = LogCurve(points, np.asarray(scatter / (4 * np.outer(model, model))))
+    # The covariance of the logarithms under a model that fits the curve roughly.
+    rough = minimum(points, np.diag(1 / points.avar), all_terms(points, 1), tolerance=ROUGH)
+    model = rough.avar(points)
+    logs = LogCurve(points, np.asarray(rough.covariance(points) / (4 * np.outer(model, model))))
     wanted = [s for s in SLOPES if structure is None or s in structure]
     readings = {symbol: found for symbol in wanted if (found := read_term(logs, symbol, windows))}
     estimates, shown = _estimates(logs, readings, structure, level)
@@ -181,9 +180,7 @@ def fit_slope(
     values = np.array([points.coefficient(r.symbol, r.variance) for r in shown])
     covariance = lines @ logs.covariance @ lines.T * np.outer(values, values)
     terms = unit_terms([reading.symbol for reading in shown])
-    solution = Solution(
-        terms=terms, variances=np.array([reading.variance for reading in shown]), objective=float("nan")
-    )
+    solution = Solution(terms=terms, variances=np.array([reading.variance for reading in shown]))
     none = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
     spread = logs.covariance * 4 * np.outer(points.avar, points.avar)
     tau = points.m * points.tau0

@@ -83,7 +83,9 @@ def complete(
         error = _conjugate(apply, drawn, unit)
         variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
-    share = variance / (_means(mean_of[1:], groups) + variance)
+    # From neighbouring groups too: if a group's own power set its weight, groups of large power would count
+    # for more, and the level would be too high.
+    share = variance / (_smooth(_means(mean_of[1:], groups), groups, count) + variance)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
     return mean_of[1:], np.repeat(variance, count), np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
 
@@ -507,7 +509,9 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
     # Add the transform's rounding error, so that no power is exactly zero.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
-        keep = 1 - block.loss
+        # A single bin scatters as if it had 1 - loss of its ordinates, an octave as if it had the square of
+        # this share: missing samples mix the powers of all frequencies. Noise terms extend over octaves.
+        keep = np.square(1 - block.loss)
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
     return Ordinates(
         scale=scale, names=names, size=size, power=power, cross=cross, gram=gram, **bin_shapes(bins)

@@ -10,16 +10,15 @@ import pytest
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
-from imucal.fitting.moments import fit_slope, search
+from imucal.fitting.moments import fit_slope
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
 from imucal.fitting.moments.points import AvarPoints, _excess_kurtosis, avar_points, columns, unit_terms
 from imucal.fitting.moments.search import (
     Solution,
-    described,
+    all_terms,
+    best_fit,
     goodness,
-    least_cost,
     limits,
-    screen,
     time_grid,
     whitening,
 )
@@ -94,7 +93,7 @@ def test_limits_of_a_spread_that_grows_with_the_variance_are_those_of_a_logarith
 def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
     """Of independent values, cube roots of ratios, standardised; NaN where nothing is left to judge by."""
     points = _points(np.array([1.3, 0.5, 0.2, 0.14]))
-    solution = Solution(terms=unit_terms("N"), variances=np.ones(1), objective=0.0)
+    solution = Solution(terms=unit_terms("N"), variances=np.ones(1))
     model = 1 / points.m
     edf = np.array([100.0, 40.0, 20.0, 8.0])
     third = 2 / (9 * edf)
@@ -102,7 +101,7 @@ def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
     found = goodness(points, solution, np.diag(2 * model**2 / edf))
     assert found.chi2_per_bin == pytest.approx(score @ score / 3)
     assert found.tau_s == (1.0, 8.0)
-    full = Solution(terms=unit_terms("QNBK"), variances=np.ones(4), objective=0.0)
+    full = Solution(terms=unit_terms("QNBK"), variances=np.ones(4))
     assert np.isnan(goodness(points, full, np.eye(4)).statistic)
     none = replace(solution, variances=np.zeros(1))
     assert np.isnan(goodness(points, none, np.eye(4)).statistic)
@@ -111,7 +110,7 @@ def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
 def test_a_score_goes_on_where_the_probability_ends() -> None:
     """The normal quantile to 1e-15; beyond, Wilson and Hilferty's own, less than one higher."""
     points = _points(np.ones(4))
-    solution = Solution(terms=unit_terms("N"), variances=np.ones(1), objective=0.0)
+    solution = Solution(terms=unit_terms("N"), variances=np.ones(1))
     scores, beyond = [], 0
     for factor in np.geomspace(0.1, 0.4, 60).tolist():
         found = goodness(points, solution, factor * np.diag(1.0 / points.m**2))
@@ -138,7 +137,7 @@ def test_a_curve_without_degrees_of_freedom_gets_those_of_the_model() -> None:
     """2 avar² over its variance, at least 1; a curve that has any keeps them."""
     curve = _curve(np.array([1.0, 0.5, 0.25]), [1, 2, 4])
     points = replace(avar_points(None, curve), scale=1.0, avar=curve.avar)
-    solution = Solution(terms=unit_terms("N"), variances=np.ones(1), objective=0.0)
+    solution = Solution(terms=unit_terms("N"), variances=np.ones(1))
     model = 1 / curve.m
     covariance = np.diag(2 * model**2 / np.array([50.0, 20.0, 0.5]))
     found = _with_edf(curve, points, solution, covariance)
@@ -170,20 +169,11 @@ def test_each_finding_of_a_curve_stands_alone() -> None:
 
 
 def test_correlation_times_of_a_grid_span_the_curve() -> None:
-    """From 0.7 of the shortest averaging time to 1.5 of the longest, five a decade, two at least."""
-    grid = time_grid(np.array([1, 1000]))
-    assert (grid[0], grid[-1], grid.size) == (pytest.approx(0.7), pytest.approx(1500), 17)
-    assert time_grid(np.array([1, 1]), per_decade=3).size == 2
-
-
-def test_a_screened_model_with_a_negative_variance_is_none() -> None:
-    """Of two sets of columns the better has a negative weight; the other's sum of squares counts."""
-    matrix = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    target = np.array([2.0, -1.0, 0.5])
-    gram, moment = matrix.T @ matrix, matrix.T @ target
-    total = float(target @ target)
-    assert least_cost(gram, moment, total, np.array([[0, 1], [0, 2]])) == pytest.approx(1.0)
-    assert least_cost(gram, moment, total, np.array([[0, 1]])) == np.inf
+    """From 0.7 of the shortest averaging time to 1.5 of the longest, three per decade, two at least."""
+    points = avar_points(None, _curve(np.ones(2), [1, 1000]))
+    grid = time_grid(points)
+    assert (grid[0], grid[-1], grid.size) == (pytest.approx(0.7), pytest.approx(1500), 10)
+    assert time_grid(replace(points, m=np.array([1, 1]))).size == 2
 
 
 def _logs(avar: FloatArray, variance: float | FloatArray = 1e-4) -> LogCurve:
@@ -242,19 +232,31 @@ def test_the_weight_of_independent_values_divides_by_their_deviations() -> None:
     npt.assert_allclose(whitening(np.diag([4.0, 16.0])), np.diag([0.5, 0.25]), rtol=1e-5)
 
 
-def test_every_set_of_laws_is_screened() -> None:
-    """Of a curve that is exactly the sum of all five, each set of up to all of them; no more than points."""
+def test_the_search_keeps_the_terms_that_the_curve_shows() -> None:
+    """Of a curve that is the exact sum of five terms all are kept; of a line of white noise only N."""
     m = 2 ** np.arange(14)
     variances = {"Q": 1e4, "N": 1.0, "B": 1e-2, "K": 1e-4, "R": 1e-8}
     avar = columns(m, unit_terms("QNBKR")) @ np.array(list(variances.values()))
+    settings = FitSettings(method="gmwm", max_gm=0, criterion="bic", weights="eta3")
     points = _points(avar, n=40_000)
-    weight = np.diag(1 / (1e-3 * points.avar))
-    found = {"".join(symbols): cost for cost, symbols in screen(points, weight, 0, price=2.0)}
-    assert min(found, key=lambda laws: found[laws]) == "QNBKR"
-    assert found["QNBKR"] == pytest.approx(10.0, abs=1.0)
-    few = points.within(10)
-    sets = {symbols for _, symbols in screen(few, np.diag(1 / few.avar), 0, price=2.0)}
-    assert max(map(len, sets)) <= 3
+    found = best_fit(points, np.diag(1 / (1e-3 * points.avar)), settings)
+    assert "".join(found.solution.symbols) == "QNBKR"
+    expected = np.array(list(variances.values())) / points.scale
+    npt.assert_allclose(found.solution.variances, expected, rtol=1e-6)
+    white = _points(1.0 / m, n=40_000)
+    found = best_fit(white, np.diag(1 / (1e-3 * white.avar)), settings)
+    assert found.solution.symbols == ("N",)
+    deltas = [delta for delta, _ in found.ranking]
+    assert deltas[0] == 0.0
+    assert min(deltas[1:]) > 0
+
+
+@pytest.mark.parametrize("size", [3, 6, 12])
+def test_the_largest_model_has_fewer_parameters_than_points(size: int) -> None:
+    """Two Gauss-Markov terms have four parameters."""
+    symbols = all_terms(_points(np.ones(size)), 2)
+    assert len(symbols) + symbols.count("GM") < size
+    assert "N" in symbols
 
 
 def test_an_interval_of_a_line_is_the_quantile_of_its_spread() -> None:
@@ -267,30 +269,6 @@ def test_an_interval_of_a_line_is_the_quantile_of_its_spread() -> None:
         assert estimate.low < estimate.value < estimate.high
         highs.append(np.log(estimate.high / estimate.value))
     assert highs[1] == pytest.approx(2 * highs[0], rel=1e-6)
-
-
-def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first two models do not describe the curve; the third is the best of what remains."""
-    ranking = [
-        (delta, Solution(terms=unit_terms(laws), variances=np.ones(len(laws)), objective=0.0))
-        for delta, laws in [(0.0, "N"), (1.5, "NB"), (4.0, "NK"), (7.0, "NBK")]
-    ]
-    misfits = {"N": 9.0, "NB": 3.0, "NK": 2.9, "NBK": 0.0}
-    monkeypatch.setattr(search, "_converged", lambda _, solution: (solution, np.eye(5), np.eye(5)))
-    monkeypatch.setattr(
-        search,
-        "goodness",
-        lambda _, solution, __: Goodness(
-            statistic=misfits["".join(solution.symbols)], p_value=0.5, chi2_per_bin=1.0
-        ),
-    )
-    fit = described(_points(np.ones(5)), ranking)
-    assert fit.solution.symbols == ("N", "K")
-    assert fit.misfit == 2.9
-    assert [(delta, "".join(s.symbols)) for delta, s in fit.ranking] == [(0.0, "NK"), (3.0, "NBK")]
-    misfits |= {"NK": 9.0, "NBK": 9.0}
-    first = described(_points(np.ones(5)), ranking)
-    assert [delta for delta, _ in first.ranking] == [0.0, 1.5, 4.0, 7.0]
 
 
 @pytest.mark.parametrize(("size", "known"), [(2, False), (3, True)])

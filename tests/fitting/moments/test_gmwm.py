@@ -13,7 +13,7 @@ from imucal.errors import DataError
 from imucal.fitting import FitSettings
 from imucal.fitting.moments.gmwm import _eta3_widths, fit_gmwm
 from imucal.fitting.moments.points import avar_points, columns, unit_terms
-from imucal.fitting.moments.search import minimise
+from imucal.fitting.moments.search import minimum
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
@@ -71,7 +71,7 @@ def test_eta3_reaches_the_minimum_of_its_objective() -> None:
     curve = simulated_curve("N=10 + K=0.03", 100_000, np.random.default_rng(3))
     points = avar_points(None, curve)
     weight = np.diag(1 / _eta3_widths(points))
-    found = minimise(points, weight, "NK")
+    found = minimum(points, weight, "NK")
     target = weight @ points.avar
     design = weight @ columns(points.m, unit_terms("NK"))
     rng = np.random.default_rng(4)
@@ -90,7 +90,7 @@ def test_correlation_times_are_at_the_global_minimum() -> None:
     curve = simulated_curve(text, 100_000, np.random.default_rng(5))
     points = avar_points(None, curve)
     weight = np.diag(1 / _eta3_widths(points))
-    found = minimise(points, weight, ["N", "GM", "GM"])
+    found = minimum(points, weight, ["N", "GM", "GM"])
     times = np.geomspace(1, 3e4, 90)
     target = weight @ points.avar
     lowest = min(
@@ -111,7 +111,7 @@ def test_eta3_is_better_than_what_stops_early() -> None:
     for _ in range(40):
         points = avar_points(None, simulated_curve("N=1 + K=1e-3", 100_000, rng))
         weight = np.diag(1 / _eta3_widths(points))
-        walk = minimise(points, weight, "NK").variances[1]
+        walk = minimum(points, weight, "NK").variances[1]
         ratios.append(walk * points.scale / 1e-6)
     # Three standard errors of an RMSE of 31 % from 40 records are 10 %.
     assert np.sqrt(np.mean(np.square(np.array(ratios) - 1))) < 0.42
@@ -141,6 +141,7 @@ def test_the_same_curve_gives_the_same_fit() -> None:
     npt.assert_array_equal(one.covariance, other.covariance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", ["full", "eta3"])
 def test_intervals_cover(weights: str) -> None:
     """Of 80 records, 95 % intervals of N, B and K hold the truth in 88 to 100 %.

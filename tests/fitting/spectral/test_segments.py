@@ -111,7 +111,7 @@ def test_short_gaps_leave_the_level_as_it_is() -> None:
     # Four standard errors of a mean square of 4096.
     npt.assert_allclose(white_levels(found, series), np.ones(8), atol=4 * np.sqrt(2 / 3600))
     total = np.add.reduceat(found.ordinates.size, found.first)
-    npt.assert_allclose(total[:4], 0.9 * 4095, rtol=0.03)
+    npt.assert_allclose(total[:4], 0.9**2 * 4095, rtol=0.03)
     npt.assert_allclose(total[4:], 4095)
 
 

@@ -37,6 +37,7 @@ from tests.readers.clocks.awkward import (
 from tests.readers.logs import Samples, imu_messages, write_bag, write_mcap
 from tests.readers.tables.texts import lines, xyz
 from tests.readers.ulog.test_ulog import SENSOR, Writer
+from tests.slow_cases import first_by_default
 
 KINDS = dict(kinds())
 SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
@@ -70,7 +71,7 @@ def test_awkward_clocks(name: str) -> None:
     is_right(KINDS[name])
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", first_by_default(sorted(SIZES, key=lambda size: size % 3), 9))
 def test_batches_of_a_buffer(size: int) -> None:
     """Of any size, with own ticks of 1 us to 1 ms, on clocks of ns, us and ms, fixed and random."""
     for _, case in fifos((size,)):
@@ -305,7 +306,7 @@ def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
 
 @pytest.mark.parametrize("jitter", [0.125, 0.15, 0.2])
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.2, 0.4])
-@pytest.mark.parametrize("rate", [100.0, 416.0])
+@pytest.mark.parametrize("rate", first_by_default([416.0, 100.0], 1))
 def test_losses_hide_in_no_jitter(rate: float, share: float, jitter: float) -> None:
     """Steps of one and of two periods overlap; the phases of the stamps tell the period all the same."""
     case = lossy(rate, share, jitter=jitter, n=4000, seed=8123)

@@ -13,9 +13,10 @@ from imucal.errors import ImucalError
 from imucal.readers import describe, read
 from imucal.recording import Recording
 from tests.readers.logs import CONTAINERS, Samples, samples
+from tests.slow_cases import first_by_default
 
-#: Cases of each format; more than 2000 in all.
-CASES = 220
+#: Cases of each format, in parts; more than 2000 in all.
+CASES, PARTS = 220, 4
 #: Longest run of bytes that one change touches.
 LONGEST = 64
 #: A message may hold this many changed bytes at least: a change of `LONGEST` bytes touches two messages.
@@ -87,21 +88,24 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 @pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("part", first_by_default(range(PARTS), 1))
 def test_survives(
     name: str,
     change: Callable[[bytearray, np.random.Generator], None],
     originals: dict[str, tuple[str, bytes]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    *,
+    part: int,
 ) -> None:
     """No exception but imucal's own, no hang, and no sample that the log does not hold.
 
     Messages are decoded by turns in this thread and in others, which cost more than so few messages.
     """
     file, original = originals[name]
-    rng = np.random.default_rng([FORMATS.index(name), CHANGES.index(change)])
+    rng = np.random.default_rng([FORMATS.index(name), CHANGES.index(change), part])
     known = [frozenset(column) for column in truth().all.T.tolist()]
-    for case in range(CASES // len(CHANGES)):
+    for case in range(part, CASES // len(CHANGES), PARTS):
         data = bytearray(original)
         change(data, rng)
         path = tmp_path / f"{case}-{file}"

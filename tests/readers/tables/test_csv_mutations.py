@@ -13,9 +13,10 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import text_source
 from imucal.readers.tables.text_table import read
 from tests.readers.tables.texts import STYLES, Style, write
+from tests.slow_cases import first_by_default
 
-#: Cases: each changes each of these layouts by each kind of damage with each of some seeds.
-SEEDS = 18
+#: Cases: each changes each of these layouts by each kind of damage with each of some seeds, in parts.
+SEEDS, PARTS = 18, 3
 LAYOUTS = (
     "EuRoC",
     "rostopic echo -p",
@@ -96,12 +97,15 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Style, byt
 
 @pytest.mark.parametrize("name", LAYOUTS)
 @pytest.mark.parametrize("damage", [flip, cut, zero, splice, drop])
+@pytest.mark.parametrize("part", first_by_default(range(PARTS), 1))
 def test_damaged_text(
     name: str,
     damage: Damage,
     logs: dict[str, tuple[Style, bytes]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    *,
+    part: int,
 ) -> None:
     """Every damaged log is read or refused with a message; every sample stands in the damaged text."""
     style, data = logs[name]
@@ -114,7 +118,7 @@ def test_damaged_text(
         accel_unit="m/s^2",
         columns=style.options.get("columns"),  # type: ignore[arg-type]
     )
-    for seed in range(SEEDS):
+    for seed in range(part, SEEDS, PARTS):
         rng = np.random.default_rng([seed, LAYOUTS.index(name)])
         damaged = damage(data, rng)
         path.write_bytes(damaged)
