@@ -2,7 +2,7 @@
 
 Three models of sensors, ten units each, some with several logs at different temperatures; every coefficient
 of a unit lies around its model's with a spread of 20 %. The last unit of the first model has three times
-the noise, one of the second a sixth more with each day. Broken logs: empty, cut off, garbage, moved by hand,
+the noise. Broken logs: empty, cut off, garbage, moved by hand,
 a copy of another, and one too short.
 """
 
@@ -27,8 +27,6 @@ TRUTH = {
 TAU = 0.2
 #: The unit that is not like the others, and its factor.
 ODD, ODD_FACTOR = ("alpha", "u09"), 3.0
-#: The unit that drifts, and by how much the logarithm of its noise grows a day.
-DRIFTING, DRIFT_A_DAY = ("beta", "u04"), 0.15
 RATE = 100.0
 UNITS = 10
 
@@ -66,8 +64,7 @@ def make_fleet(
         path = home / f"log{number:04}.npz"
         truth = TRUTH[model] if axes == 3 else TRUTH[model][:1]
         day = number // (len(TRUTH) * UNITS)
-        grown = np.exp(DRIFT_A_DAY * day) if (model, unit) == DRIFTING else 1.0
-        samples = _samples(truth, grown * factors[model, unit], round(seconds * RATE), rng, axes)
+        samples = _samples(truth, factors[model, unit], round(seconds * RATE), rng, axes)
         start = 1_767_225_600 + 86400 * day
         broken = _BROKEN[number // 20 % len(_BROKEN)] if number % 20 == 7 else ""
         _write(path, samples, start, broken, [log.path for log in made if not log.broken])

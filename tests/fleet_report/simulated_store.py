@@ -43,7 +43,7 @@ def write_store(
     absent: str = "",
     names: Sequence[str] = (),
 ) -> FleetStore:
-    """Write the store of a fleet: by `special`, unit 7 is odd in gyro_z N and unit 11 drifts in gyro_x B.
+    """Write the store of a fleet: by `special`, unit 7 is odd in gyro_z N.
 
     Only K of the gyroscope's axes in `weak` is weak: that takes the most time.
     Of the gyroscope's axes in `absent`, no log shows K. Where there are `names`, such as gyro_x, the
@@ -74,8 +74,7 @@ def write_store(
                 )
                 key = f"{number:02}{unit:04}{place:02}"
                 logs.append(_log(key, path, model, f"u{unit:02}" if labelled else None, celsius, place))
-                drift = 0.5 * place if special and unit == 11 else 0.0
-                told = _results(rng, key, own, celsius, place, drift, weak)
+                told = _results(rng, key, own, celsius, place, weak)
                 results += [
                     _hidden(row, absent)
                     for row in told
@@ -129,15 +128,12 @@ def _results(  # noqa: PLR0917
     own: dict[tuple[str, str, str], float],
     celsius: float,
     place: int,
-    drift: float,
     weak: str,
 ) -> list[dict[str, Any]]:
     rows = []
     for (sensor, axis, term), level in own.items():
         unit, median, _, error = TERMS[sensor, term]
         moved = level + PER_C * (celsius - 25) + PER_YEAR * place
-        if (sensor, axis, term) == ("gyroscope", "x", "B"):
-            moved += drift
         rows.append(
             {
                 "key": key,
