@@ -175,13 +175,20 @@ class Asked(NamedTuple):
     options: dict[str, Any]
 
 
-def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: object) -> Asked:
+def _asked(
+    *, logs: tuple[str, ...], fields: tuple[str, ...], columns: str | None, **options: object
+) -> Asked:
     # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second field for a log.
     more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
     for sensor in Sensor:
         if options[f"{sensor.short}_unit"] == _COUNT:
             options |= {f"{sensor.short}_unit": None, f"{sensor.short}_scale": 1.0}
-    options["fields"] = (*fields, *more)
+    if fields:
+        from imucal.readers.read_options import columns_of_fields
+
+        columns = columns_of_fields([*fields, *more], columns)
+        click.echo(f"--fields is deprecated; use --columns {columns!r}", err=True)
+    options["columns"] = columns
     return Asked(tuple(log for log in logs if log not in more), options)
 
 
@@ -213,12 +220,11 @@ READING = together(
         "accel_scale": option(
             "--accel-scale X  Scale of raw accelerometer counts, in m/s^2 per count.", _SCALE
         ),
-        "columns": option("--columns TEXT  Columns of a table, such as t=0,g=1:4,a=4:7 or t=0,gz=1."),
-        "fields": option(
-            "--fields TEXT  Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v "
-            "lists them.",
-            multiple=True,
+        "columns": option(
+            "--columns TEXT  Columns of a table or a topic, such as t=0,g=1:4,a=4:7 or t=0,gz=1 or "
+            "g=imu.rate,a=imu.force; info -v lists those of messages."
         ),
+        "fields": option("--fields TEXT  Deprecated: use --columns.", multiple=True),
         "message_definition": option(
             "--msg FILE  Message definition (.msg), or a folder with several, if the log has none.",
             click.Path(exists=True, path_type=Path),

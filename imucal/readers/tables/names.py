@@ -127,7 +127,7 @@ _GLUED = re.compile(
     r"|(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))(?P<number>\d*)"
 )
 
-_VECTOR_WORDS = _words("axis dof 3 3dof value values val data raw sensor cal calibrated imu")
+_VECTOR_WORDS = _words("vector axis dof 3 3dof value values val data raw sensor cal calibrated imu")
 
 _TIME_WORDS = _words(
     "time timestamp stamp t tick ticks uptime epoch epoc elapsed clock sec secs second seconds nsec nsecs "
