@@ -25,7 +25,7 @@ import polars as pl
 from tests.readers.logs import Message, header, samples, store, write_mcap
 from tests.readers.messages.test_definition_files import log as write_undefined
 from tests.readers.messages.test_definition_files import package
-from tests.readers.messages.test_named_fields import counts, protobuf_log, single
+from tests.readers.messages.test_named_columns import counts, protobuf_log, single
 from tests.readers.ulog.test_ulog import two_sensors
 
 N = 600

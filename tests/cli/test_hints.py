@@ -9,7 +9,7 @@ from tests.cli.run import run
 from tests.readers.logs import imu_messages, samples, write_mcap
 from tests.readers.messages.test_definition_files import log as undefined
 from tests.readers.messages.test_definition_files import package
-from tests.readers.messages.test_named_fields import single
+from tests.readers.messages.test_named_columns import single
 
 HEAD = "gx,gy,gz,ax,ay,az"
 

@@ -25,6 +25,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess
 from imucal.readers.store import Block, is_constant
 from imucal.readers.tables.columns import NamedTable, parse_columns_text
+from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.names import parse_column
 from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads, make_plan
 from imucal.recording import Sensor
@@ -36,6 +37,12 @@ _WIDEST, _HEAD = 9, 100
 _LOOKS = (1, 32)
 #: Packages whose vectors may be anything: they are read only if the user names the topic.
 _PLAIN = ("geometry_msgs/", "nav_msgs/")
+_ROS = Dialect(name="ROS", headers=(), gyro_unit="rad/s", accel_unit="m/s^2", has_log_time=True)
+#: Package of message types -> their units and times: REP 103, and microseconds since boot.
+_PACKAGES = {
+    **dict.fromkeys(("sensor_msgs", "geometry_msgs", "nav_msgs"), _ROS),
+    "px4_msgs": replace(_ROS, name="PX4", time_ns=(("timestamp", 1_000), ("timestamp_sample", 1_000))),
+}
 #: Increments of PX4 -> the rate that they are, over their own duration in µs.
 _INCREMENTS = {
     "delta_angle": ("gyro_rad", ("delta_angle_dt",)),
@@ -102,8 +109,9 @@ class Topic:
 
         units = ["ns" if column.type == TIME else None for column in self.columns]
         names = [column.name for column in self.columns]
-        preamble = [plain_type(self.type)]
-        return NamedTable.of(f"topic {self.name}", names, cells, units=units, preamble=preamble)
+        table = NamedTable.of(f"topic {self.name}", names, cells, units=units)
+        dialect = _PACKAGES.get(self.type.partition("/")[0], table.dialect)
+        return replace(table, dialect=dialect)
 
     def stream(self, columns: Sequence[Column]) -> Stream:
         """Return how to decode some columns; raises ReadError if its messages can't be decoded."""
@@ -214,7 +222,9 @@ def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str
 
 def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
     """Return a topic with its columns, and the sensors that their names, or the user, tell."""
-    topic = replace(topic, columns=tuple(_columns(topic, options.columns)))
+    # The numbers of columns are the same with and without a columns text.
+    columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
+    topic = replace(topic, columns=tuple(columns))
     if len(options.topics) == 2 and topic.name in options.topics:
         # The first of two topics is the gyroscope, if nothing else decides.
         topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])

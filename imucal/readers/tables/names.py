@@ -106,7 +106,7 @@ _REJECTED_STARTS = listed("quat orient magn euler covar freeacc useracc accura a
 #: The sensor in a name: the start of a word, a word, two words, or a letter at an end. A first letter counts
 #: only before short words: w_RS_S, not w_heading.
 _GYROSCOPE = re.compile(
-    r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rotation|rot)\b"
+    r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rot)\b"
     r"|\bang\b.*\bvel\b|\bvel\b.*\bang\b|\b[gw]$|^w( \w{1,2})*$"
 )
 _ACCELEROMETER = re.compile(

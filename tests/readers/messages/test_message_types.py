@@ -3,9 +3,9 @@
 from itertools import pairwise
 
 import pytest
+from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, is_command, sensor_of_topic
 
 from imucal.readers.messages.definitions import DefinitionError, defined
-from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, is_command, sensor_of_topic
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
