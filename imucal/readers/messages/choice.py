@@ -64,7 +64,9 @@ def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
     if len(numbers) == len(topics) == 1:
         return Choice(numbers[0], tuple(Sensor), "the only topic")
     listed = table(topics) or "  no topics"
-    way = "\nif one has samples of an IMU, name it and its columns in a columns text; imucal info -v lists them"
+    way = (
+        "\nif one has samples of an IMU, name it and its columns in a columns text; imucal info -v lists them"
+    )
     why = "no topic carries a gyroscope or an accelerometer; found"
     raise refused(path, f"{why}\n{listed}{way if numbers else ''}", ChoiceError)
 

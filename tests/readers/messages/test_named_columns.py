@@ -59,6 +59,17 @@ def single(folder: Path) -> Path:
     )
 
 
+def two_gyros(folder: Path) -> Path:
+    """Write two gyroscopes and an accelerometer, with a header."""
+    text = "std_msgs/Header header\nfloat64[3] fast_gyro\nfloat64[3] slow_gyro\nfloat64[3] accel"
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        gyro, accel = TRUTH.gyro[row], TRUTH.accel[row]
+        return {"header": stamp(types, row), "fast_gyro": gyro, "slow_gyro": gyro / 2, "accel": accel}
+
+    return ros(folder, text, build)
+
+
 def with_units(folder: Path) -> Path:
     """Write units in the names, and a time in us."""
     names = [f"gyro_{axis}_dps" for axis in "xyz"] + [f"accel_{axis}_mg" for axis in "xyz"]
