@@ -164,9 +164,6 @@ DATASHEET = option(
     "--datasheet/--si  Use datasheet or SI units in the table.", default=True, show_default=True
 )
 
-#: Start of a fields text.
-_FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
-
 
 class Asked(NamedTuple):
     """Logs as the user named them, and arguments of `imucal.read` in the order of the report."""
@@ -175,20 +172,17 @@ class Asked(NamedTuple):
     options: dict[str, Any]
 
 
-def _asked(
-    *, logs: tuple[str, ...], fields: tuple[str, ...], columns: str | None, **options: object
-) -> Asked:
+def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: Any) -> Asked:  # noqa: ANN401
     # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second field for a log.
-    more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
+    more = [log for log in logs if fields and re.match(r"[\w.]+=", log) and not Path(log).exists()]
     for sensor in Sensor:
         if options[f"{sensor.short}_unit"] == _COUNT:
             options |= {f"{sensor.short}_unit": None, f"{sensor.short}_scale": 1.0}
     if fields:
         from imucal.readers.read_options import columns_of_fields
 
-        columns = columns_of_fields([*fields, *more], columns)
-        click.echo(f"--fields is deprecated; use --columns {columns!r}", err=True)
-    options["columns"] = columns
+        options["columns"] = columns_of_fields([*fields, *more], options["columns"])
+        click.echo(f"--fields is deprecated; use --columns {options['columns']!r}", err=True)
     return Asked(tuple(log for log in logs if log not in more), options)
 
 
@@ -221,8 +215,7 @@ READING = together(
             "--accel-scale X  Scale of raw accelerometer counts, in m/s^2 per count.", _SCALE
         ),
         "columns": option(
-            "--columns TEXT  Columns of a table or a topic, such as t=0,g=1:4,a=4:7 or t=0,gz=1 or "
-            "g=imu.rate,a=imu.force; info -v lists those of messages."
+            "--columns TEXT  Columns, or fields of messages: t=0,g=1:4,a=4:7, gz=1 or g=imu.rate."
         ),
         "fields": option("--fields TEXT  Deprecated: use --columns.", multiple=True),
         "message_definition": option(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from imucal.readers.containers import Channel, Loss
-from imucal.readers.message_logs import _loss_findings, in_time_order
+from imucal.readers.message_logs import _loss_findings
+from imucal.readers.message_samples import in_time_order
 from imucal.readers.messages.topics import Topic
 from imucal.readers.store import Room
 

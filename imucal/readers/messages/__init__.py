@@ -1,1 +1,7 @@
 """Messages -> columns: a topic is a table, whose numbers are found in the bytes of its messages."""
+
+from imucal.readers.messages.choice import Choice, choose
+from imucal.readers.messages.loader import decode
+from imucal.readers.messages.topics import Column, Topic, find_topics, plan_of
+
+__all__ = ["Choice", "Column", "Topic", "choose", "decode", "find_topics", "plan_of"]

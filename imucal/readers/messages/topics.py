@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from typing import NamedTuple
 
@@ -24,13 +24,15 @@ from imucal.readers.messages.trees import TIME, Leaf, TreeDecoder, leaves_of_tre
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess
 from imucal.readers.store import Block, is_constant
-from imucal.readers.tables.columns import NamedTable, parse_columns_text
+from imucal.readers.tables.columns import ColumnsError, NamedTable, parse_columns_text
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.names import parse_column
 from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads, make_plan
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
+#: Marks in a columns text, and times that are not columns.
+_MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
 #: Longest array whose elements are columns without being named, and messages whose numbers are examined.
 _WIDEST, _HEAD = 9, 100
 #: Chunks read for them: more if a few contain less than `_HEAD` messages.
@@ -188,22 +190,24 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
 
 def _columns(topic: Topic, text: str | None) -> Iterator[Column]:
     """Yield the columns of a topic; elements of long arrays and of lists only if a columns text has them."""
-    kind, every = plain_type(topic.type), {leaf.path for leaf in topic.leaves}
+    kind = plain_type(topic.type)
     # The names of its two vectors do not contain what they are.
     prefix = "accel." if kind == "geometry_msgs/Accel" else ""
-    named = re.split(r"[,+=@:]", text or "")
+    named = re.split(_MARKS, text or "")
     indices = sorted({0, *map(int, re.findall(r"\[(\d{1,6})\]\.", text or ""))})
     for leaf in topic.leaves:
-        if "]." in leaf.path:
-            paths = [leaf.path.replace("[0].", f"[{index}].", 1) for index in indices if text]
-        else:
-            paths = [leaf.path]
-        for path in paths:
+        listed = (leaf.path.replace("[0].", f"[{index}].", 1) for index in indices if text)
+        for path in listed if "]." in leaf.path else [leaf.path]:
             yield from (Column(prefix + name, name, base) for name, base in _elements(path, leaf, named))
-        rate, spans = _INCREMENTS.get(leaf.path, ("", ()))
-        span = next((span for span in spans if span in every), None)
-        if span and kind.startswith("px4_msgs/"):
-            yield from (Column(f"{rate}[{i}]", f"{leaf.path}[{i}]/{span}", "float32") for i in range(3))
+    if kind.startswith("px4_msgs/"):
+        yield from _rates({leaf.path for leaf in topic.leaves})
+
+
+def _rates(paths: Collection[str]) -> Iterator[Column]:
+    """Yield the rates of increments that are in a message with their durations."""
+    for step, (rate, spans) in _INCREMENTS.items():
+        for span in [span for span in spans if step in paths and span in paths][:1]:
+            yield from (Column(f"{rate}[{i}]", f"{step}[{i}]/{span}", "float32") for i in range(3))
 
 
 def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -221,33 +225,37 @@ def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str
 
 
 def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
-    """Return a topic with its columns, and the sensors that their names, or the user, tell."""
+    """Return a topic with its columns, and the sensors that the user or their names choose."""
     # The numbers of columns are the same with and without a columns text.
     columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
     topic = replace(topic, columns=tuple(columns))
     if len(options.topics) == 2 and topic.name in options.topics:
         # The first of two topics is the gyroscope, if nothing else decides.
         topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
-    table, last = topic.table(), plain_type(topic.type).rpartition("/")[2]
-    if options.columns is not None:
-        try:
-            triads, _, _ = parse_columns_text(options.columns, table)
-        except ChoiceError as error:
-            return replace(topic, reason=getattr(error, "problem", "") or str(error))
-        return replace(topic, sensors=tuple(triad.sensor for triad in triads))
+    if options.columns is None:
+        return _by_name(topic, named=topic.name in options.topics)
+    try:
+        triads, _, _ = parse_columns_text(options.columns, topic.table())
+    except ColumnsError as error:
+        return replace(topic, reason=error.problem)
+    return replace(topic, sensors=tuple(triad.sensor for triad in triads))
+
+
+def _by_name(topic: Topic, *, named: bool) -> Topic:
+    """Return a topic with the sensors in the names of its columns; `named` if the user names the topic."""
+    kind = plain_type(topic.type)
+    last = kind.rpartition("/")[2]
+    if is_command(topic.name) and "imu" not in last.lower() and not named:
+        return topic
+    table = topic.table()
     try:
         found = {triad.sensor for triad in find_triads(table, units_given=tuple(Sensor))}
         bare = set() if found else set(find_bare_triads(table, _word(topic))[0])
     except ChoiceError:
-        found, bare = set(), set()
-    if is_command(topic.name) and "imu" not in last.lower() and topic.name not in options.topics:
         return topic
     vague = bool(bare) and parse_column(f"{last}.x", 0).sensor is None
-    return replace(
-        topic,
-        sensors=tuple(sensor for sensor in Sensor if sensor in found | bare),
-        plain=vague or plain_type(topic.type).startswith(_PLAIN),
-    )
+    sensors = tuple(sensor for sensor in Sensor if sensor in found | bare)
+    return replace(topic, sensors=sensors, plain=vague or kind.startswith(_PLAIN))
 
 
 def _word(topic: Topic) -> str:
@@ -270,8 +278,19 @@ def plan_of(
     One message, or none that can be decoded, is no evidence: all sensors count as changing then. Raises
     ChoiceError if it is not clear which columns to read.
     """
-    names = set(re.split(r"[,+=@:]", options.columns or ""))
-    # A list may be shorter than what its columns stand for: only those that are named are read.
+    heads = _heads(containers, topic, options.columns or "")
+    time = None if options.time in _CLOCKS else options.time
+    plan = make_plan(topic.table(heads), replace(options, time=time), name=_word(topic) or topic.name)
+    alive = []
+    for triad in (sensor.triad for sensor in plan.sensors):
+        rows = [heads[index] for index in triad.indices]
+        alive += [triad.sensor] if rows[0].size < 2 or not is_constant(rows) else []
+    return _in_units_of_type(plan), frozenset(alive)
+
+
+def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
+    """Return the first values of each column; none of lists that the columns text does not name."""
+    names = {*re.split(_MARKS, text)}
     fixed = {leaf.path for leaf in topic.leaves if "]." not in leaf.path and not leaf.type.endswith("[]")}
     wanted = [
         column
@@ -280,19 +299,11 @@ def plan_of(
     ]
     stream = topic.stream(wanted)
     for chunks in _LOOKS:
-        _, *heads = decode(containers, [stream], most_chunks=chunks)[0].columns
-        if not heads or heads[0].size >= _HEAD:
+        log, *heads = decode(containers, [stream], most_chunks=chunks)[0].columns
+        if log.size >= _HEAD:
             break
     values = dict(zip(wanted, heads, strict=True))
-    rows = [values.get(column, np.zeros(0)) for column in topic.columns]
-    time = None if options.time in {"header", "log"} else options.time
-    plan = make_plan(topic.table(rows), replace(options, time=time), name=_word(topic) or topic.name)
-    alive = [
-        plan_.triad.sensor
-        for plan_ in plan.sensors
-        if rows[plan_.triad.indices[0]].size < 2 or not is_constant([rows[i] for i in plan_.triad.indices])
-    ]
-    return _in_units_of_type(plan), frozenset(alive)
+    return [values.get(column, log[:0]) for column in topic.columns]
 
 
 def _owner(name: str) -> str:

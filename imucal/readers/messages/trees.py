@@ -106,14 +106,15 @@ def leaves_of_tree(tree: object, path: str = "") -> Iterator[Leaf]:
             return
         for name, value in list(tree.items())[:_MOST]:
             yield from leaves_of_tree(value, f"{path}.{name}" if path else str(name))
-    elif tree is None or _is_number(tree):
-        yield Leaf(path, "number")
-    elif isinstance(tree, list) and tree:
-        if all(one is None or _is_number(one) for one in tree):
+    elif isinstance(tree, list):
+        if tree and all(map(_is_number, tree)):
             yield Leaf(path, f"number[{len(tree)}]")
-        elif isinstance(tree[0], Mapping):
+        elif tree and isinstance(tree[0], Mapping):
             yield from leaves_of_tree(tree[0], f"{path}[0]")
+    elif _is_number(tree):
+        yield Leaf(path, "number")
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    """Return whether a value is a number, or the null for one that is missing."""
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
