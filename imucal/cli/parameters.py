@@ -173,7 +173,7 @@ class Asked(NamedTuple):
 
 
 def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: Any) -> Asked:  # noqa: ANN401
-    # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second field for a log.
+    # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second one for a log.
     more = [log for log in logs if fields and re.match(r"[\w.]+=", log) and not Path(log).exists()]
     for sensor in Sensor:
         if options[f"{sensor.short}_unit"] == _COUNT:
@@ -181,8 +181,8 @@ def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: Any) ->
     if fields:
         from imucal.readers.read_options import columns_of_fields
 
-        options["columns"] = columns_of_fields([*fields, *more], options["columns"])
-        click.echo(f"--fields is deprecated; use --columns {options['columns']!r}", err=True)
+        options["columns"] = text = columns_of_fields([*fields, *more], options["columns"])
+        click.echo(f"--fields is deprecated; use --columns {text!r}", err=True)
     return Asked(tuple(log for log in logs if log not in more), options)
 
 
@@ -214,9 +214,7 @@ READING = together(
         "accel_scale": option(
             "--accel-scale X  Scale of raw accelerometer counts, in m/s^2 per count.", _SCALE
         ),
-        "columns": option(
-            "--columns TEXT  Columns, or fields of messages: t=0,g=1:4,a=4:7, gz=1 or g=imu.rate."
-        ),
+        "columns": option("--columns TEXT  Columns, or fields of messages: t=0,g=1:4,a=4:7 or gz=rate.z."),
         "fields": option("--fields TEXT  Deprecated: use --columns.", multiple=True),
         "message_definition": option(
             "--msg FILE  Message definition (.msg), or a folder with several, if the log has none.",

@@ -18,6 +18,7 @@ from imucal.readers.messages.trees import TIME
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled
 from imucal.readers.store import Block, Room, count, is_constant
+from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.plan import SensorPlan, TablePlan
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import add_temperature, stamps_of
@@ -87,7 +88,7 @@ def _row_columns(topic: Topic, sensors: Sequence[SensorPlan], sensor: SensorPlan
     rows = sensor.triad.rows
     if rows is None and sensors[0].triad.rows is None:
         return []
-    if rows is None or rows[0] < 0 or rows != sensors[0].triad.rows:
+    if rows is None or rows[0] < 0 or rows != sensors[0].triad.rows or not is_number(rows[1]):
         msg = f"topic {topic.name}: messages are selected by one number for both sensors, such as @id:1"
         raise ChoiceError(msg)
     return [rows[0]]

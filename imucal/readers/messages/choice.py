@@ -102,7 +102,8 @@ def _looks_like_imu(topic: Topic) -> bool:
 
 def _unreadable(path: Path, topic: Topic) -> ChoiceError:
     kind, why = topic.type or "unknown", topic.reason or "its messages contain no numbers"
-    return ChoiceError(f"{path}: topic {topic.name} of type {kind} can't be read: {why}")
+    found = f"; found {columns(topic)}" if topic.columns else ""
+    return ChoiceError(f"{path}: topic {topic.name} of type {kind} can't be read: {why}{found}")
 
 
 def _named(

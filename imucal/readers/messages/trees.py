@@ -82,7 +82,7 @@ def _value(value: Any) -> int | float:  # noqa: ANN401 - any value of a tree
     """Return a number, NaN for null, or a time in ns; raises OverflowError beyond 64 bits."""
     if value is None:
         return math.nan
-    if isinstance(value, int | np.integer):
+    if isinstance(value, int | np.integer | np.bool_):
         return int(np.int64(value))
     if isinstance(value, float | np.floating | str):
         return float(value)

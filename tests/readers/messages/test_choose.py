@@ -31,7 +31,7 @@ def topic(
         name=name,
         type="p/Imu",
         channels=((0, channel),),
-        columns=(Column("v", "v", "float64"),),
+        columns=() if reason else (Column("v", "v", "float64"),),
         sensors=sensors,
         plain=plain,
         reason=reason,

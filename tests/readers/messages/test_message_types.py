@@ -145,7 +145,7 @@ def test_what_the_name_of_a_topic_says(topic: str, sensor: Sensor | None) -> Non
     """One sensor, or nothing; it is read only if it is named."""
     one = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
     assert one.sensors == ((sensor,) if sensor else ())
-    assert one.plain
+    assert one.plain == bool(one.sensors)
     stamped = found("geometry_msgs/Vector3 vector\n" + V3, name="geometry_msgs/Vector3Stamped", topic=topic)
     assert stamped.sensors == one.sensors
 

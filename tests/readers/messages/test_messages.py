@@ -156,13 +156,13 @@ def test_reads_custom_types_that_hold_an_imu(big: bool, tmp_path: Path) -> None:
 
 def test_numbers_behind_a_list_of_texts_are_read(tmp_path: Path) -> None:
     """Structures of strings in front can't be skipped at once: messages are parsed one by one."""
-    types = store(acme__msg__ImuList="diagnostic_msgs/KeyValue[] pairs\nsensor_msgs/Imu imu")
+    types = store(acme__msg__ImuList="diagnostic_msgs/KeyValue[] pairs\nbool[2] on\nsensor_msgs/Imu imu")
     known = types.types
     pair = known["diagnostic_msgs/msg/KeyValue"](key="a", value="b")
 
     def build(row: int) -> Any:  # noqa: ANN401
         reading = imu(types, int(TRUTH.stamps[row]), TRUTH.gyro[row], TRUTH.accel[row])
-        return known["acme/msg/ImuList"](pairs=[pair], imu=reading)
+        return known["acme/msg/ImuList"](pairs=[pair], on=np.array([True, False]), imu=reading)
 
     path = write_mcap(tmp_path / "log.mcap", messages_of("acme/msg/ImuList", types, build), types=types)
     check(read(path))

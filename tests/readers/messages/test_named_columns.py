@@ -214,6 +214,10 @@ def test_columns_that_are_not_there(tmp_path: Path) -> None:
         "  /imu/data (acme/msg/Raw): columns text 'g=wx+wy+wz': there is no column 'wx'; found header.stamp, "
         "gx, gy, gz, ax, ay, az"
     )
+    assert said(path, columns="g=wx+wy+wz", topic=TOPIC) == (
+        f"{path}: topic /imu/data of type acme/msg/Raw can't be read: columns text 'g=wx+wy+wz': there is no "
+        "column 'wx'; found header.stamp, gx, gy, gz, ax, ay, az"
+    )
 
 
 def test_a_temperature_that_is_named(tmp_path: Path) -> None:
@@ -294,8 +298,9 @@ def test_rows_of_one_device(tmp_path: Path) -> None:
         recording = read(path, columns=columns, gyro_unit="rad/s")
         npt.assert_array_equal(axes(recording), TRUTH.all[device::2])
         assert recording.series[0].rate_hz == pytest.approx(50)
-    wrong = "g=gx+gy+gz@device_id:0,a=ax+ay+az@device_id:1"
-    assert "rows of messages are chosen by one number for both sensors" in said(path, columns=wrong)
+    for gyro, accel in (("@device_id:0", "@device_id:1"), ("@device_id:a", "@device_id:a"), ("", "@imu")):
+        message = said(path, columns=f"g=gx+gy+gz{gyro},a=ax+ay+az{accel}")
+        assert "messages are selected by one number for both sensors, such as @id:1" in message
 
 
 def test_messages_without_a_finite_time_are_dropped(tmp_path: Path) -> None:
