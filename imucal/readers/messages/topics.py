@@ -249,9 +249,13 @@ def _by_name(topic: Topic, *, named: bool) -> Topic:
         return topic
     table = topic.table()
     try:
-        found = {triad.sensor for triad in find_triads(table, units_given=tuple(Sensor))}
+        triads = find_triads(table, units_given=tuple(Sensor))
+        found = {triad.sensor for triad in triads}
         bare = set() if found else set(find_bare_triads(table, _word(topic))[0])
     except ChoiceError:
+        return topic
+    if len(found) == 1 and all(len("".join(triad.columns[0].words)) == 1 for triad in triads):
+        # ax, ay, az alone may be the acceleration of a position.
         return topic
     vague = bool(bare) and parse_column(f"{last}.x", 0).sensor is None
     sensors = tuple(sensor for sensor in Sensor if sensor in found | bare)

@@ -99,7 +99,7 @@ _REJECTED = _words(
     "setpoint motor motors motion est estimated delta angle angles attitude position pos pressure baro std "
     "stddev variance var valid uncertainty clip clipping clipped integral target desired cmd ref reference "
     "jerk relative calibration status accuracy rms inc heading gps lat lon alt altitude axisp axisi axisd "
-    "axisf debug rc vel velocity rotationvector gt truth"
+    "axisf debug mean rc vel velocity rotationvector gt truth"
 )
 _REJECTED_STARTS = listed("quat orient magn euler covar freeacc useracc accura accum deltav")
 

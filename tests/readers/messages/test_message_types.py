@@ -63,6 +63,8 @@ def time_of(sensor: SensorPlan) -> tuple[str, int | None] | None:
         ("geometry_msgs/Vector3 rotation\n" + V3, None),
         ("geometry_msgs/Vector3[] gyro\n" + V3, None),
         ("float64[9] angular_velocity_covariance", None),
+        ("float64[3] mean_gyro", None),
+        ("float64 gx\nfloat64 gy\nfloat64 gz", None),
     ],
 )
 def test_what_is_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
@@ -88,6 +90,14 @@ def test_units_are_certain_in_known_types_alone(name: str, gyro: str, accel: str
     units = [(one.stated.unit, one.stated.reason) if one.stated else None for one in plan.sensors]
     known = [("rad/s", "from the message type"), ("m/s^2", "from the message type")]
     assert units == (known if stated else [None, None])
+
+
+def test_letters_are_sensors_in_pairs() -> None:
+    """The acceleration ax, ay, az may be that of a position, unless rates are next to it."""
+    text = "".join(f"float64 {letter}{axis}\n" for letter in "va" for axis in "xyz")
+    assert found(text).sensors == ()
+    assert found(text, columns="a=ax+ay+az").sensors == (ACCEL,)
+    assert found(text.replace("v", "w")).sensors == (GYRO, ACCEL)
 
 
 def test_a_unit_in_a_name_counts() -> None:
