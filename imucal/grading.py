@@ -22,7 +22,6 @@ BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "
 
 #: Exceptions: these findings do not affect the noise.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
-    ("other-vectors", "warning"): "good",
     ("unindexed", "warning"): "good",
     ("index", "warning"): "good",
     ("not-drawn", "warning"): "good",

@@ -32,7 +32,7 @@ def sentence(*findings: Finding, errors: dict[str, float] | None = None) -> str:
 def test_every_code_decides_by_the_table_or_by_its_level(code: str) -> None:
     """The whole table, and nothing beside it: info is good, warning look, error not noise."""
     by_level: dict[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
-    untouched = {(each, "warning") for each in ("other-vectors", "unindexed", "index", "not-drawn")}
+    untouched = {(each, "warning") for each in ("unindexed", "index", "not-drawn")}
     for level in LEVELS:
         expected = "good" if (code, level) in untouched else by_level[level]
         assert grade_of(finding(code, level)) == expected

@@ -125,7 +125,6 @@ _OPTIONS = (
     (r"counts in m/s\^2", "--accel-scale X"),
     (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
     (r"\.msg file", "--msg FILE"),
-    (r"fields text", "--fields TEXT"),
     (r"parts of one recording$", "--join"),
 )  # fmt: skip
 

@@ -164,9 +164,6 @@ DATASHEET = option(
     "--datasheet/--si  Use datasheet or SI units in the table.", default=True, show_default=True
 )
 
-#: Start of a fields text.
-_FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
-
 
 class Asked(NamedTuple):
     """Logs as the user named them, and arguments of `imucal.read` in the order of the report."""
@@ -175,13 +172,17 @@ class Asked(NamedTuple):
     options: dict[str, Any]
 
 
-def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: object) -> Asked:
-    # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second field for a log.
-    more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
+def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: Any) -> Asked:  # noqa: ANN401
+    # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second one for a log.
+    more = [log for log in logs if fields and re.match(r"[\w.]+=", log) and not Path(log).exists()]
     for sensor in Sensor:
         if options[f"{sensor.short}_unit"] == _COUNT:
             options |= {f"{sensor.short}_unit": None, f"{sensor.short}_scale": 1.0}
-    options["fields"] = (*fields, *more)
+    if fields:
+        from imucal.readers.read_options import columns_of_fields
+
+        options["columns"] = text = columns_of_fields([*fields, *more], options["columns"])
+        click.echo(f"--fields is deprecated; use --columns {text!r}", err=True)
     return Asked(tuple(log for log in logs if log not in more), options)
 
 
@@ -213,12 +214,8 @@ READING = together(
         "accel_scale": option(
             "--accel-scale X  Scale of raw accelerometer counts, in m/s^2 per count.", _SCALE
         ),
-        "columns": option("--columns TEXT  Columns of a table, such as t=0,g=1:4,a=4:7 or t=0,gz=1."),
-        "fields": option(
-            "--fields TEXT  Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v "
-            "lists them.",
-            multiple=True,
-        ),
+        "columns": option("--columns TEXT  Columns, or fields of messages: t=0,g=1:4,a=4:7 or gz=rate.z."),
+        "fields": option("--fields TEXT  Deprecated: use --columns.", multiple=True),
         "message_definition": option(
             "--msg FILE  Message definition (.msg), or a folder with several, if the log has none.",
             click.Path(exists=True, path_type=Path),

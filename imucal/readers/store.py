@@ -6,9 +6,7 @@ A temporary file has no name, so nothing is left behind whatever happens.
 import mmap
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -16,11 +14,9 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, never_changes, release
 from imucal.errors import ReadError
-from imucal.recording import Sensor
 from imucal.resources import column_limit
 
-#: Rows of some samples, shape (n,) each: stamps and log times in ns, the axes of each sensor, and the
-#: temperature if there is one.
+#: Columns of some messages, shape (n,) each: the log times in ns, then the wanted numbers.
 Block: TypeAlias = Sequence[NDArray[Any]]
 
 T = TypeVar("T", bound=np.generic)
@@ -124,47 +120,6 @@ def extremes(values: NDArray[Any]) -> tuple[Any, Any]:
 def equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
     """Return whether two arrays of one size hold the same."""
     return all(bool((first[part] == second[part]).all()) for part in blocks(first.size, first, second))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Columns:
-    """Stamps and samples of one topic, one contiguous row per quantity."""
-
-    rows: Block
-    #: Sensor -> its number of axes.
-    axes: Mapping[Sensor, int]
-
-    @property
-    def n(self) -> int:
-        """Number of samples."""
-        return self.stamps.size
-
-    @property
-    def stamps(self) -> IntArray:
-        """Stamps in ns."""
-        return self.rows[0]
-
-    @property
-    def log(self) -> IntArray:
-        """Log times in ns."""
-        return self.rows[1]
-
-    @property
-    def vectors(self) -> dict[Sensor, Sequence[FloatArray]]:
-        """Sensor -> its axes."""
-        rows = iter(self.rows[2:])
-        return {sensor: list(islice(rows, n)) for sensor, n in self.axes.items()}
-
-    @property
-    def temperature(self) -> FloatArray | None:
-        """The temperature, if there is one."""
-        return self.rows[-1] if len(self.rows) > 2 + sum(self.axes.values()) else None
-
-    def reorder(self, first: int, order: IntArray) -> None:
-        """Put the samples from `first` on in another order, in place, row by row; `order` counts from it."""
-        for row in self.rows:
-            part = row[first : first + order.size]
-            part[:] = part[order]
 
 
 def copy_to(target: NDArray[Any], source: NDArray[Any]) -> None:

@@ -25,7 +25,7 @@ import polars as pl
 from tests.readers.logs import Message, header, samples, store, write_mcap
 from tests.readers.messages.test_definition_files import log as write_undefined
 from tests.readers.messages.test_definition_files import package
-from tests.readers.messages.test_named_fields import counts, protobuf_log, single
+from tests.readers.messages.test_named_columns import counts, protobuf_log, single
 from tests.readers.ulog.test_ulog import two_sensors
 
 N = 600
@@ -176,20 +176,20 @@ SLIPS = (
     ("time", "adev excel.csv"),
     ("time", "adev windows.csv"),
     ("messages", "adev raw.mcap"),
-    ("messages", "adev raw.mcap --fields gyro=gx,gy,gz accel=ax,ay,az"),
-    ("messages", "adev raw.mcap --fields gyro=wx,wy,wz"),
-    ("messages", "adev raw.mcap --fields gyro=gx,gy"),
+    ("messages", "adev raw.mcap --columns g=gx+gy+gz,a=ax+ay+az"),
+    ("messages", "adev raw.mcap --columns g=wx+wy+wz"),
+    ("messages", "adev raw.mcap --columns g=gx+gy"),
     ("messages", "adev raw.mcap --time-unit ms"),
     ("messages", "info -v raw.mcap"),
-    ("messages", "adev counts.mcap --fields gyro=g accel=a"),
+    ("messages", "adev counts.mcap --columns g=g,a=a"),
     ("messages", "adev list.mcap"),
-    ("messages", "adev list.mcap --fields gyro=imus[0].rate accel=imus[0].force"),
+    ("messages", "adev list.mcap --columns g=imus[0].rate,a=imus[0].force"),
     ("messages", "adev undefined.mcap --topic /board"),
     ("messages", "adev undefined.mcap --msg src/acme/msg/Board.msg"),
     ("messages", "adev undefined.mcap --msg src"),
     ("messages", "adev json.mcap"),
     ("messages", "adev proto.mcap --topic /imu/data"),
-    ("messages", "adev proto.mcap --fields gyro=turning_dps accel=push_g --gyro-unit deg/s --accel-unit g"),
+    ("messages", "adev proto.mcap --columns g=turning_dps,a=push_g --gyro-unit deg/s --accel-unit g"),
     ("messages", "adev flat.mcap"),
     ("tables", "adev repoimu.csv"),
     ("tables", "adev matlab.txt"),

@@ -1,5 +1,6 @@
 """The option that answers a message of the library, which knows no options."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from tests.cli.run import run
 from tests.readers.logs import imu_messages, samples, write_mcap
 from tests.readers.messages.test_definition_files import log as undefined
 from tests.readers.messages.test_definition_files import package
-from tests.readers.messages.test_named_fields import single
+from tests.readers.messages.test_named_columns import single, two_gyros
 
 HEAD = "gx,gy,gz,ax,ay,az"
 
@@ -91,21 +92,29 @@ def test_a_message_without_an_answer_has_no_hint(tmp_path: Path) -> None:
     assert "Say it with" not in done.stderr
 
 
-def test_fields_are_asked_for_with_their_option(tmp_path: Path) -> None:
-    """What the error proposes can be typed as it stands, with quotes or without; info -v lists the fields."""
-    single(tmp_path)
+def test_columns_of_messages_are_asked_for_with_their_option(tmp_path: Path) -> None:
+    """What the error proposes can be typed as it stands; info -v lists the fields."""
+    two_gyros(tmp_path)
     done = run("adev", "log.mcap", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1] == "Use --fields TEXT."
-    asked = ("--fields", "gyro=gx,gy,gz accel=ax,ay,az")
-    assert "such as 'gyro=gx,gy,gz accel=ax,ay,az'" in done.stderr
+    assert done.stderr.splitlines()[-1] == "Use --columns TEXT."
+    match = re.search(r"such\s+as\s+(\S+)\s+or", done.stderr)
+    assert match is not None
+    asked = ("--columns", match[1], "--gyro-unit", "rad/s")
     assert run("adev", "log.mcap", *asked, "-q", cwd=tmp_path).returncode == 0
-    loose = ("--fields", "gyro=gx,gy,gz", "accel=ax,ay,az", "log.mcap")
-    assert "gyro xyz, accel xyz" in run("adev", *loose, cwd=tmp_path).stderr
     listed = run("info", "-v", "log.mcap", cwd=tmp_path).stdout
-    assert "/imu/data:\n  header.stamp.sec int32, " in listed
-    assert "header.stamp.sec" not in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
+    assert "/imu/data:\n  header.stamp time, " in listed
+    assert "header.stamp time" not in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
     assert "gyro, accel" in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
+
+
+def test_the_deprecated_fields_are_read(tmp_path: Path) -> None:
+    """With quotes or without; a line explains what to use."""
+    single(tmp_path)
+    for asked in (["gyro=gx,gy,gz accel=ax,ay,az"], ["gyro=gx,gy,gz", "accel=ax,ay,az"]):
+        done = run("adev", "--fields", *asked, "log.mcap", cwd=tmp_path)
+        assert "gyro xyz, accel xyz" in done.stderr
+        assert "--fields is deprecated; use --columns 'g=gx+gy+gz,a=ax+ay+az'" in done.stderr
 
 
 def test_a_definition_is_asked_for_with_its_option(tmp_path: Path) -> None:

@@ -76,11 +76,15 @@ def test_a_number_that_makes_no_sense_is_a_usage_error(option: str, value: str, 
     assert f"Error: Invalid value for '{option}': " in done.stderr
 
 
-def test_columns_of_a_log_of_messages_are_refused(tmp_path: Path) -> None:
-    """An option that would change nothing is not ignored."""
-    done = run("adev", str(SAMPLE_LOGS / "too_short.db3"), "--columns", "t=0,g=1:4,a=4:7", cwd=tmp_path)
-    assert done.returncode == 3
-    assert "messages have no columns; omit 't=0,g=1:4,a=4:7'" in done.stderr
+def test_columns_of_a_log_of_messages(tmp_path: Path) -> None:
+    """They can be named as those of a table; constants are no samples."""
+    log = str(SAMPLE_LOGS / "too_short.db3")
+    found = run("adev", log, cwd=tmp_path).stdout
+    for columns in ("g=angular_velocity,a=linear_acceleration", "t=0,g=14:17,a=26:29"):
+        assert run("adev", log, "--columns", columns, cwd=tmp_path).stdout == found
+    done = run("adev", log, "--columns", "t=0,g=1:4,a=4:7", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "no sensor has samples that change" in done.stderr
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:

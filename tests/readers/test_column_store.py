@@ -8,7 +8,7 @@ from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.scales import Unscaled
-from imucal.readers.store import Columns, GrowingColumn
+from imucal.readers.store import GrowingColumn
 from imucal.recording import Sensor
 
 LIMITS = [1 << 30, 800]
@@ -34,21 +34,6 @@ def test_integers_stay_integers(limit: int) -> None:
     for block in np.split(stamps, 4):
         column.append(block)
     npt.assert_array_equal(column.take(), stamps)
-
-
-def test_columns_are_named_and_ordered() -> None:
-    """Every row in the same order; the temperature is the last one."""
-    rows = [np.arange(100) + row for row in range(7)]
-    columns = Columns(rows, {Sensor.GYROSCOPE: 3, Sensor.ACCELEROMETER: 1})
-    columns.reorder(10, np.arange(90)[::-1])
-    expected = np.r_[0:10, 99:9:-1]
-    assert columns.n == 100
-    npt.assert_array_equal(columns.stamps, expected)
-    npt.assert_array_equal(columns.log, expected + 1)
-    npt.assert_array_equal(columns.vectors[Sensor.GYROSCOPE], [expected + row for row in (2, 3, 4)])
-    npt.assert_array_equal(columns.vectors[Sensor.ACCELEROMETER], [expected + 5])
-    npt.assert_array_equal(columns.temperature, expected + 6)
-    assert Columns(rows[:5], {Sensor.GYROSCOPE: 3}).temperature is None
 
 
 def test_a_recording_keeps_order_scale_and_each_finding_once() -> None:

@@ -168,7 +168,7 @@ READ = (
     Known(files=("formats/robot_localization_test1_husky.bag",), n=11865, rate=30),
     Known(files=("formats/robot_localization_test2_jackal.bag",), n=3061, rate=50),
     # Ten messages, stamped by the computer as they came: no rate can be right.
-    Known(files=("formats/novatel_ins1.bag",), n=10, rate=1500, within=0.02),
+    Known(files=("formats/novatel_ins1.bag",), n=10, rate=1500, within=0.02, options={"topic": "/gps/imu"}),
     Known(
         files=("real/broad_rest/03_undisturbed_slow_rotation_C_rest.csv",),
         n=13057,

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 
 from imucal.readers.containers import Channel, Loss
-from imucal.readers.message_logs import _loss_findings, in_time_order
-from imucal.readers.messages.topics import Topic, _said
-from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import Columns, Room
-from imucal.recording import Sensor
-
-GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+from imucal.readers.message_logs import _loss_findings
+from imucal.readers.message_samples import in_time_order
+from imucal.readers.messages.topics import Topic
+from imucal.readers.store import Room
 
 
 def test_losses_in_words() -> None:
@@ -92,39 +89,39 @@ def test_what_an_index_tells(
     assert (found.count, found.duration_s, found.rate_hz) == (count, duration, rate)
 
 
-def test_what_the_caller_says_of_two_topics() -> None:
-    """The first is the gyroscope; one alone, or of three, says nothing."""
-    two = ReadOptions(topics=("/a", "/b"))
-    assert [_said(name, two) for name in ("/a", "/b", "/c")] == [GYRO, ACCEL, None]
-    assert _said("/a", ReadOptions(topics=("/a",))) is None
-    assert _said("/a", ReadOptions(topics=("/a", "/b", "/c"))) is None
-
-
-def columns(
-    stamps: list[int], log: list[int] | None = None, sensors: tuple[Sensor, ...] = (GYRO, ACCEL)
-) -> Columns:
-    """Return columns whose samples are the number of the row, from 0."""
-    times = [np.array(stamps), np.array(stamps if log is None else log)]
-    axes = [np.arange(len(stamps), dtype=np.float64) for _ in range(3 * len(sensors))]
-    return Columns([*times, *axes], dict.fromkeys(sensors, 3))
-
-
-def test_the_order_of_the_log_time() -> None:
+@pytest.mark.parametrize(
+    ("stamps", "log", "rows"),
+    [
+        ([1, 3, 2, 4], [1, 3, 2, 4], [0, 2, 1, 3]),
+        ([1, 2, 3, 4], [1, 3, 2, 4], [0, 1, 2, 3]),
+        # As many steps back before and behind: the log time decides.
+        ([2, 1, 4, 3], [1, 3, 2, 4], [0, 2, 1, 3]),
+    ],
+)
+def test_the_order_of_the_log_time(stamps: list[int], log: list[int], rows: list[int]) -> None:
     """Samples are sorted, unless that brings more stamps out of order than there were."""
-    held = columns([1, 3, 2, 4], [1, 3, 2, 4])
-    (found,) = in_time_order(held, Room())
+    times = np.array(stamps), np.array(log)
+    samples = [np.arange(4.0), np.arange(4.0)]
+    (found,) = in_time_order(*times, samples, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
-    assert found.text == ("1 messages were out of order; they were sorted by log time.")
-    assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
-    held = columns([1, 2, 3, 4], [1, 3, 2, 4])
-    (found,) = in_time_order(held, Room())
-    assert (found.level, found.code) == ("info", "log-out-of-order")
+    kept = rows == [0, 1, 2, 3]
     assert found.text == (
         "The log time goes back 1 times and the time stamps do not; the order of the file is kept."
+        if kept
+        else "1 messages were out of order; they were sorted by log time."
     )
-    assert held.vectors[GYRO][0].tolist() == [0, 1, 2, 3]
-    # As many steps back before and behind: the log time decides.
-    held = columns([2, 1, 4, 3], [1, 3, 2, 4])
-    assert len(in_time_order(held, Room())) == 1
-    assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
-    assert in_time_order(columns([1, 1, 2, 2]), Room()) == []
+    for before, after in zip((stamps, log, range(4), range(4)), (*times, *samples), strict=True):
+        assert after.tolist() == [before[row] for row in rows]
+
+
+def test_a_log_in_order_stays() -> None:
+    """Also if its stamps are the log time itself, and two samples have the same."""
+    times = np.array([1, 1, 2, 2])
+    assert in_time_order(times, times, [np.arange(4.0)], Room()) == []
+
+
+def test_the_log_time_may_be_the_only_time() -> None:
+    """It is sorted once."""
+    times, samples = np.array([1, 3, 2, 4]), np.arange(4.0)
+    assert len(in_time_order(times, times, [samples], Room())) == 1
+    assert (times.tolist(), samples.tolist()) == ([1, 2, 3, 4], [0, 2, 1, 3])

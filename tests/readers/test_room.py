@@ -11,7 +11,7 @@ from imucal import arrays
 from imucal.arrays import IntArray, blocks, release
 from imucal.errors import ReadError
 from imucal.readers.clocks.from_stamps import _filled
-from imucal.readers.message_logs import steps_back, unsorted
+from imucal.readers.message_samples import steps_back, unsorted
 from imucal.readers.store import Room, copy_to, count, equal, extremes, is_constant
 from imucal.readers.tables.dates import DAY
 from imucal.readers.tables.stamps import date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps

@@ -1,16 +1,7 @@
-"""Messages -> columns: which carry IMU samples, and where their numbers lie in the bytes."""
+"""Messages -> columns: a topic is a table, whose numbers are found in the bytes of its messages."""
 
+from imucal.readers.messages.choice import Choice, choose
 from imucal.readers.messages.loader import decode
-from imucal.readers.messages.topic_streams import live_sensors, read_temperature, stream_of
-from imucal.readers.messages.topics import Choice, Topic, choose, find_topics
+from imucal.readers.messages.topics import Column, Topic, find_topics, plan_of
 
-__all__ = [
-    "Choice",
-    "Topic",
-    "choose",
-    "decode",
-    "find_topics",
-    "live_sensors",
-    "read_temperature",
-    "stream_of",
-]
+__all__ = ["Choice", "Column", "Topic", "choose", "decode", "find_topics", "plan_of"]

@@ -14,9 +14,8 @@ import numpy as np
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.message_types import ImuFields
 from imucal.readers.read_options import Progress
-from imucal.readers.store import Block, Columns, GrowingColumn
+from imucal.readers.store import Block, GrowingColumn
 from imucal.resources import column_limit
 from imucal.resources import threads as allowed_threads
 
@@ -46,17 +45,17 @@ class Decoder(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Stream:
-    """One topic to decode: its fields, and the decoder of each channel (container, key)."""
+    """One topic to decode: the types of its columns, and the decoder of each channel (container, key)."""
 
-    imu: ImuFields
+    types: Sequence[type[np.generic]]
     decoders: dict[tuple[int, int], Decoder]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoding:
-    """The samples of a stream in the order of the file, and what was lost."""
+    """The columns of a stream in the order of the file, the log time first, and what was lost."""
 
-    columns: Columns
+    columns: Block
     losses: list[Loss]
     #: Messages that the file counts but no part contained; None if the file does not count them.
     missing: int | None
@@ -78,7 +77,7 @@ def decode(
     # Counts can be wrong, so the file's size limits the memory that is reserved.
     most = sum(container.size for container in containers) // _SMALLEST if most_chunks is None else 0
     share = (column_limit() if limit is None else limit) // len(streams)
-    outputs = [_Output(stream.imu, _stated(containers, stream), most, share) for stream in streams]
+    outputs = [_Output(stream.types, _stated(containers, stream), most, share) for stream in streams]
     if sum(output.expected for output in outputs) > _LARGE:
         keep_freed_memory()
     parallel = all(container.parallel for container in containers)
@@ -100,14 +99,12 @@ class _Output:
     bytes in memory.
     """
 
-    def __init__(self, imu: ImuFields, stated: int | None, most: int, limit: int) -> None:
+    def __init__(self, types: Sequence[type[np.generic]], stated: int | None, most: int, limit: int) -> None:
         self._stated, self._found = stated, 0
         self.expected = min(stated or 0, most)
-        self._axes = {vector.sensor: len(vector.axes) for vector in imu.vectors}
-        types: list[type[np.generic]] = [np.int64] * 2
-        types += [np.float64] * (sum(self._axes.values()) + bool(imu.temperature))
-        share = limit // len(types)
-        self._columns = [GrowingColumn(one, limit=share, expected=self.expected) for one in types]
+        share = limit // (1 + len(types))
+        every: list[type[np.generic]] = [np.int64, *types]
+        self._columns = [GrowingColumn(one, limit=share, expected=self.expected) for one in every]
         self._losses: list[Loss] = []
 
     def add(self, n: int, pieces: Sequence[Block | Loss]) -> None:
@@ -122,7 +119,7 @@ class _Output:
 
     def decoding(self) -> Decoding:
         """Return the result."""
-        columns = Columns([column.take() for column in self._columns], self._axes)
+        columns = [column.take() for column in self._columns]
         missing = None if self._stated is None else max(self._stated - self._found, 0)
         return Decoding(columns, self._losses, missing)
 

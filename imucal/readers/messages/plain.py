@@ -7,19 +7,19 @@ of encapsulation). Source: OMG DDS-XTypes 1.3, 7.4.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
+from itertools import chain
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import IntArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.frozen import frozen
 from imucal.readers.containers import Batch, Bytes, gather
 from imucal.readers.containers.container import cells
 from imucal.readers.files import DamagedError, damaged_if
 from imucal.readers.messages.definitions import Field
-from imucal.readers.messages.message_types import ImuFields, Stamp
 from imucal.readers.store import Block
 
 #: Offset from the start of the payload: one for all messages, or one for each.
@@ -57,11 +57,11 @@ _ENCAPSULATIONS = {
 }
 
 
-def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
-    """Return whether the walk can reach all fields chosen by the user.
+def is_reachable(paths: Sequence[str], fields: Sequence[Field]) -> bool:
+    """Return whether the walk can reach all wanted paths.
 
-    It can reach numbers, and elements of arrays and of sequences of numbers, before the first list of
-    structures with texts. The elements of an array of three are read at once.
+    It can reach numbers, times, and elements of arrays and of sequences of numbers, before the first list of
+    structures with texts.
     """
     known = {entry.path: entry for entry in fields}
 
@@ -76,21 +76,28 @@ def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
             return owner.count == 1
         return owner.kind == "array" and int(match[2]) < owner.count
 
-    return not imu.lists and all(map(reached, imu.wanted))
+    return all(map(reached, chain.from_iterable(_parts(path, known) for path in paths)))
+
+
+def _parts(path: str, known: Container[str]) -> tuple[str, ...]:
+    """Return the paths of the numbers in a wanted path: two for a time, and for a quotient."""
+    return (f"{path}.sec", f"{path}.nanosec") if f"{path}.sec" in known else tuple(path.split("/"))
 
 
 class BinaryDecoder:
     """Decodes the wanted fields of the ROS 1 or CDR messages of one channel.
 
-    A wanted path names a field, or one element of an array or a sequence of numbers: ``gyro[0]``.
+    A wanted path names a number, a time (of seconds and nanoseconds, decoded as ns), or one element of an
+    array or a sequence of numbers: ``gyro[0]``. ``step[0]/dt`` is a number over its duration in µs.
     """
 
-    def __init__(self, fields: Sequence[Field], imu: ImuFields, *, ros1: bool) -> None:
-        self.imu = imu
+    def __init__(self, fields: Sequence[Field], paths: Sequence[str], *, ros1: bool) -> None:
         self._ros1 = ros1
-        self._wanted = frozenset(imu.wanted)
+        known = {entry.path for entry in fields}
+        self._columns = [(path, _parts(path, known)) for path in paths]
+        self._wanted = frozenset(chain.from_iterable(parts for _, parts in self._columns))
         self._elements: dict[str, dict[int, str]] = {}
-        for path in self._wanted - {entry.path for entry in fields}:
+        for path in self._wanted - known:
             if match := _ELEMENT.fullmatch(path):
                 self._elements.setdefault(match[1], {})[int(match[2])] = path
         #: Whether the layout is known to the end of a message: the walk ends before a list of structures.
@@ -127,29 +134,15 @@ class BinaryDecoder:
             msg = f"a message has {size} bytes instead of the {size - spare[row]} of its definition"
             # If all of several differ, the definition is wrong, and halves of the batch need not be tried.
             raise DamagedError(msg, "definition" if batch.n > 1 and wrong.all() else "damaged")
-        values = iter(_gathered(batch.buffer, starts, list(self._numbers(places))))
-        samples = [_stamps(self.imu.stamp, values, batch.n), batch.log_ns]
-        for vector in self.imu.vectors:
-            rows = [next(values) for _ in vector.axes]
-            if vector.divisor:
-                seconds = next(values).astype(np.float64) * 1e-6
-                seconds[seconds == 0] = np.nan
-                rows = [row / seconds for row in rows]
-            samples += rows
-        return [*samples, *values]
-
-    def _numbers(self, places: dict[str, Place]) -> Iterator[Place]:
-        """Yield the places of the stamp, of each vector and its divisor, and of the temperature."""
-        stamp = self.imu.stamp
-        yield from (places[path] for path in ((stamp.sec, stamp.nanosec) if stamp else ()) if path)
-        for vector in self.imu.vectors:
-            at, dtype = places[vector.paths[0]]
-            if len(vector.paths) < len(vector.axes):
-                yield from ((at + axis * int(dtype[-1]), dtype) for axis in range(len(vector.axes)))
-            else:
-                yield from (places[path] for path in vector.paths)
-            yield from [places[vector.divisor]] if vector.divisor else []
-        yield from [places[self.imu.temperature]] if self.imu.temperature else []
+        wanted = [places[part] for _, parts in self._columns for part in parts]
+        values = iter(_gathered(batch.buffer, starts, wanted))
+        columns = [batch.log_ns]
+        for path, parts in self._columns:
+            column = next(values)
+            if len(parts) > 1:
+                column = (_quotient if "/" in path else _stamps)(column, next(values))
+            columns.append(column)
+        return columns
 
     def _walk(self, buffer: Bytes, starts: IntArray, layout: Layout) -> tuple[dict[str, Place], Position]:
         """Find the wanted fields, and the end, of messages whose payloads start at `starts`, shape (n,).
@@ -221,25 +214,17 @@ def _gathered(buffer: Bytes, starts: IntArray, places: Sequence[Place]) -> Block
     return numbers
 
 
-def _stamps(stamp: Stamp | None, values: Iterator[NDArray[Any]], n: int) -> IntArray:
-    """Return stamps in ns, shape (n,), from the next values; zeros without stamps."""
-    if stamp is None:
-        return np.zeros(n, np.int64)
-    counts = next(values)
-    if not stamp.nanosec:
-        return _scaled(counts, stamp.scale)
+def _stamps(seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> IntArray:
+    """Return times in ns, shape (n,)."""
     # Cast first, then add in place: this takes half the time.
-    result = counts.astype(np.int64)
+    result = seconds.astype(np.int64)
     result *= 1_000_000_000
-    result += next(values)
+    result += nanoseconds
     return result
 
 
-def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
-    """Return counts of `scale` ns as ns; floats are split first to keep their resolution."""
-    if counts.dtype.kind != "f":
-        return counts.astype(np.int64) * np.int64(scale)
-    good = np.isfinite(counts) & (np.abs(counts) < float((1 << 62) // scale))
-    whole = np.where(good, np.floor(counts), 0.0)
-    rest = np.where(good, counts, 0.0) - whole
-    return whole.astype(np.int64) * scale + np.round(rest * scale).astype(np.int64)
+def _quotient(steps: NDArray[Any], micros: NDArray[Any]) -> FloatArray:
+    """Return steps per second, shape (n,); NaN for a duration of zero."""
+    seconds = micros.astype(np.float64) * 1e-6
+    seconds[seconds == 0] = np.nan
+    return np.asarray(steps / seconds)

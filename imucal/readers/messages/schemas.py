@@ -9,9 +9,8 @@ from itertools import count
 from typing import Any
 
 from imucal.readers.containers import Channel
-from imucal.readers.messages.definitions import Definition, DefinitionError, Field, standard_types
-from imucal.readers.messages.leaves import Leaf
-from imucal.readers.messages.trees import Parse
+from imucal.readers.messages.definitions import Definition, DefinitionError, standard_types
+from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 
 #: A type that nests deeper than this is not shown further, or refers to itself.
 _DEEP = 8
@@ -41,8 +40,7 @@ def _ros_leaves(
             brackets = f"[{'' if line.count is None else line.count}]" if line.array else ""
             yield Leaf(path, line.kind + brackets)
         elif line.is_time:
-            yield Leaf(f"{own}.sec", "int32")
-            yield Leaf(f"{own}.nanosec", "uint32")
+            yield Leaf(own, TIME)
         elif not line.is_text and depth < _DEEP:
             yield from _ros_leaves(known, line.kind, f"{own}.", depth + 1, steps)
 
@@ -77,16 +75,6 @@ def protobuf_leaves(channel: Channel) -> list[Leaf]:
     return list(_protobuf_leaves(_descriptor(channel), "", 0, count()))
 
 
-def protobuf_fields(channel: Channel) -> list[Field]:
-    """Return the numbers as fields, to be recognised by their names; their layout is not a fixed one."""
-    codes = {name.lower(): code for name, code in _CODES.items()}
-    return [
-        Field(leaf.path, "number", codes[leaf.type])
-        for leaf in protobuf_leaves(channel)
-        if leaf.type in codes
-    ]
-
-
 def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an extra
     try:
         from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -110,7 +98,9 @@ def _protobuf_leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[i
     names = {getattr(Kinds, f"TYPE_{name}"): name.lower() for name in _CODES}
     for field in descriptor.fields:
         path = prefix + field.name
-        if field.message_type is not None:
+        if field.message_type is not None and is_time([part.name for part in field.message_type.fields]):
+            yield Leaf(f"{path}[0]" if field.is_repeated else path, TIME)
+        elif field.message_type is not None:
             if depth < _DEEP and next(steps) < _MESSAGES:
                 own = f"{path}[0]." if field.is_repeated else f"{path}."
                 yield from _protobuf_leaves(field.message_type, own, depth + 1, steps)

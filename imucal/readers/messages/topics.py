@@ -1,65 +1,87 @@
-"""The topics of a log: which carry IMU samples, in which numbers, and which to read; never a silent pick."""
+"""A topic of a log is a table: a column for each number in its messages, whose names identify the sensors."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import field, replace
+from typing import NamedTuple
 
-from imucal.errors import ChoiceError
+import numpy as np
+
+from imucal.errors import ChoiceError, ReadError
 from imucal.frozen import frozen_alone
 from imucal.readers.containers import Channel, Container
-from imucal.readers.files import refused
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
     DefinitionError,
-    definition_of,
     definition_of_channel,
     plain_type,
     read_definitions,
 )
-from imucal.readers.messages.leaves import Leaves, leaves_of_tree
-from imucal.readers.messages.loader import first_message
-from imucal.readers.messages.message_types import (
-    FieldsText,
-    ImuFields,
-    find_imus,
-    is_command,
-    parse_fields_text,
-)
-from imucal.readers.messages.trees import JSON_FIELDS
+from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
+from imucal.readers.messages.plain import BinaryDecoder, is_reachable
+from imucal.readers.messages.trees import TIME, Leaf, TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import UnitGuess
+from imucal.readers.store import Block, is_constant
+from imucal.readers.tables.columns import ColumnsError, NamedTable, parse_columns_text
+from imucal.readers.tables.dialects import Dialect
+from imucal.readers.tables.names import parse_column
+from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads, make_plan
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
-_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-#: Topics listed in a message.
-_MOST = 24
+#: Marks in a columns text, and times that are not columns.
+_MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
+#: Longest array whose elements are columns without being named, and messages whose numbers are examined.
+_WIDEST, _HEAD = 9, 100
+#: Chunks read for them: more if a few contain less than `_HEAD` messages.
+_LOOKS = (1, 32)
+#: Packages whose vectors may be anything: they are read only if the user names the topic.
+_PLAIN = ("geometry_msgs/", "nav_msgs/")
+_ROS = Dialect(name="ROS", headers=(), gyro_unit="rad/s", accel_unit="m/s^2", has_log_time=True)
+#: Package of message types -> their units and times: REP 103, and microseconds since boot.
+_PACKAGES = {
+    **dict.fromkeys(("sensor_msgs", "geometry_msgs", "nav_msgs"), _ROS),
+    "px4_msgs": replace(_ROS, name="PX4", time_ns=(("timestamp", 1_000), ("timestamp_sample", 1_000))),
+}
+#: Increments of PX4 -> the rate that they are, over their own duration in µs.
+_INCREMENTS = {
+    "delta_angle": ("gyro_rad", ("delta_angle_dt",)),
+    "delta_velocity": ("accelerometer_m_s2", ("delta_velocity_dt", "dt")),
+}
+
+
+class Column(NamedTuple):
+    """A number in messages: the name of its column, its path for the decoders, and its type."""
+
+    name: str
+    path: str
+    type: str
 
 
 @frozen_alone
 class Topic:
-    """A topic of a log, over all its files, or one IMU of a topic whose messages hold several."""
+    """A topic of a log, over all its files."""
 
-    #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``; ``/imus:left`` for a part of a message.
+    #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
     name: str
     type: str
     #: Number of the container, and channel.
     channels: tuple[tuple[int, Channel], ...]
-    #: What its messages can give; None where nothing, or not known how.
-    imu: ImuFields | None = None
-    #: Why its messages can't be read, though its type looks like an IMU's; else empty.
+    #: The numbers in its messages, and the columns to choose from.
+    leaves: tuple[Leaf, ...] = ()
+    columns: tuple[Column, ...] = ()
+    #: The sensors in the names of the columns.
+    sensors: tuple[Sensor, ...] = ()
+    #: Whether its vectors may be anything: read only if the user names the topic.
+    plain: bool = False
+    #: Why its messages can't be read; else empty.
     reason: str = ""
-    #: The field of a message that holds this IMU; empty where there is one only.
-    part: str = ""
-    #: The numbers in its messages.
-    leaves: Leaves = field(default_factory=lambda: Leaves(()))
+    #: The sensor that the user wants from it; None if its names decide.
+    wanted: Sensor | None = None
     #: The definitions of types that the user gives.
     given: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def proposal(self) -> str:
-        """A fields text that might read its messages; empty if there is none."""
-        return self.leaves.proposal() if self.count != 0 and not is_command(self.name) else ""
 
     @property
     def count(self) -> int | None:
@@ -81,71 +103,67 @@ class Topic:
         count, duration = self.count, self.duration_s
         return (count - 1) / duration if count and duration and count > 1 else None
 
+    def table(self, heads: Block = ()) -> NamedTable:
+        """Return its columns with the first values of each."""
+
+        def cells(index: int) -> Sequence[str]:
+            return _cells(heads[index]) if heads else ()
+
+        units = ["ns" if column.type == TIME else None for column in self.columns]
+        names = [column.name for column in self.columns]
+        table = NamedTable.of(f"topic {self.name}", names, cells, units=units)
+        dialect = _PACKAGES.get(self.type.partition("/")[0], table.dialect)
+        return replace(table, dialect=dialect)
+
+    def stream(self, columns: Sequence[Column]) -> Stream:
+        """Return how to decode some columns; raises ReadError if its messages can't be decoded."""
+        paths = [column.path for column in columns]
+        try:
+            decoders = {(at, channel.key): self._decoder(channel, paths) for at, channel in self.channels}
+        except DefinitionError as error:
+            raise ReadError(f"topic {self.name} of type {self.type} can't be decoded: {error}") from error
+        floats = [column.type.startswith(("float", "double")) or "/" in column.path for column in columns]
+        return Stream([np.float64 if one else np.int64 for one in floats], decoders)
+
+    def _decoder(self, channel: Channel, paths: Sequence[str]) -> Decoder:
+        """Return the decoder of the messages of one channel."""
+        if channel.encoding == "json":
+            return TreeDecoder(paths)
+        if channel.encoding == "protobuf":
+            return TreeDecoder(paths, schemas.protobuf_parser(channel), "protobuf")
+        definition = definition_of_channel(channel, self.given)
+        fields = definition.fields()
+        if not is_reachable(paths, fields):
+            return TreeDecoder(paths, schemas.ros_parser(definition), "ROS")
+        return BinaryDecoder(fields, paths, ros1=channel.encoding == "ros1")
+
+
+def _cells(values: np.ndarray) -> list[str]:
+    """Return the first values of a column as text; a topic without any counts as one of zeros."""
+    numbers = values[:_HEAD].tolist()
+    return ["" if number != number else repr(number) for number in numbers] or ["0"]  # noqa: PLR0124 - NaN
+
 
 def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[Topic]:
     """Return all topics of a log, in the order of its first file."""
-    wanted = parse_fields_text(options.fields)
     given = read_definitions(options.message_definitions)
     groups: dict[tuple[str, str], list[tuple[int, Channel]]] = {}
     for number, container in enumerate(containers):
         for channel in container.channels:
             groups.setdefault((channel.topic, plain_type(channel.type)), []).append((number, channel))
-    topics = [
-        topic
-        for channels in groups.values()
-        for topic in _topics(channels, containers[channels[0][0]], options, wanted, given)
-    ]
-    imus = [topic.imu for topic in topics if topic.imu is not None]
-    if wanted and wanted.temperature and imus and not any(imu.temperature for imu in imus):
-        shown = next(topic.leaves.shown() for topic in topics if topic.imu is not None)
-        msg = f"there is no temperature {wanted.temperature} in the messages with the samples; found {shown}"
-        raise ChoiceError(msg)
-    return topics
+    found = []
+    for channels in groups.values():
+        number, channel = channels[0]
+        topic = Topic(name=channel.topic, type=channel.type, channels=tuple(channels), given=given)
+        try:
+            leaves = tuple(_leaves(channel, containers[number], given))
+            found.append(_with_sensors(replace(topic, leaves=leaves), options))
+        except DefinitionError as error:
+            found.append(replace(topic, reason=str(error)))
+    return found
 
 
-def _topics(
-    channels: list[tuple[int, Channel]],
-    container: Container,
-    options: ReadOptions,
-    wanted: FieldsText | None,
-    given: Mapping[str, str],
-) -> list[Topic]:
-    """Return a topic as one entry for each IMU that its messages hold; one without IMU samples as it is."""
-    channel = channels[0][1]
-    name = channel.topic
-    whole = Topic(name=name, type=channel.type, channels=tuple(channels), given=given)
-    imus: dict[str, ImuFields] = {}
-    try:
-        leaves = _leaves(channel, container, whole.given)
-        whole = replace(whole, leaves=leaves)
-        if wanted is not None:
-            asked = leaves.asked(wanted, options.time_unit)
-            imus, reason = ({"": asked}, "") if isinstance(asked, ImuFields) else ({}, f"it has no {asked}")
-        else:
-            imus, reason = _known(channel, whole, options), ""
-            if not imus:
-                how = leaves.proposal()
-                reason = (
-                    "it has no fields named as angular velocity or linear acceleration; name them in a "
-                    f"fields text{f' such as {how!r}' if how else ''}; found {leaves.shown()}"
-                )
-    except DefinitionError as error:
-        reason = str(error)
-    if not imus:
-        meant = (
-            wanted
-            or _looks_like_imu(channel)
-            or name in options.topics
-            or definition_of(channel.type, whole.given)
-        )
-        return [replace(whole, reason=reason if meant else "")]
-    return [
-        replace(whole, name=f"{name}:{part}" if part else name, imu=imu, part=part)
-        for part, imu in imus.items()
-    ]
-
-
-def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) -> Leaves:
+def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) -> Sequence[Leaf]:
     """Return the numbers in the messages of a channel; those of JSON are those of the first message.
 
     Raises DefinitionError if the messages can't be read.
@@ -153,11 +171,11 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
     if channel.encoding == "json":
         first = first_message(container, channel.key)
         try:
-            return Leaves(leaves_of_tree(json.loads(first)) if first is not None else ())
-        except (ValueError, RecursionError):
-            return Leaves(())
+            return list(leaves_of_tree(json.loads(first))) if first is not None else []
+        except (ValueError, RecursionError) as error:
+            raise DefinitionError(f"its first message is no JSON: {error}") from error
     if channel.encoding == "protobuf":
-        return Leaves(schemas.protobuf_leaves(channel))
+        return schemas.protobuf_leaves(channel)
     if channel.encoding not in _ENCODINGS:
         msg = (
             f"messages are encoded as {channel.encoding!r}; expected one of {', '.join(_ENCODINGS)}; "
@@ -167,170 +185,142 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
     definition = definition_of_channel(channel, given)
     # The flat fields say whether the definition is whole.
     definition.fields()
-    return Leaves(schemas.ros_leaves(definition))
+    return schemas.ros_leaves(definition)
 
 
-def _known(channel: Channel, topic: Topic, options: ReadOptions) -> dict[str, ImuFields]:
-    """Return the IMUs that the fields of a channel's messages are recognised as."""
-    if channel.encoding == "json":
-        vectors = tuple(v for v in JSON_FIELDS.vectors if topic.leaves.vector(v.paths) is not None)
-        known = len(vectors) == 2 or (not topic.leaves.all and _looks_like_imu(channel))
-        return {"": JSON_FIELDS} if known else {}
-    if channel.encoding == "protobuf":
-        fields = tuple(schemas.protobuf_fields(channel))
-    else:
-        fields = definition_of_channel(channel, topic.given).fields()
-    found = find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
-    command = is_command(channel.topic) and channel.topic not in options.topics
-    return {} if command and all(imu.plain for imu in found.values()) else found
+def _columns(topic: Topic, text: str | None) -> Iterator[Column]:
+    """Yield the columns of a topic; elements of long arrays and of lists only if a columns text has them."""
+    kind = plain_type(topic.type)
+    # The names of its two vectors do not contain what they are.
+    prefix = "accel." if kind == "geometry_msgs/Accel" else ""
+    named = re.split(_MARKS, text or "")
+    indices = sorted({0, *map(int, re.findall(r"\[(\d{1,6})\]\.", text or ""))})
+    for leaf in topic.leaves:
+        listed = (leaf.path.replace("[0].", f"[{index}].", 1) for index in indices if text)
+        for path in listed if "]." in leaf.path else [leaf.path]:
+            yield from (Column(prefix + name, name, base) for name, base in _elements(path, leaf, named))
+    if kind.startswith("px4_msgs/"):
+        yield from _rates({leaf.path for leaf in topic.leaves})
 
 
-def _said(name: str, options: ReadOptions) -> Sensor | None:
-    """Return the sensor that the caller names a topic for: the first of two is the gyroscope."""
-    if len(options.topics) == 2 and name in options.topics:
-        return (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)[options.topics.index(name)]
-    return None
+def _rates(paths: Collection[str]) -> Iterator[Column]:
+    """Yield the rates of increments that are in a message with their durations."""
+    for step, (rate, spans) in _INCREMENTS.items():
+        for span in [span for span in spans if step in paths and span in paths][:1]:
+            yield from (Column(f"{rate}[{i}]", f"{step}[{i}]/{span}", "float32") for i in range(3))
 
 
-def _looks_like_imu(channel: Channel) -> bool:
-    name = plain_type(channel.type).lower()
-    return "imu" in name.rpartition("/")[2] or name.endswith(("sensorcombined", "vehicleimu"))
+def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the path and the type of each number of a leaf."""
+    base, bracket, count = leaf.type.rstrip("]").partition("[")
+    if not bracket:
+        yield path, base
+        return
+    element = re.compile(re.escape(path) + r"\[(\d{1,6})\]")
+    found = {int(match[1]) for one in named if (match := element.fullmatch(one))}
+    found |= {0, 1, 2} if found or path in named else set()
+    if count:
+        found = {i for i in found if i < int(count)} if int(count) > _WIDEST else set(range(int(count)))
+    yield from ((f"{path}[{index}]", base) for index in sorted(found))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Choice:
-    """A topic to read, the sensors to take from it, and how it was chosen."""
+def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
+    """Return a topic with its columns, and the sensors that the user or their names choose."""
+    # The numbers of columns are the same with and without a columns text.
+    columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
+    topic = replace(topic, columns=tuple(columns))
+    if len(options.topics) == 2 and topic.name in options.topics:
+        # The first of two topics is the gyroscope, if nothing else decides.
+        topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
+    if options.columns is None:
+        return _by_name(topic, named=topic.name in options.topics)
+    try:
+        triads, _, _ = parse_columns_text(options.columns, topic.table())
+    except ColumnsError as error:
+        return replace(topic, reason=error.problem)
+    return replace(topic, sensors=tuple(triad.sensor for triad in triads))
 
-    topic: Topic
-    sensors: tuple[Sensor, ...]
-    how: str
+
+def _by_name(topic: Topic, *, named: bool) -> Topic:
+    """Return a topic with the sensors in the names of its columns; `named` if the user names the topic."""
+    kind = plain_type(topic.type)
+    last = kind.rpartition("/")[2]
+    if is_command(topic.name) and "imu" not in last.lower() and not named:
+        return topic
+    table = topic.table()
+    try:
+        triads = find_triads(table, units_given=tuple(Sensor))
+        found = {triad.sensor for triad in triads}
+        bare = set() if found else set(find_bare_triads(table, _word(topic))[0])
+    except ChoiceError:
+        return topic
+    if len(found) == 1 and all(len("".join(triad.columns[0].words)) == 1 for triad in triads):
+        # ax, ay, az alone may be the acceleration of a position.
+        return topic
+    vague = bool(bare) and parse_column(f"{last}.x", 0).sensor is None
+    sensors = tuple(sensor for sensor in Sensor if sensor in found | bare)
+    return replace(topic, sensors=sensors, plain=vague or kind.startswith(_PLAIN))
 
 
-def choose(
-    path: Path,
-    topics: Sequence[Topic],
-    options: ReadOptions,
-    live: Callable[[Topic], frozenset[Sensor]],
-) -> list[Choice]:
-    """Choose topics; `live` says which sensors of a topic have data that change.
+def _word(topic: Topic) -> str:
+    """Return the sensor that the user, the name of a topic, or its type tells; empty if there is none."""
+    last = plain_type(topic.type).rpartition("/")[2]
+    told = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
+    return str(next(filter(None, told), ""))
 
-    Raises ChoiceError if several topics could be meant, or none fits; the message lists them.
+
+def is_command(topic: str) -> bool:
+    """Return whether the name of a topic indicates commands instead of measurements."""
+    return re.search(r"(^|[/_])(cmd|command|setpoint|desired|target)s?([/_]|$)", topic.lower()) is not None
+
+
+def plan_of(
+    containers: Sequence[Container], topic: Topic, options: ReadOptions
+) -> tuple[TablePlan, frozenset[Sensor]]:
+    """Choose the columns of a topic; also return the sensors whose first samples change.
+
+    One message, or none that can be decoded, is no evidence: all sensors count as changing then. Raises
+    ChoiceError if it is not clear which columns to read.
     """
-    if options.topics:
-        return _named(path, topics, options, live)
-    carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
-    fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
-    if len(fitting) == 1:
-        return [_whole(fitting[0], "the only topic with IMU samples")]
-    if fitting:
-        return _among(path, fitting, live)
-    if carrying:
-        why = (
-            "no topic carries IMU messages, only vectors without a known meaning; choose one of these topics"
-        )
-        raise refused(path, f"{why}\n{table(carrying)}", ChoiceError)
-    raise _nothing(path, topics, options)
+    heads = _heads(containers, topic, options.columns or "")
+    time = None if options.time in _CLOCKS else options.time
+    plan = make_plan(topic.table(heads), replace(options, time=time), name=_word(topic) or topic.name)
+    alive = []
+    for triad in (sensor.triad for sensor in plan.sensors):
+        rows = [heads[index] for index in triad.indices]
+        alive += [triad.sensor] if rows[0].size < 2 or not is_constant(rows) else []
+    return _in_units_of_type(plan), frozenset(alive)
 
 
-def _nothing(path: Path, topics: Sequence[Topic], options: ReadOptions) -> ChoiceError:
-    """Return the error of a log in which no topic can be meant."""
-    if options.fields:
-        lines = [
-            f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
-            for topic in topics
-            if topic.leaves.all or topic.reason
-        ]
-        listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
-        why = "no topic has the fields in the fields text; found these topics"
-        return refused(path, f"{why}\n{listed}", ChoiceError)
-    unreadable = [topic for topic in topics if topic.reason and topic.count != 0]
-    if unreadable:
-        return _unreadable(path, unreadable[0], unreadable[0].reason)
-    listed = table(topics) or "  no topics"
-    able = [(topic.name, text) for topic in topics if (text := topic.proposal)]
-    how = "".join(f"\n{name} can be read with a fields text such as {text!r}" for name, text in able[:3])
-    why = "no topic carries a gyroscope or an accelerometer; found"
-    return refused(path, f"{why}\n{listed}{how}", ChoiceError)
-
-
-def table(topics: Sequence[Topic]) -> str:
-    """Return the topics as lines of name, type, messages, rate and duration."""
-    rows = []
-    for topic in topics[:_MOST]:
-        count = "? messages" if topic.count is None else f"{topic.count} messages"
-        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
-        duration = "" if topic.duration_s is None else f"{topic.duration_s:.4g} s"
-        rows.append((topic.name, topic.type, count, rate, duration))
-    a, b, c, d, _ = (max(map(len, column)) for column in zip(*rows, strict=True)) if rows else [0] * 5
-    lines = [
-        f"  {n:{a}}  {t:{b}}  {count:>{c}}  {rate:>{d}}  {last}".rstrip() for n, t, count, rate, last in rows
+def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
+    """Return the first values of each column; none of lists that the columns text does not name."""
+    names = {*re.split(_MARKS, text)}
+    fixed = {leaf.path for leaf in topic.leaves if "]." not in leaf.path and not leaf.type.endswith("[]")}
+    wanted = [
+        column
+        for column in topic.columns
+        if column.path.partition("[")[0] in fixed or names & {column.name, _owner(column.name)}
     ]
-    if len(topics) > _MOST:
-        lines.append(f"  and {len(topics) - _MOST} more")
-    return "\n".join(lines)
+    stream = topic.stream(wanted)
+    for chunks in _LOOKS:
+        log, *heads = decode(containers, [stream], most_chunks=chunks)[0].columns
+        if log.size >= _HEAD:
+            break
+    values = dict(zip(wanted, heads, strict=True))
+    return [values.get(column, log[:0]) for column in topic.columns]
 
 
-def _whole(topic: Topic, how: str) -> Choice:
-    sensors = topic.imu.sensors if topic.imu is not None else ()
-    return Choice(topic, sensors, how)
+def _owner(name: str) -> str:
+    """Return the name of the structure or array of a number: ``imu.gyro`` of ``imu.gyro.x``."""
+    return re.sub(r"(\[\d+\]|\.\w+)$", "", name)
 
 
-def _unreadable(path: Path, topic: Topic, why: str) -> ChoiceError:
-    return ChoiceError(f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {why}")
-
-
-def _named(
-    path: Path, topics: Sequence[Topic], options: ReadOptions, live: Callable[[Topic], frozenset[Sensor]]
-) -> list[Choice]:
-    """Take the topics the caller names: one, or one for each sensor."""
-    if len(options.topics) > 2:
-        msg = f"{path}: {len(options.topics)} topics are named; expected one, or one for each sensor"
-        raise ChoiceError(msg)
-    found = [_find(path, topics, name) for name in options.topics]
-    for topic in found:
-        if topic.imu is None:
-            why = topic.reason or "its messages have no angular velocity or linear acceleration"
-            why += f"; found {topic.leaves.shown()}" if options.fields else ""
-            raise _unreadable(path, topic, why)
-        if topic.count == 0:
-            raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
-    if len(found) == 1:
-        return [_whole(found[0], "as given")]
-    alive = [live(topic) for topic in found]
-    for gyro, accel in ((0, 1), (1, 0)):
-        if _GYRO in alive[gyro] and _ACCEL in alive[accel]:
-            return _pair(found[gyro], found[accel], "as given")
-    what = "; ".join(
-        f"{topic.name}: {' and '.join(sorted(sensors)) or 'no samples that change'}"
-        for topic, sensors in zip(found, alive, strict=True)
+def _in_units_of_type(plan: TablePlan) -> TablePlan:
+    """Return a plan in which units without a name in the columns are those of the message type."""
+    sensors = tuple(
+        replace(sensor, stated=UnitGuess("from the message type", sensor.stated.unit))
+        if sensor.stated is not None and sensor.triad.unit is None
+        else sensor
+        for sensor in plan.sensors
     )
-    raise refused(path, f"the two topics are not a gyroscope and an accelerometer ({what})", ChoiceError)
-
-
-def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
-    same = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
-    if not same:
-        listed = table(topics) or "  no topics"
-        raise refused(path, f"there is no topic {name}; choose one of these topics\n{listed}", ChoiceError)
-    return next((topic for topic in same if topic.imu is not None), same[0])
-
-
-def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozenset[Sensor]]) -> list[Choice]:
-    """Choose where several topics fit only if their data leave one way."""
-    alive = {topic.name: live(topic) for topic in fitting}
-    useful = [topic for topic in fitting if alive[topic.name]]
-    if len(useful) == 1:
-        return [_whole(useful[0], "the only topic whose samples change")]
-    gyros = [topic for topic in useful if _GYRO in alive[topic.name]]
-    accels = [topic for topic in useful if _ACCEL in alive[topic.name]]
-    if len(gyros) == len(accels) == 1 and gyros[0] is not accels[0]:
-        return _pair(gyros[0], accels[0], "the only topic of this sensor")
-    msg = f"{path}: {len(fitting)} topics carry IMU samples; choose one of these topics\n{table(fitting)}"
-    raise ChoiceError(msg)
-
-
-def _pair(gyro: Topic, accel: Topic, how: str) -> list[Choice]:
-    return [
-        Choice(gyro, (_GYRO,), f"gyroscope, {how}"),
-        Choice(accel, (_ACCEL,), f"accelerometer, {how}"),
-    ]
+    return replace(plan, sensors=sensors)

@@ -14,6 +14,9 @@ from imucal.recording import AXES, Axis, Sensor
 #: Longest number that is not rounded in a message, and most columns listed there.
 _LONG, _LISTED = 9, 60
 
+#: Ends of the names of a vector's axes.
+_ENDS = (tuple(f".{axis}" for axis in AXES), ("[0]", "[1]", "[2]"), tuple(f"_{axis}" for axis in AXES))
+
 #: Names in a columns text -> their meaning.
 _KEYS = {
     **dict.fromkeys(("t", "time"), "t"),
@@ -141,6 +144,13 @@ class NamedTable:
         problem = f"{len(matches)} columns are called {name!r}" if matches else f"there is no column {name!r}"
         raise ValueError(problem)
 
+    def members(self, name: str) -> list[str]:
+        """Return the names of the axes of a vector, given its own name; else the name."""
+        known = {plain_name(column.header) for column in self.columns}
+        families = [[name.strip() + end for end in ends] for ends in _ENDS]
+        whole = (axes for axes in families if known.issuperset(map(plain_name, axes)))
+        return [name] if plain_name(name) in known else next(whole, [name])
+
     def columns_text(self, *triads: Triad | None, rows: str = "", time: str = "") -> str:
         """Return the columns text of a choice; `rows` selects rows, such as ``@I:0``."""
         time = time or self.time
@@ -167,7 +177,8 @@ def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...],
 
     ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
     gyroscope, ``a`` the accelerometer, ``temp`` the temperature. Three columns are indices from 0 with
-    the end left out (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``gx``, ``gy``, ``gz``,
+    the end left out (``1:4``), indices or names joined by ``+`` (``wx+wy+wz``), or the name of a vector
+    (``angular_velocity``). ``gx``, ``gy``, ``gz``,
     ``ax``, ``ay`` and ``az`` are single axes, for logs without the others. ``a=2:5@imu`` selects rows with
     ``imu`` in a cell, ``a=2:5@I:0`` rows with 0 in column I. Raises ChoiceError if the text can't be read,
     or names a missing column, or a column twice.
@@ -214,7 +225,8 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
     if colon and first.strip().isdigit() and stop.strip().isdigit():
         indices = tuple(range(int(first), min(int(stop), int(first) + count + 4)))
     else:
-        indices = tuple(map(table.index_of, value.split("+")))
+        names = value.split("+")
+        indices = tuple(map(table.index_of, table.members(*names) if len(names) == 1 else names))
     missing = next((index for index in indices if index >= count), None)
     if missing is not None:
         raise ValueError(f"there is no column {missing}; the last is {count - 1}")

@@ -99,14 +99,14 @@ _REJECTED = _words(
     "setpoint motor motors motion est estimated delta angle angles attitude position pos pressure baro std "
     "stddev variance var valid uncertainty clip clipping clipped integral target desired cmd ref reference "
     "jerk relative calibration status accuracy rms inc heading gps lat lon alt altitude axisp axisi axisd "
-    "axisf debug rc vel velocity rotationvector gt truth"
+    "axisf debug mean rc vel velocity rotationvector gt truth"
 )
 _REJECTED_STARTS = listed("quat orient magn euler covar freeacc useracc accura accum deltav")
 
 #: The sensor in a name: the start of a word, a word, two words, or a letter at an end. A first letter counts
 #: only before short words: w_RS_S, not w_heading.
 _GYROSCOPE = re.compile(
-    r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rotation|rot)\b"
+    r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rot)\b"
     r"|\bang\b.*\bvel\b|\bvel\b.*\bang\b|\b[gw]$|^w( \w{1,2})*$"
 )
 _ACCELEROMETER = re.compile(
@@ -127,7 +127,7 @@ _GLUED = re.compile(
     r"|(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))(?P<number>\d*)"
 )
 
-_VECTOR_WORDS = _words("axis dof 3 3dof value values val data raw sensor cal calibrated imu")
+_VECTOR_WORDS = _words("vector axis dof 3 3dof value values val data raw sensor cal calibrated imu")
 
 _TIME_WORDS = _words(
     "time timestamp stamp t tick ticks uptime epoch epoc elapsed clock sec secs second seconds nsec nsecs "

@@ -214,8 +214,14 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
 
 
 def _whole(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield the sets of exactly x, y and z; longer sets, such as a matrix, are skipped."""
-    return (axes for axes in _families(table, *roles) if axes.keys() == {0, 1, 2})
+    """Yield the sets of exactly x, y and z; longer sets, such as a matrix or a quaternion, are skipped."""
+    names = {plain_name(column.header) for column in table.columns}
+
+    def has_w(column: NamedColumn) -> bool:
+        before, x, after = plain_name(column.header).rpartition("x")
+        return bool(x) and f"{before}w{after}" in names
+
+    return (axes for axes in _families(table, *roles) if axes.keys() == {0, 1, 2} and not has_w(axes[0]))
 
 
 def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:

@@ -292,6 +292,7 @@ _BONUS = _points("""
 12 hw
 8 device sensor
 5 fine
+3 sample
 """)
 
 

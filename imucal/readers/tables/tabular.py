@@ -102,14 +102,14 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         text = f"the time unit {unit} does not apply: {has}; omit it, or name another time column"
         raise refused(work.path, text, ChoiceError)
     source = f"column {plan.time.name}"
-    stamps = _stamps(work, plan, plan.time, columns.time)
+    stamps = stamps_of(work, plan.time, columns.time, plan.triad.sensor)
     if stamps is None:
         return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     reading = clock_from_stamps(
         stamps,
         source=source,
         where=work.path,
-        log_ns=_stamps(work, plan, plan.log_time, columns.log_time) if plan.log_time else None,
+        log_ns=_log_stamps(work, columns),
         rate_hz=work.options.rate_hz,
         repeated=_sent_twice(work, stamps, columns),
         room=work.room,
@@ -153,8 +153,13 @@ def _compare_rates(work: RecordingBuilder, measured: float) -> None:
         _say(work, "warning", "rate-differs", text, advice=advice)
 
 
-def _stamps(
-    work: RecordingBuilder, plan: SensorPlan, time: TimeChoice, columns: Sequence[Numbers]
+def _log_stamps(work: RecordingBuilder, columns: SensorColumns) -> IntArray | None:
+    time, sensor = columns.plan.log_time, columns.plan.triad.sensor
+    return stamps_of(work, time, columns.log_time, sensor) if time else None
+
+
+def stamps_of(
+    work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor
 ) -> IntArray | None:
     """Return the stamps of a time in ns; None of a count that has the given rate in no unit."""
     room = work.room
@@ -172,7 +177,7 @@ def _stamps(
         if wraps:
             again = f"Column {time.name} started again {wraps} times at the end of its range"
             _say(work, "info", "wrapped", f"{again}; it was unwrapped.")
-    ns = _ns_per_count(work, time, values, plan.triad.sensor)
+    ns = _ns_per_count(work, time, values, sensor)
     if ns is None:
         return None
     return week_stamps(columns[0], values, ns, room) if time.kind == "week" else to_ns(values, ns, room)
@@ -336,7 +341,7 @@ def assemble(
         raise as_one(work.path, lacking)
     for columns, reading in both:
         if columns.temperature is not None:
-            _add_temperature(work, columns.temperature, reading)
+            add_temperature(work, columns.temperature, reading)
             break
     return work.build(topics=[topic for plan in plans for topic in plan.topics])
 
@@ -359,11 +364,10 @@ def with_more(
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
-    """Refuse topics and fields of messages, as a table has columns, with a ChoiceError."""
-    for asked, one in ((options.topics, "topic"), (options.fields, "field")):
-        if asked:
-            text = f"{what} has no {one}s such as {', '.join(asked)}"
-            raise refused(path, f"{text}; expected no {one}, or a columns text", ChoiceError)
+    """Refuse topics, as a table has columns, with a ChoiceError."""
+    if options.topics:
+        text = f"{what} has no topics such as {', '.join(options.topics)}"
+        raise refused(path, f"{text}; expected no topic, or a columns text", ChoiceError)
 
 
 def contents_of(
@@ -420,7 +424,8 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())
 
 
-def _add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:
+def add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:
+    """Add a temperature if its values can be degrees Celsius."""
     values = np.asarray(column, dtype=np.float64)
     some = values[:: max(1, values.size // _LOOKED_AT)]
     finite = some[np.isfinite(some)]

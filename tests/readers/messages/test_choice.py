@@ -1,5 +1,6 @@
 """Which topic is read: never a silent pick, and a message that lists what there is."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -158,8 +159,7 @@ def test_names_what_there_is_instead(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, topic="/chatter")
     assert str(caught.value) == (
-        f"{path}: topic /chatter of type std_msgs/String can't be read: it has no fields named as angular "
-        "velocity or linear acceleration; name them in a fields text; found none with numbers"
+        f"{path}: topic /chatter of type std_msgs/String can't be read: its messages contain no numbers"
     )
     path = write_bag(tmp_path / "other.bag", chatter)
     with pytest.raises(ChoiceError) as caught:
@@ -175,7 +175,9 @@ def test_refuses_a_time_that_messages_do_not_have(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
     with pytest.raises(ChoiceError) as caught:
         read(path, time="t_us")
-    assert str(caught.value) == f"{path}: messages have no time called 't_us'; expected header or log"
+    assert str(caught.value).startswith(
+        f"{path}: topic /imu/data: there is no time column 't_us'; found columns: 0 header.stamp, "
+    )
 
 
 def test_refuses_three_topics(tmp_path: Path) -> None:
@@ -259,7 +261,7 @@ def two_imus(definition: str, build: Any) -> tuple[Any, list[Message]]:  # noqa:
 
 
 def test_two_imus_in_a_message_are_a_choice(tmp_path: Path) -> None:
-    """Each is listed like a topic of its own, and can be named; neither is taken silently."""
+    """The error proposes a columns text for each, which works; neither is taken silently."""
     other = samples(120, seed=9)
 
     def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401
@@ -270,22 +272,24 @@ def test_two_imus_in_a_message_are_a_choice(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log.mcap", messages, types=types)
     with pytest.raises(ChoiceError) as caught:
         read(path)
-    assert str(caught.value) == (
-        f"{path}: 2 topics carry IMU samples; choose one of these topics\n"
-        "  /pair:left   acme/msg/Pair  120 messages  100 Hz  1.19 s\n"
-        "  /pair:right  acme/msg/Pair  120 messages  100 Hz  1.19 s"
+    problem = (
+        "2 sets of gyroscope columns: left.angular_velocity.x, right.angular_velocity.x; found columns: "
     )
-    with pytest.raises(ChoiceError, match="there is no topic /pair; choose one of these topics"):
-        read(path, topic="/pair")
-    for name, truth in (("/pair:left", TRUTH), ("/pair:right", other)):
-        recording = read(path, topic=name)
-        assert np.array_equal(np.array([series.samples for series in recording.series]), truth.all.T)
-        assert recording.source.topics == (name,)
-    assert [topic.name for topic in describe(path).topics] == ["/pair:left", "/pair:right"]
+    assert str(caught.value).startswith(f"{path}: topic /pair: {problem}")
+    texts = re.search(r"such as (\S+) or (\S+) ", str(caught.value))
+    assert texts is not None
+    names = [f"g={side}.angular_velocity,a={side}.linear_acceleration" for side in ("left", "right")]
+    for one, name, truth in zip(texts.groups(), names, (TRUTH, other), strict=True):
+        for text in (one, name):
+            recording = read(path, columns=text)
+            assert np.array_equal(np.array([series.samples for series in recording.series]), truth.all.T)
+            assert recording.source.topics == ("/pair",)
+    (topic,) = describe(path).topics
+    assert topic.note.startswith(problem)
 
 
-def test_a_second_vector_in_a_message_leaves_a_finding(tmp_path: Path) -> None:
-    """An IMU beside a lone acceleration is read, and it is said what was not."""
+def test_a_second_vector_in_a_message_is_a_choice(tmp_path: Path) -> None:
+    """An IMU beside a lone acceleration: the error proposes both, and the texts work."""
 
     def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401
         vector = types.types["geometry_msgs/msg/Vector3"]
@@ -294,11 +298,12 @@ def test_a_second_vector_in_a_message_leaves_a_finding(tmp_path: Path) -> None:
 
     definition = "std_msgs/Header header\ngeometry_msgs/Vector3 acceleration\nsensor_msgs/Imu imu"
     types, messages = two_imus(definition, build)
-    recording = read(write_mcap(tmp_path / "log.mcap", messages, types=types))
-    assert np.array_equal(recording.series[3].samples, TRUTH.accel[:, 0])
-    (finding,) = [finding for finding in recording.findings if finding.code == "other-vectors"]
-    assert finding.level == "warning"
-    assert finding.text == (
-        "Messages of /pair also contain acceleration; imu.angular_velocity and imu.linear_acceleration "
-        "were read."
-    )
+    path = write_mcap(tmp_path / "log.mcap", messages, types=types)
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert "2 sets of accelerometer columns: acceleration.x, imu.linear_acceleration.x" in str(caught.value)
+    texts = re.search(r"such as (\S+) or (\S+) ", str(caught.value))
+    assert texts is not None
+    expected = np.stack([np.ones(120), TRUTH.accel[:, 0]])
+    found = [read(path, columns=text).axis("accelerometer", "x").samples for text in texts.groups()]
+    assert np.array_equal(found, expected)

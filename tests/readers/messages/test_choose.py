@@ -8,20 +8,34 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.containers import Channel
-from imucal.readers.messages.message_types import ImuFields, Vector
-from imucal.readers.messages.topics import Topic, choose
+from imucal.readers.messages.choice import choose
+from imucal.readers.messages.topics import Column, Topic
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-BOTH = ImuFields(stamp=None, vectors=tuple(Vector(sensor=s, paths=("v",)) for s in (GYRO, ACCEL)))
-PLAIN = replace(BOTH, vectors=BOTH.vectors[:1], plain=True)
+BOTH = (GYRO, ACCEL)
 
 
-def topic(name: str, imu: ImuFields | None = BOTH, count: int | None = 9, reason: str = "") -> Topic:
-    """Return a topic."""
-    channel = Channel(key=0, topic=name, type="p/M", encoding="cdr", count=count)
-    return Topic(name=name, type="p/M", channels=((0, channel),), imu=imu, reason=reason)
+def topic(
+    name: str,
+    sensors: tuple[Sensor, ...] = BOTH,
+    count: int | None = 9,
+    reason: str = "",
+    *,
+    plain: bool = False,
+) -> Topic:
+    """Return a topic of one number."""
+    channel = Channel(key=0, topic=name, type="p/Imu", encoding="cdr", count=count)
+    return Topic(
+        name=name,
+        type="p/Imu",
+        channels=((0, channel),),
+        columns=() if reason else (Column("v", "v", "float64"),),
+        sensors=sensors,
+        plain=plain,
+        reason=reason,
+    )
 
 
 def chosen(topics: list[Topic], *named: str, **live: Any) -> list[tuple[str, tuple[Sensor, ...], str]]:  # noqa: ANN401
@@ -36,7 +50,7 @@ def chosen(topics: list[Topic], *named: str, **live: Any) -> list[tuple[str, tup
 
 def test_the_only_one_is_taken() -> None:
     """Empty topics, other types and plain vectors beside it are passed over."""
-    others = [topic("/empty", count=0), topic("/other", None), topic("/plain", PLAIN)]
+    others = [topic("/empty", count=0), topic("/other", ()), topic("/plain", (GYRO,), plain=True)]
     for count in (9, 1, None):
         assert chosen([*others, topic("/imu", count=count)]) == [
             ("/imu", (GYRO, ACCEL), "the only topic with IMU samples")
@@ -58,10 +72,10 @@ def test_of_several_the_one_whose_samples_change() -> None:
 
 def test_a_named_topic_is_taken() -> None:
     """With or without its slash; the one of its name that carries samples."""
-    topics = [topic("/imu", None), topic("/imu"), topic("/b")]
+    topics = [topic("/imu", ()), topic("/imu"), topic("/b")]
     assert chosen(topics, "imu") == [("/imu", (GYRO, ACCEL), "as given")]
-    with pytest.raises(ChoiceError, match=r"topic /c of type p/M can't be read: too odd"):
-        chosen([topic("/c", None, reason="too odd")], "/c")
+    with pytest.raises(ChoiceError, match=r"topic /c of type p/Imu can't be read: too odd"):
+        chosen([topic("/c", (), reason="too odd")], "/c")
     with pytest.raises(ChoiceError, match=r"^log: topic /e has no messages; found"):
         chosen([topic("/e", count=0)], "/e")
     with pytest.raises(ChoiceError, match=r"^log: there is no topic /d; choose one of these topics\n  /imu"):
@@ -97,13 +111,28 @@ def test_what_is_there_instead_is_said() -> None:
     with pytest.raises(
         ChoiceError, match="only vectors without a known meaning; choose one of these topics\n  /p"
     ):
-        chosen([topic("/p", PLAIN)])
+        chosen([topic("/p", (GYRO,), plain=True)])
     with pytest.raises(ChoiceError, match=r"no topic carries a gyroscope .*; found\n  /p"):
-        chosen([topic("/p", PLAIN, count=0)])
-    broken = topic("/x", None, reason="no definition")
-    with pytest.raises(ChoiceError, match=r"^log: topic /x of type p/M can't be read: no definition$"):
-        chosen([topic("/o", None), broken])
+        chosen([topic("/p", (GYRO,), count=0, plain=True)])
+    broken = topic("/x", (), reason="no definition")
+    with pytest.raises(ChoiceError, match=r"^log: topic /x of type p/Imu can't be read: no definition$"):
+        chosen([topic("/o", ()), broken])
     with pytest.raises(ChoiceError, match=r"; found\n  /x"):
-        chosen([topic("/x", None, count=0, reason="no definition")])
+        chosen([topic("/x", (), count=0, reason="no definition")])
     with pytest.raises(ChoiceError, match=r"; found\n  no topics$"):
         chosen([])
+
+
+def test_a_topic_without_names_is_a_table_without_names() -> None:
+    """It is taken if it is named, or the only one: the error then lists its columns."""
+    one = topic("/x", ())
+    assert chosen([one]) == [("/x", BOTH, "the only topic")]
+    assert chosen([one, topic("/y", ())], "/x") == [("/x", BOTH, "as given")]
+    with pytest.raises(
+        ChoiceError, match=r"; found\n  /x.*\n  /y.*\nif one has samples of an IMU, name it and"
+    ):
+        chosen([one, topic("/y", ())])
+    with pytest.raises(
+        ChoiceError, match=r"topic /z of type p/Imu can't be read: its messages contain no num"
+    ):
+        chosen([replace(one, name="/z", columns=())], "/z")

@@ -90,7 +90,7 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
 def test_fields_of_a_type_that_is_given(tmp_path: Path) -> None:
     """Both options together; behind a list of texts too."""
     path, folder = log(tmp_path), package(tmp_path)
-    check(read(path, message_definition=folder, fields="gyro=pair.gyro accel=pair.accel", gyro_unit="rad/s"))
+    check(read(path, message_definition=folder, columns="g=pair.gyro,a=pair.accel", gyro_unit="rad/s"))
 
 
 def test_what_is_no_definition(tmp_path: Path) -> None:

@@ -1,20 +1,21 @@
 """Edges of what a message or a topic says: stamps that are missing, and logs of very few samples."""
 
+import json
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from imucal.readers.containers import Channel
+from imucal.readers.containers import Batch, Channel
 from imucal.readers.containers.mcap import open_files
-from imucal.readers.messages import topic_streams
-from imucal.readers.messages.topic_streams import live_sensors, read_temperature
-from imucal.readers.messages.topics import Topic, find_topics, table
-from imucal.readers.messages.trees import _steps, _vector, stamp_of
+from imucal.readers.files import DamagedError
+from imucal.readers.messages.choice import table
+from imucal.readers.messages.surroundings import read_temperature, temperature_beside
+from imucal.readers.messages.topics import Topic, find_topics, plan_of
+from imucal.readers.messages.trees import TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 from tests.readers.logs import CONTAINERS, samples
@@ -22,37 +23,53 @@ from tests.readers.logs import CONTAINERS, samples
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
 
+def decoded(path: str, *messages: object) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return what a path leads to in JSON messages."""
+    texts = [json.dumps(message).encode() for message in messages]
+    sizes = np.array([len(text) for text in texts])
+    starts = np.cumsum(sizes) - sizes
+    _, found = TreeDecoder([path]).decode(Batch(b"".join(texts), starts, sizes, np.arange(sizes.size)))
+    return found
+
+
 @pytest.mark.parametrize(
-    ("message", "stamp"),
+    ("message", "leaf", "stamp"),
     [
-        ({}, 0),
-        ({"header": {}}, 0),
-        # With a header, its stamp counts.
-        ({"header": {}, "stamp": 5}, 0),
-        ({"header": {"stamp": {"sec": 2, "nanosec": 3}}, "stamp": 5}, 2_000_000_003),
-        ({"stamp": 5, "timestamp": 6, "time": 7}, 5),
-        ({"timestamp": 6, "time": 7}, 6),
-        ({"time": 7}, 7),
-        ({"time": {}}, 0),
-        ({"time": {"secs": 1}}, 1_000_000_000),
-        ({"time": {"seconds": 1, "nanos": 4}}, 1_000_000_004),
-        ({"time": {"nsec": 4}}, 4),
-        ({"time": {"nsecs": 4}}, 4),
-        ({"time": "noon"}, 0),
-        ({"time": 1.5}, 0),
+        ({"header": {"stamp": {"sec": 2, "nanosec": 3}}}, "header.stamp time", 2_000_000_003),
+        ({"t": {"secs": 1, "nsecs": 4}}, "t time", 1_000_000_004),
+        ({"t": {"nanos": 4, "seconds": 1}}, "t time", 1_000_000_004),
+        ({"stamp": 5}, "stamp number", 5),
+        ({"time": 1.5}, "time number", 1.5),
+        ({"time": None}, "time number", np.nan),
+        ({"time": [1, {}, "a"]}, None, None),
+        ({"time": {"sec": 1.5, "nsec": 4}}, "time.sec number", None),
+        ({"time": {"sec": 1}}, "time.sec number", None),
+        ({"time": {"sec": 1, "nsec": 2, "more": 3}}, "time.sec number", None),
     ],
 )
-def test_the_stamp_of_a_json_message(message: dict[str, Any], stamp: int) -> None:
-    assert stamp_of(message) == stamp
+def test_times_in_json_messages(message: dict[str, Any], leaf: str | None, stamp: float | None) -> None:
+    """Whole seconds and nanoseconds are one time; everything else is what it is."""
+    found = [str(one) for one in leaves_of_tree(message)]
+    assert found[:1] == ([leaf] if leaf else [])
+    if leaf is not None and stamp is not None:
+        np.testing.assert_array_equal(decoded(leaf.partition(" ")[0], message), [stamp])
 
 
-def test_the_vector_of_a_json_message() -> None:
-    assert _vector({"v": {"z": 3, "x": 1, "y": "2"}}, [_steps("v")]) == [1.0, 2.0, 3.0]
-    assert _vector({"v": [1, 2, 3]}, [_steps("v")]) == [1.0, 2.0, 3.0]
-    assert _vector({"v": 7}, [_steps("v")]) == [7.0]
-    np.testing.assert_array_equal(_vector({"v": [1, None, 3]}, [_steps("v")]), [1.0, np.nan, 3.0])
-    with pytest.raises(ValueError, match="a vector of 2 numbers"):
-        _vector({"v": [1, 2]}, [_steps("v")])
+def test_numbers_in_json_messages() -> None:
+    """Whole numbers keep their digits; null is no number, and one of 65 bits is damage."""
+    big = 1_700_000_000_000_000_001
+    assert decoded("v[1]", {"v": [0, big]}).tolist() == [big]
+    np.testing.assert_array_equal(decoded("a.x", {"a": {"x": 1}}, {"a": {"x": None}}), [1, np.nan])
+    assert decoded("a", {"a": "2"}, {"a": 0.5}).tolist() == [2.0, 0.5]
+    damaged: list[tuple[str, dict[str, Any]]] = [
+        ("a", {"a": 1 << 64}),
+        ("a", {"b": 1}),
+        ("v[2]", {"v": [1]}),
+        ("t", {"t": {"sec": 1}}),
+    ]
+    for path, message in damaged:
+        with pytest.raises(DamagedError, match="a JSON message has no IMU sample: "):
+            decoded(path, message)
 
 
 @pytest.mark.parametrize(("n", "alive"), [(1, {GYRO, ACCEL}), (2, {GYRO}), (3, {GYRO})])
@@ -62,9 +79,10 @@ def test_two_samples_tell_whether_a_sensor_has_data(n: int, alive: set[Sensor], 
     options = ReadOptions()
     containers, _ = open_files(CONTAINERS["mcap-none"](tmp_path, truth))
     with closing(containers[0]):
-        (topic,) = (topic for topic in find_topics(containers, options) if topic.imu is not None)
-        assert live_sensors(containers, topic) == alive
-        assert live_sensors(containers, replace(topic, imu=None)) == frozenset()
+        (topic,) = (topic for topic in find_topics(containers, options) if topic.sensors)
+        plan, found = plan_of(containers, topic, options)
+        assert found == alive
+        assert [sensor.triad.sensor for sensor in plan.sensors] == [GYRO, ACCEL]
 
 
 def channel(
@@ -121,29 +139,19 @@ def test_a_long_table_is_cut(n: int, last: str) -> None:
 @pytest.mark.parametrize(
     ("names", "imu", "read"),
     [
-        (["/imu/temp"], "/imu/data", ["/imu/temp"]),
-        (["/imu/temp", "/other/temp"], "/imu/data", ["/imu/temp"]),
-        (["/other/temp"], "/imu/data", []),
-        (["/imu2/temp"], "/imu/data", []),
-        (["/imu/temp", "/imu/temp2"], "/imu/data", []),
-        (["/imu/empty"], "/imu/data", []),
-        (["/imu/text"], "/imu/data", []),
-        (["/temp"], "/data", []),
+        (["/imu/temp"], "/imu/data", "/imu/temp"),
+        (["/imu/temp", "/other/temp"], "/imu/data", "/imu/temp"),
+        (["/other/temp"], "/imu/data", None),
+        (["/imu2/temp"], "/imu/data", None),
+        (["/imu/temp", "/imu/temp2"], "/imu/data", None),
+        (["/imu/empty"], "/imu/data", None),
+        (["/imu/text"], "/imu/data", None),
+        (["/temp"], "/data", None),
     ],
 )
-def test_the_one_temperature_beside_an_imu_is_read(
-    names: list[str], imu: str, read: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_one_temperature_beside_an_imu_is_read(names: list[str], imu: str, read: str | None) -> None:
     """In its own namespace; others may be those of other things, and an empty one says nothing."""
-    seen: list[str] = []
-
-    def stream(topic: Topic, *_: object) -> None:
-        seen.append(topic.name)
-
-    none = SimpleNamespace(columns=SimpleNamespace(temperature=None, n=0))
-    monkeypatch.setattr(topic_streams, "stream_of", stream)
-    monkeypatch.setattr(topic_streams, "decode", lambda *_: [none])
-    found = [
+    topics = [
         Topic(
             name=name,
             type="std_msgs/msg/String" if name.endswith("text") else "sensor_msgs/msg/Temperature",
@@ -151,5 +159,11 @@ def test_the_one_temperature_beside_an_imu_is_read(
         )
         for name in names
     ]
-    assert read_temperature([], found, imu) is None
-    assert seen == read
+    found = temperature_beside(topics, imu)
+    assert (found.name if found else None) == read
+
+
+def test_a_temperature_that_can_not_be_read_is_none() -> None:
+    """Nothing is fitted to it."""
+    topic = Topic(name="/imu/temp", type="sensor_msgs/msg/Temperature", channels=(channel(),))
+    assert read_temperature([], topic) is None

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.readers import read
-from imucal.readers.messages.topic_streams import _frame
+from imucal.readers.messages.surroundings import frame_of
 from tests.readers.logs import CONTAINERS, imu_messages, samples, write_mcap
 
 
@@ -42,4 +42,4 @@ def test_it_is_a_decision(tmp_path: Path) -> None:
 )
 def test_what_can_be_no_name_is_none(payload: bytes, encoding: str, frame: str) -> None:
     """Cut, longer than the message, too long, or not printable."""
-    assert _frame(payload, encoding) == frame
+    assert frame_of(payload, encoding) == frame

@@ -1,99 +1,139 @@
-"""Which fields of a message are an IMU's: by their names, at any depth, several in one message."""
+"""Which columns of a message are an IMU's: by their names, at any depth, several in one message."""
 
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from imucal.errors import ChoiceError
+from imucal.readers.containers import Channel
 from imucal.readers.messages.definitions import DefinitionError, defined
-from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, is_command, sensor_of_topic
+from imucal.readers.messages.topics import Topic, find_topics, is_command, plan_of
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.plan import SensorPlan, TablePlan
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 V3 = "===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+QUATERNION = "===\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
 IMU = "===\nMSG: pkg/Imu\nbuiltin_interfaces/Time stamp\nfloat64 temp\nfloat64[3] gyro\nfloat64[3] accel\n"
 HEADER = "===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
 
 
-def found(
-    text: str, *, name: str = "pkg/M", topic: str = "/t", sensor: Sensor | None = None
-) -> dict[str, ImuFields]:
-    """Return what a message can give."""
-    return find_imus(name, defined(name, text, ros1=False).fields(), topic, sensor)
+def found(text: str, *, name: str = "pkg/M", topic: str = "/t", **options: Any) -> Topic:  # noqa: ANN401
+    """Return a topic of a log without messages."""
+    channel = Channel(
+        key=1, topic=topic, type=name, encoding="cdr", definition=text, definition_kind="ros2msg"
+    )
+    container: Any = SimpleNamespace(channels=[channel])
+    (one,) = find_topics([container], ReadOptions(**options))
+    return one
 
 
-def paths(imu: ImuFields) -> dict[Sensor, tuple[str, ...]]:
-    """Return the paths of its vectors."""
-    return {vector.sensor: vector.paths for vector in imu.vectors}
+def planned(topic: Topic, **options: Any) -> TablePlan:  # noqa: ANN401 - options of any kind
+    """Return the plan of a topic, by its names alone."""
+    return plan_of([], topic, ReadOptions(**options))[0]
+
+
+def paths(plan: TablePlan) -> dict[Sensor, tuple[str, ...]]:
+    """Return the names of the columns of each sensor."""
+    return {sensor.triad.sensor: sensor.triad.headers for sensor in plan.sensors}
+
+
+def time_of(sensor: SensorPlan) -> tuple[str, int | None] | None:
+    """Return the name of a sensor's time and its ns per count."""
+    return (sensor.time.name, sensor.time.ns) if sensor.time else None
 
 
 @pytest.mark.parametrize(
     ("text", "gyro"),
     [
-        ("float64[3] gyro", ("gyro",)),
-        ("float32[3] gyro", ("gyro",)),
+        ("float64[3] gyro", ("gyro[0]", "gyro[1]", "gyro[2]")),
+        ("float32[3] gyro", ("gyro[0]", "gyro[1]", "gyro[2]")),
+        ("int32[3] gyro", ("gyro[0]", "gyro[1]", "gyro[2]")),
         ("float64 gyro_x\nfloat64 gyro_y\nfloat64 gyro_z", ("gyro_x", "gyro_y", "gyro_z")),
+        ("float64 gyro_x\nint32 gyro_y\nfloat64 gyro_z", ("gyro_x", "gyro_y", "gyro_z")),
         ("geometry_msgs/Vector3 gyro\n" + V3, ("gyro.x", "gyro.y", "gyro.z")),
-        ("float64[3] gyro\nfloat64[3] angular_velocity", ("angular_velocity",)),
         ("float64[4] gyro", None),
         ("float64[] gyro", None),
-        ("int32[3] gyro", None),
         ("float64 gyro_x\nfloat64 gyro_y", None),
-        ("float64 gyro_x\nint32 gyro_y\nfloat64 gyro_z", None),
-        ("float64[3] gyros", None),
+        ("float64[3] orientation", None),
+        ("geometry_msgs/Quaternion rate\n" + QUATERNION, None),
+        ("geometry_msgs/Vector3 rotation\n" + V3, None),
+        ("geometry_msgs/Vector3[] gyro\n" + V3, None),
+        ("float64[9] angular_velocity_covariance", None),
+        ("float64[3] mean_gyro", None),
+        ("float64 gx\nfloat64 gy\nfloat64 gz", None),
     ],
 )
 def test_what_is_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
-    """Three floating numbers, as an array, a structure, or one by one; the best name first."""
-    imus = found(text)
-    assert {key: paths(imu)[GYRO] for key, imu in imus.items()} == ({} if gyro is None else {"": gyro})
+    """Three numbers, as an array, a structure, or one by one; a quaternion or an angle is none."""
+    topic = found(text)
+    assert topic.sensors == (() if gyro is None else (GYRO,))
+    if gyro is not None:
+        assert paths(planned(topic)) == {GYRO: gyro}
 
 
-def test_units_are_certain_in_the_standard_fields_alone() -> None:
-    """Both vectors must be; elsewhere SI is assumed, and said."""
-    both = "geometry_msgs/Vector3 angular_velocity\ngeometry_msgs/Vector3 {}\n" + V3
-    (standard,) = found(both.format("linear_acceleration")).values()
-    (other,) = found(both.format("accel")).values()
-    assert (standard.standard, other.standard) == (True, False)
-    assert standard.sensors == (GYRO, ACCEL)
-    assert [vector.field for vector in standard.vectors] == ["angular_velocity", "linear_acceleration"]
-    (plain,) = found("float64[3] angular_velocity").values()
-    assert not plain.standard
+@pytest.mark.parametrize(
+    ("name", "gyro", "accel", "stated"),
+    [
+        ("sensor_msgs/msg/Imu", "angular_velocity", "linear_acceleration", True),
+        ("pkg/M", "angular_velocity", "linear_acceleration", True),
+        ("pkg/M", "gyro", "accel", False),
+        ("px4_msgs/msg/M", "gyro", "accel", True),
+    ],
+)
+def test_units_are_certain_in_known_types_alone(name: str, gyro: str, accel: str, *, stated: bool) -> None:
+    """Of messages of ROS and PX4, and of fields that are called as in these; others are inferred."""
+    plan = planned(found(f"geometry_msgs/Vector3 {gyro}\ngeometry_msgs/Vector3 {accel}\n" + V3, name=name))
+    units = [(one.stated.unit, one.stated.reason) if one.stated else None for one in plan.sensors]
+    known = [("rad/s", "from the message type"), ("m/s^2", "from the message type")]
+    assert units == (known if stated else [None, None])
 
 
-def test_vectors_that_are_not_read_are_named() -> None:
-    """Another of the same sensor in the same place."""
-    (imu,) = found("float64[3] gyro\nfloat64[3] gyroscope\nfloat64[3] accel").values()
-    assert paths(imu) == {GYRO: ("gyro",), ACCEL: ("accel",)}
-    assert imu.others == ("gyroscope",)
+def test_letters_are_sensors_in_pairs() -> None:
+    """The acceleration ax, ay, az may be that of a position, unless rates are next to it."""
+    text = "".join(f"float64 {letter}{axis}\n" for letter in "va" for axis in "xyz")
+    assert found(text).sensors == ()
+    assert found(text, columns="a=ax+ay+az").sensors == (ACCEL,)
+    assert found(text.replace("v", "w")).sensors == (GYRO, ACCEL)
 
 
-def test_several_imus_in_a_message_have_their_own_stamps() -> None:
-    """Each its own where it has one, and none of another's; the message's own level is called top."""
-    imus = found("pkg/Imu left\npkg/Imu right\n" + IMU)
-    assert list(imus) == ["left", "right"]
-    for side, imu in imus.items():
-        assert paths(imu) == {GYRO: (f"{side}.gyro",), ACCEL: (f"{side}.accel",)}
-        assert imu.stamp == Stamp(sec=f"{side}.stamp.sec", nanosec=f"{side}.stamp.nanosec")
-        assert imu.temperature == f"{side}.temp"
-    text = "std_msgs/Header header\nfloat64[3] gyro\nfloat64[3] accel\npkg/Imu left\n" + HEADER + IMU
-    imus = found(text)
-    assert list(imus) == ["top", "left"]
-    assert imus["top"].stamp == Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec")
-    assert imus["top"].temperature == ""
-    assert imus["left"].stamp == Stamp(sec="left.stamp.sec", nanosec="left.stamp.nanosec")
+def test_a_unit_in_a_name_counts() -> None:
+    """More than that of the type."""
+    text = "".join(f"float64 gyro_{axis}_dps\n" for axis in "xyz")
+    for name in ("pkg/M", "sensor_msgs/M"):
+        (sensor,) = planned(found(text, name=name)).sensors
+        assert sensor.stated is not None
+        assert (sensor.stated.unit, sensor.stated.reason) == ("deg/s", "from the column header")
+
+
+def test_several_imus_in_a_message_are_a_choice() -> None:
+    """Each can be named, with its own stamp."""
+    topic = found("pkg/Imu left\npkg/Imu right\n" + IMU)
+    assert topic.sensors == (GYRO, ACCEL)
+    with pytest.raises(
+        ChoiceError, match=r"2 sets of gyroscope columns: left.gyro\[0\], right.gyro\[0\]; found"
+    ):
+        planned(topic)
+    for side in ("left", "right"):
+        asked = {"columns": f"g={side}.gyro,a={side}.accel,t={side}.stamp"}
+        plan = planned(found("pkg/Imu left\npkg/Imu right\n" + IMU, **asked), **asked)
+        assert paths(plan)[ACCEL] == tuple(f"{side}.accel[{i}]" for i in range(3))
+        assert time_of(plan.sensors[0]) == (f"{side}.stamp", 1)
 
 
 def test_sensors_that_no_field_holds_together() -> None:
-    """One of each is one IMU; two gyroscopes are two."""
+    """One of each is one IMU; two gyroscopes are a choice."""
     one = "===\nMSG: pkg/G\nfloat64[3] gyro\n===\nMSG: pkg/A\nfloat64[3] accel\n"
-    (imu,) = found("pkg/G first\npkg/A second\n" + one).values()
-    assert paths(imu) == {GYRO: ("first.gyro",), ACCEL: ("second.accel",)}
-    imus = found("pkg/G first\npkg/G second\npkg/A third\n" + one)
-    assert {key: list(paths(imu)) for key, imu in imus.items()} == {
-        "first": [GYRO],
-        "second": [GYRO],
-        "third": [ACCEL],
+    plan = planned(found("pkg/G first\npkg/A second\n" + one))
+    assert {sensor: names[0] for sensor, names in paths(plan).items()} == {
+        GYRO: "first.gyro[0]",
+        ACCEL: "second.accel[0]",
     }
+    with pytest.raises(ChoiceError, match="2 sets of gyroscope columns"):
+        planned(found("pkg/G first\npkg/G second\npkg/A third\n" + one))
 
 
 @pytest.mark.parametrize(
@@ -112,51 +152,57 @@ def test_sensors_that_no_field_holds_together() -> None:
     ],
 )
 def test_what_the_name_of_a_topic_says(topic: str, sensor: Sensor | None) -> None:
-    """One sensor, or nothing."""
-    assert sensor_of_topic(topic) is sensor
-    imus = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
-    assert {kind for imu in imus.values() for kind in paths(imu)} == ({sensor} if sensor else set())
-    assert all(imu.plain for imu in imus.values())
+    """One sensor, or nothing; it is read only if it is named."""
+    one = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
+    assert one.sensors == ((sensor,) if sensor else ())
+    assert one.plain == bool(one.sensors)
+    stamped = found("geometry_msgs/Vector3 vector\n" + V3, name="geometry_msgs/Vector3Stamped", topic=topic)
+    assert stamped.sensors == one.sensors
 
 
 def test_a_vector_is_what_the_caller_says() -> None:
-    """Whatever its topic is called; a twist is a gyroscope in any case."""
+    """Of two topics the first is the gyroscope, whatever it is called; a twist is one in any case."""
     text = "float64 x\nfloat64 y\nfloat64 z"
-    imus = found(text, name="geometry_msgs/msg/Vector3", topic="/accel", sensor=GYRO)
-    assert paths(imus[""]) == {GYRO: ("x", "y", "z")}
+    vector: dict[str, Any] = {"name": "geometry_msgs/msg/Vector3", "topics": ("/accel", "/b")}
+    first, second = (found(text, topic=topic, **vector) for topic in ("/accel", "/b"))
+    assert (first.sensors, second.sensors) == ((GYRO,), (ACCEL,))
+    assert paths(planned(second)) == {ACCEL: ("x", "y", "z")}
+    for topics in (("/b",), ("/a", "/b", "/c")):
+        assert found(text, topic="/b", name="geometry_msgs/msg/Vector3", topics=topics).sensors == ()
     twist = "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n" + V3
-    imus = found(twist, name="geometry_msgs/Twist", sensor=ACCEL)
-    assert paths(imus[""]) == {GYRO: ("angular.x", "angular.y", "angular.z")}
+    one = found(twist, name="geometry_msgs/Twist", topic="/b", topics=("/a", "/b"))
+    assert paths(planned(one)) == {GYRO: ("angular.x", "angular.y", "angular.z")}
+    one = found(twist, name="geometry_msgs/Accel")
+    assert paths(planned(one)) == {ACCEL: ("accel.linear.x", "accel.linear.y", "accel.linear.z")}
+    assert one.plain
 
 
 def test_messages_of_px4() -> None:
     """Increments over their durations, one sensor a message, or both; only under that package's name."""
     text = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[3] delta_angle\nfloat32[3] delta_velocity\n"
-    imu = found(text + "uint32 delta_angle_dt\nuint32 delta_velocity_dt", name="px4_msgs/msg/VehicleImu")[""]
-    assert imu.stamp == Stamp(sec="timestamp_sample", scale=1000)
-    assert [(vector.paths, vector.divisor) for vector in imu.vectors] == [
-        (("delta_angle",), "delta_angle_dt"),
-        (("delta_velocity",), "delta_velocity_dt"),
-    ]
-    assert imu.wanted == (
-        "delta_angle",
-        "delta_angle_dt",
-        "delta_velocity",
-        "delta_velocity_dt",
-        "timestamp_sample",
-    )
-    imu = found(text + "uint32 delta_angle_dt\nuint32 dt", name="px4_msgs/msg/VehicleImu")[""]
-    assert imu.vectors[1].divisor == "dt"
-    assert found(text + "uint32 dt", name="px4_msgs/msg/VehicleImu") == {}
+    for span in ("delta_velocity_dt", "dt"):
+        kind = "px4_msgs/msg/VehicleImu"
+        topic = found(text + f"uint32 delta_angle_dt\nuint32 {span}", name=kind)
+        plan = planned(topic)
+        assert time_of(plan.sensors[0]) == ("timestamp_sample", 1000)
+        decoded = {topic.columns[index].path for sensor in plan.sensors for index in sensor.triad.indices}
+        assert decoded == {
+            *(f"delta_angle[{i}]/delta_angle_dt" for i in range(3)),
+            *(f"delta_velocity[{i}]/{span}" for i in range(3)),
+        }
+    assert found(text + "uint32 delta_angle_dt\nuint32 dt", name="pkg/VehicleImu").sensors == ()
     text = "uint64 timestamp\nfloat32 x\nfloat32 y\nfloat32 z\nfloat32 temperature"
     for name, sensor in (("SensorGyro", GYRO), ("SensorAccel", ACCEL)):
-        imu = found(text, name=f"px4_msgs/msg/{name}")[""]
-        assert (paths(imu), imu.temperature) == ({sensor: ("x", "y", "z")}, "temperature")
-        assert imu.wanted == ("x", "y", "z", "timestamp", "temperature")
-        assert found(text, name=f"other_msgs/msg/{name}") == {}
-    assert found(text, name="px4_msgs/msg/SensorMag") == {}
-    imu = found("uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2", name="px4_msgs/X")[""]
-    assert (imu.stamp, list(paths(imu))) == (Stamp(sec="timestamp"), [GYRO, ACCEL])
+        topic = found(text, name=f"px4_msgs/msg/{name}")
+        plan = planned(topic)
+        assert (topic.plain, paths(plan)) == (False, {sensor: ("x", "y", "z")})
+        assert plan.temperature is not None
+        assert topic.columns[plan.temperature].name == "temperature"
+    assert found(text, name="px4_msgs/msg/SensorMag").sensors == ()
+    plan = planned(
+        found("uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2", name="px4_msgs/X")
+    )
+    assert [time_of(sensor) for sensor in plan.sensors] == [("timestamp", 1000)] * 2
 
 
 @pytest.mark.parametrize(
@@ -167,12 +213,13 @@ def test_messages_of_px4() -> None:
         ("builtin_interfaces/Time time", "time"),
         ("builtin_interfaces/Time since", None),
         ("builtin_interfaces/Time since\nbuiltin_interfaces/Time time", "time"),
+        ("builtin_interfaces/Time log_time\nstd_msgs/Header header", "header.stamp"),
     ],
 )
 def test_what_is_a_stamp(text: str, stamp: str | None) -> None:
-    """A time by one of three names."""
-    (imu,) = found(text + "\nfloat64[3] gyro").values()
-    assert imu.stamp == (Stamp(sec=f"{stamp}.sec", nanosec=f"{stamp}.nanosec") if stamp else None)
+    """A time by its name; that of a header is the best."""
+    (sensor,) = planned(found(text + "\nfloat64[3] gyro\n" + HEADER)).sensors
+    assert time_of(sensor) == ((stamp, 1) if stamp else None)
 
 
 @pytest.mark.parametrize(
@@ -187,11 +234,9 @@ def test_what_is_a_stamp(text: str, stamp: str | None) -> None:
     ],
 )
 def test_what_is_a_temperature(name: str, known: bool) -> None:  # noqa: FBT001
-    """A floating number by one of a few names."""
-    (imu,) = found(f"float32 {name}\nfloat64[3] gyro").values()
-    assert imu.temperature == (name if known else "")
-    (imu,) = found(f"int32 {name}\nfloat64[3] gyro").values()
-    assert imu.temperature == ""
+    """A number by one of a few names."""
+    plan = planned(found(f"float32 {name}\nfloat64[3] gyro"))
+    assert plan.temperature == (0 if known else None)
 
 
 def test_definitions_end_where_the_layout_is_not_known() -> None:
@@ -237,5 +282,9 @@ def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa
      ("/twist", False), ("/targets/rate", True), ("/retarget", False)],
 )  # fmt: skip
 def test_a_command_is_known_by_the_name_of_its_topic(topic: str, *, command: bool) -> None:
-    """Only whole words of the name count."""
+    """Only whole words of the name count; an IMU is no command."""
     assert is_command(topic) is command
+    twist = "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n" + V3
+    assert found(twist, name="geometry_msgs/Twist", topic=topic).sensors == (() if command else (GYRO,))
+    assert found(twist, name="geometry_msgs/Twist", topic=topic, topics=(topic,)).sensors == (GYRO,)
+    assert found("float64[3] gyro", name="pkg/Imu", topic=topic).sensors == (GYRO,)

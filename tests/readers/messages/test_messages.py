@@ -154,26 +154,19 @@ def test_reads_custom_types_that_hold_an_imu(big: bool, tmp_path: Path) -> None:
     npt.assert_array_equal(recording.temperature.samples, 20.0 + np.arange(120))
 
 
-def test_fields_behind_a_list_of_texts_are_read_where_they_are_named(tmp_path: Path) -> None:
-    """Structures of strings in front can't be skipped at once; what to type is said, and works."""
-    types = store(acme__msg__ImuList="diagnostic_msgs/KeyValue[] pairs\nsensor_msgs/Imu imu")
+def test_numbers_behind_a_list_of_texts_are_read(tmp_path: Path) -> None:
+    """Structures of strings in front can't be skipped at once: messages are parsed one by one."""
+    types = store(acme__msg__ImuList="diagnostic_msgs/KeyValue[] pairs\nbool[2] on\nsensor_msgs/Imu imu")
     known = types.types
     pair = known["diagnostic_msgs/msg/KeyValue"](key="a", value="b")
 
     def build(row: int) -> Any:  # noqa: ANN401
         reading = imu(types, int(TRUTH.stamps[row]), TRUTH.gyro[row], TRUTH.accel[row])
-        return known["acme/msg/ImuList"](pairs=[pair], imu=reading)
+        return known["acme/msg/ImuList"](pairs=[pair], on=np.array([True, False]), imu=reading)
 
     path = write_mcap(tmp_path / "log.mcap", messages_of("acme/msg/ImuList", types, build), types=types)
-    with pytest.raises(ChoiceError) as caught:
-        read(path)
-    text = "gyro=imu.angular_velocity accel=imu.linear_acceleration"
-    assert str(caught.value).startswith(
-        f"{path}: topic {TOPIC} of type acme/msg/ImuList can't be read: it has no fields named as angular "
-        f"velocity or linear acceleration; name them in a fields text such as '{text}'; found "
-        "imu.header.stamp.sec int32, "
-    )
-    check(read(path, fields=text, gyro_unit="rad/s"))
+    check(read(path))
+    check(read(path, columns="g=imu.angular_velocity,a=imu.linear_acceleration"))
 
 
 PX4_COMBINED = """
@@ -344,7 +337,9 @@ def test_a_definition_file_makes_up_for_a_missing_one(tmp_path: Path) -> None:
     file.write_text(own, encoding="utf-8")
     recording = read(path, message_definition=file)
     check(recording)
-    assert ("gyroscope unit", "rad/s, assumed for this message type") in recording.source.decisions
+    unit = dict(recording.source.decisions)["gyroscope unit"]
+    assert unit == "rad/s, inferred: the log does not contain it; the accelerometer is in SI units"
+    assert [finding.code for finding in recording.findings] == ["delay", "unit-assumed"]
 
 
 def test_units_of_a_type_of_ones_own(tmp_path: Path) -> None:

@@ -1,9 +1,10 @@
-"""Fields of any message that the user names: ROS, JSON and protobuf, in any unit, at any place."""
+"""Columns of any message that the user names: ROS, JSON and protobuf, in any unit, at any place."""
 
 import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import describe, read
 from imucal.readers.containers import Channel
 from imucal.readers.messages import schemas
-from imucal.readers.messages.leaves import Leaf, Leaves
-from imucal.readers.messages.message_types import parse_fields_text
+from imucal.readers.messages.topics import find_topics
+from imucal.readers.read_options import ReadOptions, columns_of_fields
 from imucal.recording import Recording
 from imucal.units import G0
 from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap
@@ -56,6 +57,17 @@ def single(folder: Path) -> Path:
     return ros(
         folder, text, lambda t, i: {"header": stamp(t, i), **dict(zip(names, TRUTH.all[i], strict=True))}
     )
+
+
+def two_gyros(folder: Path) -> Path:
+    """Write two gyroscopes and an accelerometer, with a header."""
+    text = "std_msgs/Header header\nfloat64[3] fast_gyro\nfloat64[3] slow_gyro\nfloat64[3] accel"
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        gyro, accel = TRUTH.gyro[row], TRUTH.accel[row]
+        return {"header": stamp(types, row), "fast_gyro": gyro, "slow_gyro": gyro / 2, "accel": accel}
+
+    return ros(folder, text, build)
 
 
 def with_units(folder: Path) -> Path:
@@ -103,33 +115,40 @@ def several(folder: Path) -> Path:
 SCALES: dict[str, Any] = {"gyro_scale": float(np.radians(1 / 131)), "accel_scale": G0 / 16384}
 
 
-DPS = "gyro=gyro_x_dps,gyro_y_dps,gyro_z_dps"
-MG = "accel=accel_x_mg,accel_y_mg,accel_z_mg"
+DPS = "g=gyro_x_dps+gyro_y_dps+gyro_z_dps"
+MG = "a=accel_x_mg+accel_y_mg+accel_z_mg"
+#: Columns of `single`.
+SINGLE = "g=gx+gy+gz,a=ax+ay+az"
 
 
 @pytest.mark.parametrize(
-    ("write", "fields", "options", "tolerance"),
+    ("write", "columns", "options", "tolerance"),
     [
-        (single, "gyro=gx,gy,gz accel=ax,ay,az", {"gyro_unit": "rad/s"}, 0),
-        (single, ("gyro=gx,gy,gz", "accel=ax,ay,az", "time=header.stamp"), {"gyro_unit": "rad/s"}, 0),
-        (with_units, f"{DPS} {MG} time=stamp_us", {}, 1e-12),
-        (counts, "gyro=g accel=a", SCALES, 6e-4),
-        (counts, "g=g[0],g[1],g[2] a=a[0],a[1],a[2]", SCALES, 6e-4),
-        (lambda folder: counts(folder, "int16[]"), "gyro=g accel=a", SCALES, 6e-4),
-        (several, "gyro=imus[1].rate accel=imus[1].force time=imus[1].header.stamp",
-         {"gyro_unit": "rad/s"}, 0),
+        (single, SINGLE, {"gyro_unit": "rad/s"}, 0),
+        (single, "t=header.stamp,g=1:4,a=4:7", {"gyro_unit": "rad/s"}, 0),
+        (with_units, f"{DPS},{MG},t=stamp_us", {}, 1e-12),
+        (with_units, None, {}, 1e-12),
+        (counts, "g=g,a=a", SCALES, 6e-4),
+        (counts, "g=g[0]+g[1]+g[2],a=a[0]+a[1]+a[2]", SCALES, 6e-4),
+        (counts, None, SCALES, 6e-4),
+        (lambda folder: counts(folder, "int16[]"), "g=g,a=a", SCALES, 6e-4),
+        (several, "g=imus[1].rate,a=imus[1].force,t=imus[1].header.stamp", {"gyro_unit": "rad/s"}, 0),
     ],
 )  # fmt: skip
 def test_ros_messages(
-    write: Callable[[Path], Path], fields: str, options: dict[str, Any], tolerance: float, tmp_path: Path
+    write: Callable[[Path], Path],
+    columns: str | None,
+    options: dict[str, Any],
+    tolerance: float,
+    tmp_path: Path,
 ) -> None:
     """Numbers, arrays, sequences, lists of structures; the unit from the name, the caller or the data."""
-    is_near(read(write(tmp_path), fields=fields, **options), tolerance)
+    is_near(read(write(tmp_path), columns=columns, **options), tolerance)
 
 
 def test_the_axes_may_be_in_any_order(tmp_path: Path) -> None:
     """A sensor that is built in turned."""
-    recording = read(single(tmp_path), fields="gyro=gz,gx,gy", gyro_unit="rad/s")
+    recording = read(single(tmp_path), columns="g=gz+gx+gy", gyro_unit="rad/s")
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
     npt.assert_array_equal(axes(recording), TRUTH.gyro[:, [2, 0, 1]])
 
@@ -139,8 +158,8 @@ def test_units_that_nothing_says_are_asked_for(tmp_path: Path) -> None:
     with pytest.raises(
         ChoiceError, match=r"topic /imu/data: the unit of the gyroscope is unknown: .* integer"
     ):
-        read(counts(tmp_path), fields="gyro=g accel=a")
-    recording = read(single(tmp_path), fields="gyro=gx,gy,gz accel=ax,ay,az")
+        read(counts(tmp_path), columns="g=g,a=a")
+    recording = read(single(tmp_path), columns=SINGLE)
     is_near(recording, 0)
     assert "unit-assumed" in [finding.code for finding in recording.findings]
 
@@ -151,24 +170,53 @@ def said(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any ki
     return str(caught.value)
 
 
-@pytest.mark.parametrize("write", [single, with_units, counts, several])
-def test_what_the_error_proposes_works(write: Callable[[Path], Path], tmp_path: Path) -> None:
-    """The text names this log's own fields."""
-    path = write(tmp_path)
-    match = re.search(r"fields text such as '([^']+)'", said(path))
+def vague(folder: Path) -> Path:
+    """Write names that tell only one of the two sensors."""
+    names = ("turn_x", "turn_y", "turn_z", "ax", "ay", "az")
+    text = "std_msgs/Header header\n" + "\n".join(f"float64 {name}" for name in names)
+    return ros(
+        folder, text, lambda t, i: {"header": stamp(t, i), **dict(zip(names, TRUTH.all[i], strict=True))}
+    )
+
+
+def test_a_sensor_without_a_name_is_proposed(tmp_path: Path) -> None:
+    """The finding contains a columns text that works."""
+    path = vague(tmp_path)
+    recording = read(path)
+    assert [series.name for series in recording.series] == ["accel_x", "accel_y", "accel_z"]
+    (finding,) = (finding for finding in recording.findings if finding.code == "sensor-missing")
+    assert finding.level == "warning"
+    match = re.search(r"such as (\S+)\.$", finding.advice)
     assert match is not None
-    # Counts have no unit, and the first IMU of the list is written five times too large.
-    recording = read(path, fields=match[1], **(SCALES if write in {counts, several} else {}))
-    assert len(recording.series) == 6
+    is_near(read(path, columns=match[1], gyro_unit="rad/s"), 0)
 
 
-def test_fields_that_are_not_there(tmp_path: Path) -> None:
-    """The error lists those that are."""
-    message = said(single(tmp_path), fields="gyro=wx,wy,wz")
+def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> None:
+    """Which element is the IMU is not known; the error explains what to do."""
+    path = several(tmp_path)
+    message = said(path)
     assert message == (
-        f"{tmp_path / 'log.mcap'}: no topic has the fields in the fields text; found these topics\n"
-        "  /imu/data (acme/msg/Raw): it has no wx,wy,wz; found header.stamp.sec int32, header.stamp.nanosec "
-        "uint32, gx float64, gy float64, gz float64, ax float64, ay float64, az float64"
+        f"{path}: topic /imu/data: no column has the name of a gyroscope or accelerometer axis; found "
+        "columns: 0 header.stamp; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of "
+        "columns, or their numbers from 0)"
+    )
+    units: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+    first = read(path, columns="g=imus[0].rate,a=imus[0].force", **units)
+    npt.assert_array_equal(axes(first), 5 * TRUTH.all)
+    assert "there is no column 'imus[0].rats'" in said(path, columns="g=imus[0].rats")
+
+
+def test_columns_that_are_not_there(tmp_path: Path) -> None:
+    """The error lists those that are."""
+    path = single(tmp_path)
+    assert said(path, columns="g=wx+wy+wz") == (
+        f"{path}: no topic has the columns in the columns text; found these topics\n"
+        "  /imu/data (acme/msg/Raw): columns text 'g=wx+wy+wz': there is no column 'wx'; found header.stamp, "
+        "gx, gy, gz, ax, ay, az"
+    )
+    assert said(path, columns="g=wx+wy+wz", topic=TOPIC) == (
+        f"{path}: topic /imu/data of type acme/msg/Raw can't be read: columns text 'g=wx+wy+wz': there is no "
+        "column 'wx'; found header.stamp, gx, gy, gz, ax, ay, az"
     )
 
 
@@ -182,49 +230,110 @@ def test_a_temperature_that_is_named(tmp_path: Path) -> None:
         return {"header": stamp(types, row), "note": "", **values, "warmth": 20.0 + row / 4}
 
     path = ros(tmp_path, text + "float32 warmth", build)
-    sensors = "gyro=gx,gy,gz accel=ax,ay,az"
-    found = read(path, fields=f"{sensors} temp=warmth").temperature
+    found = read(path, columns=f"{SINGLE},temp=warmth").temperature
     assert found is not None
     npt.assert_array_equal(found.samples, 20.0 + np.arange(120) / 4)
-    assert read(path, fields=sensors).temperature is None
+    assert read(path, columns=SINGLE).temperature is None
     for wrong in ("note", "coldness"):
-        problem = said(path, fields=f"{sensors} temp={wrong}")
-        assert f"there is no temperature {wrong} in the messages with the samples; found " in problem
-        assert "warmth float32" in problem
+        problem = said(path, columns=f"{SINGLE},temp={wrong}")
+        assert f"there is no column '{wrong}'; found header.stamp, " in problem
+        assert "az, warmth" in problem
+
+
+def test_a_temperature_beyond_electronics_is_a_count(tmp_path: Path) -> None:
+    """It is left out, as in a table, and the decision gives the reason."""
+    names = ("gx", "gy", "gz", "ax", "ay", "az")
+    text = "std_msgs/Header header\nint16 temp\n" + "".join(f"float64 {name}\n" for name in names)
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        return {"header": stamp(types, row), "temp": 8000, **dict(zip(names, TRUTH.all[row], strict=True))}
+
+    recording = read(ros(tmp_path, text, build))
+    assert recording.temperature is None
+    assert dict(recording.source.decisions)["temperature"].startswith("left out: a median of 8000 is not")
 
 
 @pytest.mark.parametrize(
-    ("text", "problem"),
+    ("fields", "columns"),
     [
-        ("gyro", "'gyro' can't be read"),
-        ("gyro=a,b", "'gyro=a,b' can't be read"),
-        ("speed=a,b,c", "'speed=a,b,c' can't be read"),
-        ("gyro=a g=b", "'g=b' can't be read"),
-        ("time=a", "names no sensor"),
+        ("gyro=gx,gy,gz accel=ax,ay,az", "g=gx+gy+gz,a=ax+ay+az"),
+        (["g=imu.g", "A=/imu.a time=t"], "g=imu.g,a=imu.a,t=t"),
+        ("gyro.z=a temperature=b temp=c", "gz=a,temp=b,temp=c"),
+        ("speed=a,b", "speed=a+b"),
+        ("gyro", "g"),
+        ([], None),
     ],
 )
-def test_texts_that_are_wrong(text: str, problem: str) -> None:
-    """What was wrong, and the form."""
-    with pytest.raises(ChoiceError, match=re.escape(problem)):
-        parse_fields_text([text])
+def test_the_deprecated_fields_are_columns(fields: str | list[str], columns: str | None) -> None:
+    """A columns text of the same meaning; what is wrong in it is an error of that text."""
+    texts = [fields] if isinstance(fields, str) else fields
+    assert columns_of_fields(texts, None) == columns
 
 
-def test_a_time_without_unit_is_asked_for(tmp_path: Path) -> None:
-    """The name, or the option, says it; a float of seconds keeps its digits."""
-    text = "float64 clock\nfloat64[3] w"
+def test_deprecated_fields_are_read(tmp_path: Path) -> None:
+    """With a warning that contains the columns text; not together with columns."""
+    path = single(tmp_path)
+    fields = "gyro=gx,gy,gz accel=ax,ay,az"
+    with pytest.warns(DeprecationWarning, match="fields is deprecated") as found:
+        is_near(read(path, fields=fields, gyro_unit="rad/s"), 0)
+    assert str(found[0].message) == f"fields is deprecated; use columns={SINGLE!r}"
+    assert found[0].filename == __file__
+    with pytest.raises(ChoiceError, match=r"both columns .* and fields are given"):
+        read(path, fields=fields, columns=SINGLE)
+
+
+def test_rows_of_one_device(tmp_path: Path) -> None:
+    """Two devices take turns on one topic: the error proposes a columns text for each, which works."""
+    names = ("gx", "gy", "gz", "ax", "ay", "az")
+    text = "std_msgs/Header header\nuint8 device_id\n" + "".join(f"float64 {name}\n" for name in names)
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        values = dict(zip(names, TRUTH.all[row], strict=True))
+        return {"header": stamp(types, row), "device_id": row % 2, **values}
+
+    path = ros(tmp_path, text, build)
+    texts = re.search(r"such as (\S+) or (\S+) ", said(path))
+    assert texts is not None
+    for device, columns in enumerate(texts.groups()):
+        recording = read(path, columns=columns, gyro_unit="rad/s")
+        npt.assert_array_equal(axes(recording), TRUTH.all[device::2])
+        assert recording.series[0].rate_hz == pytest.approx(50)
+    for gyro, accel in (("@device_id:0", "@device_id:1"), ("@device_id:a", "@device_id:a"), ("", "@imu")):
+        message = said(path, columns=f"g=gx+gy+gz{gyro},a=ax+ay+az{accel}")
+        assert "messages are selected by one number for both sensors, such as @id:1" in message
+
+
+def test_messages_without_a_finite_time_are_dropped(tmp_path: Path) -> None:
+    """As the rows of a table are."""
+    text = "float64 clock_s\nfloat64[3] gyro\nfloat64[3] accel"
     first = int(TRUTH.stamps[0]) // 10**9 * 10**9
-    path = ros(
-        tmp_path, text, lambda _, i: {"clock": (int(TRUTH.stamps[i]) - first) * 1e-9, "w": TRUTH.gyro[i]}
-    )
-    fields = "gyro=w time=clock"
-    assert "the time clock has no unit in its name; give the time unit" in said(
-        path, fields=fields, gyro_unit="rad/s"
-    )
-    recording = read(path, fields=fields, gyro_unit="rad/s", time_unit="s")
-    assert recording.series[0].rate_hz == pytest.approx(100)
-    npt.assert_array_equal(axes(recording), TRUTH.gyro)
-    assert "omit it, or name a time of one number in a fields text" in said(
-        path, fields="gyro=w", gyro_unit="rad/s", time_unit="s"
+
+    def build(_: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        time = np.nan if row in {3, 9} else (int(TRUTH.stamps[row]) - first) * 1e-9
+        return {"clock_s": time, "gyro": TRUTH.gyro[row], "accel": TRUTH.accel[row]}
+
+    recording = read(ros(tmp_path, text, build))
+    npt.assert_array_equal(axes(recording), np.delete(TRUTH.all, [3, 9], axis=0))
+    assert recording.series[0].clock.missing == 2
+    text = "2 messages have no finite time; they were dropped."
+    assert [finding.text for finding in recording.findings if finding.code == "bad-rows"] == [text]
+
+
+def test_a_time_without_unit(tmp_path: Path) -> None:
+    """Its steps, or the option, determine the unit; a float of seconds keeps its digits."""
+    first = int(TRUTH.stamps[0]) // 10**9 * 10**9
+
+    def build(_: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
+        return {"clock": (int(TRUTH.stamps[row]) - first) * 1e-9, "w": TRUTH.gyro[row]}
+
+    path = ros(tmp_path, "float64 clock\nfloat64[3] w", build)
+    for unit in ("s", None):
+        recording = read(path, columns="g=w,t=clock", gyro_unit="rad/s", time_unit=unit)
+        assert recording.series[0].rate_hz == pytest.approx(100)
+        npt.assert_array_equal(axes(recording), TRUTH.gyro)
+    stamped = single(tmp_path)
+    assert "omit it, or name a time of one number in a columns text" in said(
+        stamped, columns=SINGLE, gyro_unit="rad/s", time_unit="s"
     )
 
 
@@ -237,12 +346,12 @@ def json_log(folder: Path, build: Callable[[int], object]) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("build", "fields"),
+    ("build", "columns"),
     [
         (
             lambda i: {"t": {"sec": int(TRUTH.stamps[i]) // 10**9, "nsec": int(TRUTH.stamps[i]) % 10**9},
                        "data": {"g": DEG[i].tolist(), "a": (TRUTH.accel[i] / G0).tolist()}},
-            "gyro=data.g accel=data.a time=t",
+            "g=data.g,a=data.a,t=t",
         ),
         (
             lambda i: {"ns": int(TRUTH.stamps[i]),
@@ -252,20 +361,20 @@ def json_log(folder: Path, build: Callable[[int], object]) -> Path:
         (
             lambda i: {"stamp_ns": int(TRUTH.stamps[i]), "gyro_dps": dict(zip("xyz", DEG[i], strict=True)),
                        "accel": dict(zip("xyz", TRUTH.accel[i] / G0, strict=True))},
-            "gyro=gyro_dps accel=accel time=stamp_ns",
+            "g=gyro_dps,a=accel,t=stamp_ns",
         ),
     ],
 )  # fmt: skip
-def test_json_of_any_layout(build: Callable[[int], object], fields: str | None, tmp_path: Path) -> None:
+def test_json_of_any_layout(build: Callable[[int], object], columns: str | None, tmp_path: Path) -> None:
     """Lists, mappings, lists of mappings; the fields are those of the first message."""
     path = json_log(tmp_path, build)
     (topic,) = describe(path).topics
     assert topic.fields
-    if fields is None:
+    if columns is None:
         # A list of which the first element is empty shows nothing.
         assert topic.fields == ("ns number",)
         return
-    is_near(read(path, fields=fields, gyro_unit="deg/s", accel_unit="g"))
+    is_near(read(path, columns=columns, gyro_unit="deg/s", accel_unit="g"))
 
 
 def protobuf_log(folder: Path, *, standard: bool = False) -> Path:
@@ -327,28 +436,31 @@ def test_protobuf_by_its_own_names(tmp_path: Path) -> None:
     is_near(read(protobuf_log(tmp_path, standard=True)), 0)
 
 
-def test_protobuf_by_named_fields(tmp_path: Path) -> None:
-    """The error lists the fields; lists of numbers by their places."""
+def test_protobuf_by_named_columns(tmp_path: Path) -> None:
+    """The error lists the columns; lists of numbers by their places."""
     path = protobuf_log(tmp_path)
-    message = said(path, topic=TOPIC)
-    assert "turning_dps.x double" in message
-    assert "raw int32[]" in message
-    is_near(read(path, fields="gyro=turning_dps accel=push_g", gyro_unit="deg/s", accel_unit="g"))
-    fields = "gyro=raw[0],raw[1],raw[2] accel=raw[3],raw[4],raw[5] time=timestamp"
-    is_near(read(path, fields=fields, **SCALES), 6e-4)
+    assert "1 turning_dps.x, 2 turning_dps.y" in said(path, topic=TOPIC)
+    (topic,) = describe(path).topics
+    assert topic.fields[-1] == "raw int32[]"
+    is_near(read(path, columns="g=turning_dps,a=push_g", gyro_unit="deg/s", accel_unit="g"))
+    columns = "g=raw[0]+raw[1]+raw[2],a=raw[3]+raw[4]+raw[5],t=timestamp"
+    is_near(read(path, columns=columns, **SCALES), 6e-4)
 
 
 @pytest.mark.parametrize(
-    ("write", "fields"),
+    ("write", "columns"),
     [
-        (lambda folder: protobuf_log(folder, standard=True), "gyro=raw"),
-        (several, "gyro=imus[1].rate accel=imus[1].force"),
-        (lambda folder: counts(folder, "int16[]"), "gyro=g accel=a"),
-        (lambda folder: json_log(folder, lambda i: {"g": DEG[i].tolist()}), "gyro=g"),
+        (lambda folder: protobuf_log(folder, standard=True), "g=raw"),
+        (lambda folder: protobuf_log(folder, standard=True), None),
+        (several, "g=imus[1].rate,a=imus[1].force"),
+        (lambda folder: counts(folder, "int16[]"), "g=g,a=a"),
+        (lambda folder: json_log(folder, lambda i: {"g": DEG[i].tolist()}), "g=g"),
+        (lambda folder: json_log(folder, lambda i: {"g": DEG[i].tolist()}), None),
+        (single, None),
     ],
-    ids=["protobuf", "list of structures", "sequence", "JSON"],
+    ids=["protobuf", "protobuf by name", "list of structures", "sequence", "JSON", "JSON by name", "ROS"],
 )
-def test_damaged_logs(write: Callable[[Path], Path], fields: str, tmp_path: Path) -> None:
+def test_damaged_logs(write: Callable[[Path], Path], columns: str | None, tmp_path: Path) -> None:
     """Schemas, definitions and messages of any damage: samples, or a message that names the log."""
     path = write(tmp_path)
     whole = path.read_bytes()
@@ -358,7 +470,7 @@ def test_damaged_logs(write: Callable[[Path], Path], fields: str, tmp_path: Path
         for place in rng.integers(0, len(data), 1 + int(rng.integers(20))):
             data[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(data)
-        for action in (lambda path: read(path, fields=fields, **SCALES), describe):
+        for action in (lambda path: read(path, columns=columns, **SCALES), describe):
             try:
                 action(path)
             except ImucalError as error:
@@ -388,10 +500,8 @@ def test_info_lists_the_fields(tmp_path: Path) -> None:
     """With their types; those in lists by the first element."""
     (topic,) = describe(several(tmp_path)).topics
     assert topic.fields == (
-        "header.stamp.sec int32",
-        "header.stamp.nanosec uint32",
-        "imus[0].header.stamp.sec int32",
-        "imus[0].header.stamp.nanosec uint32",
+        "header.stamp time",
+        "imus[0].header.stamp time",
         "imus[0].rate float64[3]",
         "imus[0].force.x float64",
         "imus[0].force.y float64",
@@ -405,20 +515,29 @@ def test_info_lists_the_fields(tmp_path: Path) -> None:
         ("a", True),
         ("b[2]", True),
         ("b[3]", False),
-        ("b", False),
+        ("b", True),
         ("c[99]", True),
         ("d[7].x", True),
         ("e", False),
+        ("f[63]", True),
+        ("f[64]", False),
+        ("s", False),
     ],
 )
 def test_paths(path: str, there: bool) -> None:  # noqa: FBT001 - a parameter of the case
     """An index is checked where the length is known."""
-    leaves = Leaves([Leaf("a", "f8"), Leaf("b", "int16[3]"), Leaf("c", "int16[]"), Leaf("d[0].x", "f8")])
-    assert leaves.is_number(path) is there
+    text = "float64 a\nint16[3] b\nint16[] c\nD[] d\nstring s\nfloat32[64] f\n===\nMSG: acme/D\nfloat64 x"
+    channel = Channel(
+        key=1, topic="/t", type="acme/msg/M", encoding="cdr", definition=text, definition_kind="ros2msg"
+    )
+    container: Any = SimpleNamespace(channels=[channel])
+    (topic,) = find_topics([container], ReadOptions(columns=f"g={path}+a+a" if "[" in path else f"g={path}"))
+    names = [column.name for column in topic.columns]
+    assert (path in names or f"{path}[2]" in names) == there
 
 
-@pytest.mark.parametrize("fields", ["gyro=w accel=imus[0].f", "gyro=w accel=f"])
-def test_other_containers(fields: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("columns", ["g=w,a=imus[0].f", "g=w,a=f"])
+def test_other_containers(columns: str, tmp_path: Path) -> None:
     """A ROS 1 bag and a ROS 2 bag: by the walk, and by the tree of a list of structures."""
     text = "std_msgs/Header header\nfloat64[3] w\nfloat64[3] f\nOne[] imus"
     one = "std_msgs/Header header\nfloat64[3] f"
@@ -433,4 +552,4 @@ def test_other_containers(fields: str, tmp_path: Path) -> None:
             messages.append(Message(topic=TOPIC, type=KIND, log=log, data=bytes(data)))
         path = tmp_path / ("log.bag" if ros1 else "bag")
         path = (write_bag if ros1 else write_db3)(path, messages, types=types)
-        is_near(read(path, fields=fields, gyro_unit="rad/s"), 0)
+        is_near(read(path, columns=columns, gyro_unit="rad/s"), 0)

@@ -1,0 +1,162 @@
+"""Choose the topics to read: those that the user names, or the only ones with samples of an IMU."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from imucal.errors import ChoiceError
+from imucal.readers.files import refused
+from imucal.readers.messages.topics import Topic
+from imucal.readers.read_options import ReadOptions
+from imucal.recording import Sensor
+
+_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+#: Topics listed in a message, and columns listed of each.
+_MOST, _COLUMNS = 24, 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """A topic to read, the sensors to take from it, and how it was chosen."""
+
+    topic: Topic
+    sensors: tuple[Sensor, ...]
+    how: str
+
+
+def choose(
+    path: Path,
+    topics: Sequence[Topic],
+    options: ReadOptions,
+    live: Callable[[Topic], frozenset[Sensor]],
+) -> list[Choice]:
+    """Choose topics; `live` returns the sensors of a topic whose samples change.
+
+    Raises ChoiceError if several topics could be meant, or none fits; the message lists them.
+    """
+    if options.topics:
+        return _named(path, topics, options, live)
+    carrying = [topic for topic in topics if topic.sensors and topic.count != 0]
+    fitting = [topic for topic in carrying if not topic.plain]
+    if len(fitting) == 1:
+        return [Choice(fitting[0], fitting[0].sensors, "the only topic with IMU samples")]
+    if fitting:
+        return _among(path, fitting, live)
+    if carrying:
+        why = (
+            "no topic carries IMU messages, only vectors without a known meaning; choose one of these topics"
+        )
+        raise refused(path, f"{why}\n{table(carrying)}", ChoiceError)
+    return [_unnamed(path, topics, options)]
+
+
+def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choice:
+    """Return the only topic with numbers, whose columns must be named; ChoiceError if there is none."""
+    if options.columns is not None:
+        lines = [f"  {topic.name} ({topic.type}): {topic.reason}; found {columns(topic)}" for topic in topics]
+        listed = "\n".join(lines[:_MOST]) or "  no topics"
+        why = "no topic has the columns in the columns text; found these topics"
+        raise refused(path, f"{why}\n{listed}", ChoiceError)
+    unreadable = [topic for topic in topics if topic.reason and topic.count != 0 and _looks_like_imu(topic)]
+    if unreadable:
+        raise _unreadable(path, unreadable[0])
+    numbers = [topic for topic in topics if topic.columns and topic.count != 0]
+    if len(numbers) == len(topics) == 1:
+        return Choice(numbers[0], tuple(Sensor), "the only topic")
+    listed = table(topics) or "  no topics"
+    way = (
+        "\nif one has samples of an IMU, name it and its columns in a columns text; imucal info -v lists them"
+    )
+    why = "no topic carries a gyroscope or an accelerometer; found"
+    raise refused(path, f"{why}\n{listed}{way if numbers else ''}", ChoiceError)
+
+
+def columns(topic: Topic) -> str:
+    """Return the columns of a topic for a message."""
+    names = [column.name for column in topic.columns]
+    more = f", … {len(names) - _COLUMNS} more" if len(names) > _COLUMNS else ""
+    return ", ".join(names[:_COLUMNS]) + more or "none with numbers"
+
+
+def table(topics: Sequence[Topic]) -> str:
+    """Return the topics as lines of name, type, messages, rate and duration."""
+    rows = []
+    for topic in topics[:_MOST]:
+        count = "? messages" if topic.count is None else f"{topic.count} messages"
+        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
+        duration = "" if topic.duration_s is None else f"{topic.duration_s:.4g} s"
+        rows.append((topic.name, topic.type, count, rate, duration))
+    a, b, c, d, _ = (max(map(len, column)) for column in zip(*rows, strict=True)) if rows else [0] * 5
+    lines = [
+        f"  {n:{a}}  {t:{b}}  {count:>{c}}  {rate:>{d}}  {last}".rstrip() for n, t, count, rate, last in rows
+    ]
+    if len(topics) > _MOST:
+        lines.append(f"  and {len(topics) - _MOST} more")
+    return "\n".join(lines)
+
+
+def _looks_like_imu(topic: Topic) -> bool:
+    name = topic.type.lower().rpartition("/")[2]
+    return "imu" in name or name.endswith("sensorcombined") or bool(topic.given)
+
+
+def _unreadable(path: Path, topic: Topic) -> ChoiceError:
+    kind, why = topic.type or "unknown", topic.reason or "its messages contain no numbers"
+    found = f"; found {columns(topic)}" if topic.columns else ""
+    return ChoiceError(f"{path}: topic {topic.name} of type {kind} can't be read: {why}{found}")
+
+
+def _named(
+    path: Path, topics: Sequence[Topic], options: ReadOptions, live: Callable[[Topic], frozenset[Sensor]]
+) -> list[Choice]:
+    """Take the topics the caller names: one, or one for each sensor."""
+    if len(options.topics) > 2:
+        msg = f"{path}: {len(options.topics)} topics are named; expected one, or one for each sensor"
+        raise ChoiceError(msg)
+    found = [_find(path, topics, name) for name in options.topics]
+    for topic in found:
+        if topic.reason or not topic.columns:
+            raise _unreadable(path, topic)
+        if topic.count == 0:
+            raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
+    if len(found) == 1:
+        # A topic whose names tell no sensor has columns that must be named.
+        return [Choice(found[0], found[0].sensors or tuple(Sensor), "as given")]
+    alive = [live(topic) for topic in found]
+    for gyro, accel in ((0, 1), (1, 0)):
+        if _GYRO in alive[gyro] and _ACCEL in alive[accel]:
+            return _pair(found[gyro], found[accel], "as given")
+    what = "; ".join(
+        f"{topic.name}: {' and '.join(sorted(sensors)) or 'no samples that change'}"
+        for topic, sensors in zip(found, alive, strict=True)
+    )
+    raise refused(path, f"the two topics are not a gyroscope and an accelerometer ({what})", ChoiceError)
+
+
+def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
+    same = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
+    if not same:
+        listed = table(topics) or "  no topics"
+        raise refused(path, f"there is no topic {name}; choose one of these topics\n{listed}", ChoiceError)
+    return next((topic for topic in same if topic.sensors), same[0])
+
+
+def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozenset[Sensor]]) -> list[Choice]:
+    """Choose where several topics fit only if their data leave one way."""
+    alive = {topic.name: live(topic) for topic in fitting}
+    useful = [topic for topic in fitting if alive[topic.name]]
+    if len(useful) == 1:
+        return [Choice(useful[0], useful[0].sensors, "the only topic whose samples change")]
+    gyros = [topic for topic in useful if _GYRO in alive[topic.name]]
+    accels = [topic for topic in useful if _ACCEL in alive[topic.name]]
+    if len(gyros) == len(accels) == 1 and gyros[0] is not accels[0]:
+        return _pair(gyros[0], accels[0], "the only topic of this sensor")
+    msg = f"{path}: {len(fitting)} topics carry IMU samples; choose one of these topics\n{table(fitting)}"
+    raise ChoiceError(msg)
+
+
+def _pair(gyro: Topic, accel: Topic, how: str) -> list[Choice]:
+    return [
+        Choice(gyro, (_GYRO,), f"gyroscope, {how}"),
+        Choice(accel, (_ACCEL,), f"accelerometer, {how}"),
+    ]
