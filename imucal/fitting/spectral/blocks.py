@@ -34,7 +34,7 @@ from imucal.recording import AxisSeries
 
 #: Largest number of rounds; largest expected change of the spectrum in a next round. Each change is the
 #: previous one times the share of information lost to the gaps.
-_ROUNDS, _MOVED = 8, 3e-4
+_ROUNDS, _MOVED = 40, 3e-4
 #: Ratio of the frequencies over which the variance of missing samples is averaged.
 _NEAR = 1.5
 _STEPS = 40
@@ -445,9 +445,8 @@ def _transform(
     )
 
 
-#: Share of completed samples above which intervals are too narrow. With a given N + B + K, B holds in 90 % of
-#: the records at 20 % and in 74 % at 30 %.
-_MANY_COMPLETED = 0.25
+#: Share of completed samples above which intervals are too narrow.
+_MANY_COMPLETED = 0.6
 
 
 def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Finding, ...]:

@@ -1,5 +1,7 @@
 """Records with gaps."""
 
+from collections import Counter
+
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -9,6 +11,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting.spectral.blocks import Block, _bins, _runs, make_blocks, scale_of
 from imucal.recording import AxisSeries
+from tests.benchmarks.lost_samples import fit_with_losses
 from tests.fitting.fits import fitted, simulated
 
 TEXT = "N=1 + K=1e-2"
@@ -46,7 +49,20 @@ def test_intervals_hold_the_truth_with_samples_missing(kind: str) -> None:
     assert np.all(np.abs(np.mean(errors, axis=0)) < [0.006, 0.07])
 
 
-@pytest.mark.parametrize(("share", "burst"), [(0.2, 1), (0.3, 1), (0.3, 3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.3, 0.5])
+def test_given_terms_hold_the_truth_if_many_samples_are_lost(share: float) -> None:
+    """Of 20 records, at most three standard errors below 95 %; no filter is found."""
+    hits: Counter[str] = Counter()
+    for seed in range(20):
+        fit = fit_with_losses("N=0.1 + B=0.3 + K=0.05", share, (811, seed))
+        for key, truth in (("N", 0.1), ("B", 0.3), ("K", 0.05)):
+            hits[key] += fit[key].low <= truth <= fit[key].high
+        assert all(finding.code != "output-filter" for finding in fit.findings)
+    assert min(hits.values()) >= 20 * (0.95 - 3 * np.sqrt(0.95 * 0.05 / 20))
+
+
+@pytest.mark.parametrize(("share", "burst"), [(0.2, 1), (0.3, 3), (0.5, 1)])
 def test_many_lost_samples_neither_bias_n_nor_look_like_a_filter(share: float, burst: int) -> None:
     """Radio logs lose that many, one by one or a few at a time."""
     n, errors, squares = 20_000, [], []
@@ -242,7 +258,7 @@ def test_the_longest_gaps_part_48_blocks_and_of_equal_ones_the_first() -> None:
     assert runs[47].first == 51 * 300
 
 
-@pytest.mark.parametrize(("share", "level"), [(0.1, "info"), (0.35, "warning")])
+@pytest.mark.parametrize(("share", "level"), [(0.5, "info"), (0.7, "warning")])
 def test_many_completed_samples_are_a_warning(share: float, level: str) -> None:
     """Intervals are too narrow then; samples missing in one long gap are not completed."""
     samples = simulated("N=1", 8000, 71)
