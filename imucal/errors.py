@@ -29,7 +29,7 @@ class ImucalError(Exception):
 
     exit_code: ClassVar[int] = 1
     #: Whether the results were printed nevertheless, together with the problem.
-    told = False
+    printed = False
 
 
 class ReadError(ImucalError):

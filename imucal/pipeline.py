@@ -46,7 +46,7 @@ _DOCUMENTED = (
 )
 
 #: Minimum number of measured temperatures.
-_FEWEST_DEGREES = 16
+_MIN_TEMPERATURES = 16
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -126,11 +126,11 @@ def characterize(
         except DataError as error:
             return _no_result(series, error, findings)
 
-    def tell(done: int, following: AxisSeries | None) -> None:
+    def report_done(done: int, following: AxisSeries | None) -> None:
         if progress:
             progress(done, len(recording.series), following.name if following else "")
 
-    found = side_by_side(work, recording.series, workers=workers, done=tell)
+    found = side_by_side(work, recording.series, workers=workers, done=report_done)
     axes = [axis for axis in found if isinstance(axis, AxisReport)]
     failures = [failure for failure in found if isinstance(failure, Finding)]
     if not axes:
@@ -312,7 +312,7 @@ def _temperature_at(series: AxisSeries, temperature: Temperature | None) -> Floa
     if temperature is None:
         return None
     known, clock = np.isfinite(temperature.samples), temperature.clock
-    if np.count_nonzero(known) < _FEWEST_DEGREES:
+    if np.count_nonzero(known) < _MIN_TEMPERATURES:
         return None
     if clock is series.clock and known.all():
         return temperature.samples

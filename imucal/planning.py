@@ -33,7 +33,7 @@ _LONGEST = 10 * 365.25 * 86400
 #: First length in the search if there is no record, in s.
 _USUAL = 3600.0
 #: Natural logarithm of the standard error of a record without information.
-_NOTHING_TOLD = 50.0
+_NO_INFORMATION = 50.0
 #: Tolerance of a needed length and of the last secant step, in natural logarithm. That step may be longer: it
 #: lands far closer, and a record has whole samples.
 _TOLERANCE, _LAST_STEP = 1e-4, 5e-3
@@ -41,10 +41,10 @@ _TOLERANCE, _LAST_STEP = 1e-4, 5e-3
 _WORTH_SAYING = 1.05
 #: Relative standard error at which half of all records show a term, and the standard deviation of this limit.
 #: Flicker resembles both its neighbours and needs more than a walk. Measured at the price of chance.
-_SHOWN = {"B": (0.25, 0.13), "R": (0.25, 0.07)}
-_SHOWN_USUALLY = (0.305, 0.09)
+_DETECTABLE = {"B": (0.25, 0.13), "R": (0.25, 0.07)}
+_USUALLY_DETECTABLE = (0.305, 0.09)
 #: A length is enough for a term if this share of records shows it.
-MOSTLY_SHOWN = 0.8
+ENOUGH_DETECTED = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +234,7 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
             bound = math.inf
             if ask.duration_s is not None:
                 bound = _bound(whole, name, ask.rate_hz, ask.duration_s)
-                reached, shown = _found(bound) * ask.quantile, _share_shown(name, bound)
+                reached, shown = _found(bound) * ask.quantile, _share_detected(name, bound)
             near, enough = ask.duration_s or _USUAL, _largest_bound(name, wanted)
             long = ask.longer and bound <= enough
             needed = near if long else _needed(whole, name, ask.rate_hz, enough, near)
@@ -246,8 +246,8 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
 def _bound(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> float:
     """Return the smallest relative standard error if missing N, B and K are estimated too."""
     there = {term.symbol for term in model.terms}
-    beside = [symbol for symbol in ALWAYS if symbol not in there]
-    return relative_deviations(model, rate_hz=rate_hz, duration_s=duration_s, beside=beside)[name]
+    others = [symbol for symbol in ALWAYS if symbol not in there]
+    return relative_deviations(model, rate_hz=rate_hz, duration_s=duration_s, beside=others)[name]
 
 
 def _found(bound: float) -> float:
@@ -255,9 +255,9 @@ def _found(bound: float) -> float:
     return bound * (1 + min(max(bound - 0.1, 0.0), 0.3))
 
 
-def _share_shown(name: str, bound: float) -> float:
+def _share_detected(name: str, bound: float) -> float:
     """Return the share of records whose interval excludes zero if the smallest standard error is `bound`."""
-    half, width = _SHOWN.get(name, _SHOWN_USUALLY)
+    half, width = _DETECTABLE.get(name, _USUALLY_DETECTABLE)
     return 0.5 * math.erfc((bound - half) / (math.sqrt(2) * width))
 
 
@@ -271,7 +271,7 @@ def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s:
     def excess(log_duration: float) -> float:
         bound = _bound(model, name, rate_hz, math.exp(log_duration))
         # A record without information: finite, so that the search continues.
-        return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NOTHING_TOLD
+        return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NO_INFORMATION
 
     low, high = math.log(2 / rate_hz), math.log(_LONGEST)
     found = root_near(excess, math.log(near_s), -0.5, low=low, high=high, tolerance=_LAST_STEP)
@@ -286,8 +286,8 @@ def _largest_bound(name: str, wanted: float) -> float:
     """Return the largest `bound` for which a fit reports `wanted` and most records show the term."""
     from scipy.special import ndtri
 
-    half, width = _SHOWN.get(name, _SHOWN_USUALLY)
-    most = half - width * float(ndtri(MOSTLY_SHOWN))
+    half, width = _DETECTABLE.get(name, _USUALLY_DETECTABLE)
+    most = half - width * float(ndtri(ENOUGH_DETECTED))
     # The inverse of `_found`: b where b <= 0.1, b (0.9 + b) up to 0.4, and 1.3 b beyond.
     within = wanted if wanted <= 0.1 else (math.sqrt(0.81 + 4 * wanted) - 0.9) / 2
     return min(within if within <= 0.4 else wanted / 1.3, most)

@@ -180,9 +180,9 @@ class ChildProcess:
             self._process = None
         if self._said is None:
             return ""
-        with self._said as said:
-            said.seek(max(said.seek(0, os.SEEK_END) - _WORDS, 0))
-            words = said.read().decode("utf-8", "replace")
+        with self._said as sentence:
+            sentence.seek(max(sentence.seek(0, os.SEEK_END) - _WORDS, 0))
+            words = sentence.read().decode("utf-8", "replace")
         self._said = None
         return words
 
@@ -427,11 +427,11 @@ def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent:
             index = int(pipe.recv_bytes())
             with warnings.catch_warnings(record=True) as caught:
                 result = work(items[index])
-            said = [(one.message, one.category, one.filename, one.lineno) for one in caught]
+            sentence = [(one.message, one.category, one.filename, one.lineno) for one in caught]
             packed = io.BytesIO()
             sender = _Sender(packed, protocol=5)
             sender.item = items[index]
-            sender.dump((result, said))
+            sender.dump((result, sentence))
             pipe.send_bytes(packed.getbuffer())
     finally:
         # Exit at once, so that the parent's buffers are not written twice.

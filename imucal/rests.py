@@ -33,7 +33,7 @@ _SHORTEST_S, _FEWEST = 20.0, 128
 #: the fit treats shorter gaps as lost samples.
 _CLEAR_S, _CLEAR = 2.0, 33
 #: Largest number of rests, the longest ones: the fit has at most this many blocks.
-_MOST = 48
+_MAX_RESTS = 48
 #: Length of the quietest stretch, in s; a window is quiet below this multiple of its variance.
 _STRETCH_S, _QUIET = 10.0, 4.0
 #: A rest is shaken, for example by an engine, above this multiple of the quietest rest's noise power.
@@ -119,15 +119,15 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
     loudest, turned = np.ones(len(long)), np.zeros(len(long))
     for p in profiles:
         power, mean = _power_and_mean(p, long)
-        told = power[power > 0]
-        if not told.size:
+        positive = power[power > 0]
+        if not positive.size:
             continue
-        loudest = np.fmax(loudest, power / told.min())
+        loudest = np.fmax(loudest, power / positive.min())
         if p.series.sensor is Sensor.GYROSCOPE:
             turned = np.fmax(turned, np.abs(mean - np.nanmedian(mean)))
     why = np.where(turned > _TURNED, "turned", np.where(loudest > _SHAKEN, "shaken", ""))
     used = sorted((i for i, word in enumerate(why.tolist()) if not word), key=lambda i: -long[i].length_s)
-    why[used[_MOST:]] = "beyond"
+    why[used[_MAX_RESTS:]] = "beyond"
     judged = {one: replace(one, why=word) for one, word in zip(long, why.tolist(), strict=True)}
     return [judged.get(one, one) for one in stretches]
 
@@ -166,11 +166,11 @@ def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[
 
 
 #: Reason why a stretch is not used -> its text in the finding.
-_WORDS = {
+_REASONS = {
     "short": f"shorter than {_SHORTEST_S:g} s",
     "shaken": "with more noise than the quietest, as from a running engine",
     "turned": "with a steady rotation",
-    "beyond": f"not among the {_MOST} longest",
+    "beyond": f"not among the {_MAX_RESTS} longest",
 }
 
 
@@ -197,7 +197,7 @@ def _rests(count: int) -> str:
 def _left_out(stretches: Sequence[_Stretch], moving: float) -> Iterator[str]:
     if moving > 0:
         yield f"{time(moving)} of motion or vibration"
-    for why, words in _WORDS.items():
+    for why, words in _REASONS.items():
         own = [one.length_s for one in stretches if one.why == why]
         if own:
             yield f"{_rests(len(own))} {words} ({time(sum(own))} in all)"

@@ -12,9 +12,9 @@ import numpy as np
 from imucal.arrays import FloatArray
 
 #: Most steps of a search for a root: each at least halves the bracket.
-_MOST_STEPS = 200
+_MAX_STEPS = 200
 #: Most steps of a search by secants.
-_MOST_SECANTS = 12
+_MAX_SECANTS = 12
 #: A share of the largest product with the residuals below which no variable is worth adding.
 _NO_GAIN = 1e-12
 
@@ -35,7 +35,7 @@ def root(function: Callable[[float], float], low: float, high: float, *, toleran
         if value == 0:
             return end
     best = low
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         middle = (low + high) / 2
         at_middle = function(middle)
         scale = math.sqrt(at_middle * at_middle - at_low * at_high)
@@ -75,7 +75,7 @@ def root_near(
     """
     place = min(max(start, low), high)
     value = function(place)
-    for _ in range(_MOST_SECANTS):
+    for _ in range(_MAX_SECANTS):
         if value == 0:
             return place
         following = place - value / slope

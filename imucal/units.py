@@ -46,7 +46,7 @@ _SIGNS = {
     "â": "",
 }
 
-_WORDS = (
+_SPELLINGS = (
     (r"degrees?|degs\b", "deg"),
     (r"radians?|rads\b", "rad"),
     (r"metres?|meters?", "m"),
@@ -111,7 +111,7 @@ class _Unit:
         return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
 
 
-#: Base units in small letters; an arc second in the spelling of `_WORDS`.
+#: Base units in small letters; an arc second in the spelling of `_SPELLINGS`.
 _BASES: dict[str, _Unit] = {
     "rad": _Unit(1.0, rad=1),
     "deg": _Unit(_DEGREE, rad=1),
@@ -281,8 +281,8 @@ def _plain(text: str) -> str:
 
 def _shortened(text: str) -> str:
     """Return a spelling with whole words cut to their symbols."""
-    for pattern, word in _WORDS:
-        text = re.sub(pattern, word, text)
+    for pattern, unit_name in _SPELLINGS:
+        text = re.sub(pattern, unit_name, text)
     return text
 
 

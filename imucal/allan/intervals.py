@@ -74,7 +74,7 @@ _HALVED = 2.0
 #: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
 LIGHTEST = -1.2
 #: With fewer averages than this, the law of the previous averaging time is kept.
-_FEWEST = 30
+_MIN_AVERAGES = 30
 #: Largest exponent p of f^p of each law, increasing; larger exponents are quantization.
 _EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
 #: Elements of a work array.
@@ -327,7 +327,7 @@ def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
     laws: list[PowerLaw] = []
     for factor in m.tolist():
         count = samples.size // factor
-        if count < _FEWEST:
+        if count < _MIN_AVERAGES:
             laws.append(laws[-1] if laws else PowerLaw.WHITE)
             continue
         averages = samples[: count * factor].reshape(count, factor).mean(axis=1)

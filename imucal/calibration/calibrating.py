@@ -22,7 +22,7 @@ from imucal.calibration.poses import (
 )
 from imucal.calibration.requirements import (
     ADVICE,
-    FEWEST,
+    MIN_RESTS,
     order_of,
     require_attitudes,
     require_range,
@@ -43,7 +43,7 @@ from imucal.report.result import Report
 __all__ = ["calibrate"]
 
 #: At most this share of the rests is excluded as moved.
-_MOST_MOVED = 1 / 3
+_MAX_MOVED = 1 / 3
 
 
 def calibrate(
@@ -170,12 +170,12 @@ def _excluded(z: FloatArray) -> BoolArray:
     moved = moved_rests(z)
     size = np.abs(z).max(axis=1)
     order = np.argsort(-np.where(moved, size, 0.0))
-    moved[order[int(_MOST_MOVED * len(z)) :]] = False
+    moved[order[int(_MAX_MOVED * len(z)) :]] = False
     return moved
 
 
 def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
-    if len(sensor.rests.means) < FEWEST:
+    if len(sensor.rests.means) < MIN_RESTS:
         raise DataError(f"only {len(sensor.rests.means)} rests did not move; {ADVICE}")
     return estimate_accelerometer(
         sensor.rests.means,

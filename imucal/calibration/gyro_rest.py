@@ -21,8 +21,8 @@ __all__ = ["GyroRest", "estimate_gyro_rest"]
 
 #: G is used if chi² of its nine entries has a smaller p-value.
 _SIGNIFICANT = 0.01
-#: Fewest rests beyond the parameters of one axis for G.
-_FEWEST_BEYOND = 2
+#: Minimum number of rests beyond the parameters of one axis for G.
+_MIN_BEYOND = 2
 
 
 @frozen_alone
@@ -100,7 +100,7 @@ def estimate_gyro_rest(
     size = np.linalg.norm(scale, axis=1)
     base = base + (size * earth.horizontal_sigma)[:, None, None] ** 2 * np.eye(m)
     full = np.column_stack([np.ones(m), f])
-    known = m >= full.shape[1] + _FEWEST_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
+    known = m >= full.shape[1] + _MIN_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
     X = full if known else full[:, :1]
     fits = _axes(means, X, base, walk)
     chi2, dof = sum(chi2 for *_, chi2 in fits), 3 * (m - X.shape[1])

@@ -20,10 +20,10 @@ from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
-__all__ = ["FEWEST", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"]
+__all__ = ["MIN_RESTS", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"]
 
-#: Fewest rests of a log, and of a plan, which fits nine parameters.
-FEWEST, _FEWEST_PLANNED = 6, 9
+#: Minimum number of rests of a log, and of a plan, which fits nine parameters.
+MIN_RESTS, _MIN_PLANNED = 6, 9
 #: Deviations of the errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
 _SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
 #: A hand tilts an attitude by this, in rad; length of a turn in s, and how far it also yaws, in rad.
@@ -143,8 +143,8 @@ def plan_rests(
     ArgumentError
         If there are fewer than 9 rests, or the accelerometer has no model.
     """
-    if count < _FEWEST_PLANNED:
-        raise ArgumentError(f"{count} rests do not determine misalignment; plan {_FEWEST_PLANNED} or more")
+    if count < _MIN_PLANNED:
+        raise ArgumentError(f"{count} rests do not determine misalignment; plan {_MIN_PLANNED} or more")
     own = {
         sensor: tuple(models[name] for axis in AXES if (name := f"{sensor.short}_{axis}") in models)
         for sensor in Sensor
@@ -195,8 +195,8 @@ def _ideal(count: int) -> FloatArray:
 
 
 def _up(count: int, rng: np.random.Generator) -> FloatArray:
-    if count < FEWEST:
-        raise ArgumentError(f"{count} rests can't be calibrated; simulate {FEWEST} or more")
+    if count < MIN_RESTS:
+        raise ArgumentError(f"{count} rests can't be calibrated; simulate {MIN_RESTS} or more")
     found = _ideal(count) + rng.normal(0, _TILT, (count, 3))
     return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 

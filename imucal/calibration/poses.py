@@ -34,8 +34,8 @@ __all__ = [
 _WINDOW_S, _WINDOW_SAMPLES = 0.2, 8
 #: Length of the quietest stretch of an axis, in s; a window is quiet below this multiple of its variance.
 _STRETCH_S, _QUIET = 5.0, 6.0
-#: Fewest windows of a log.
-_FEWEST_WINDOWS = 10
+#: Minimum number of windows of a log.
+_MIN_WINDOWS = 10
 #: Limits for the mean rate and for a jump of the accelerometer, in deviations.
 _OFF_LEVEL, _JUMP = 8.0, 8.0
 #: Time removed at both ends of a rest, in s.
@@ -187,7 +187,7 @@ def _moved(data: Triad, still: float) -> list[tuple[float, float]]:
     own = [cut(one, length_s=_WINDOW_S, least=_WINDOW_SAMPLES) for one in series]
     mean, variance = np.stack([[one.mean, one.variance] for one in own], axis=2)
     windows = own[0]
-    if windows.size < _FEWEST_WINDOWS:
+    if windows.size < _MIN_WINDOWS:
         return [(0.0, math.inf)]
     reference = np.array([quietest(one, round(_STRETCH_S / windows.length_s)) for one in variance.T])
     deviation = np.sqrt(reference / windows.width)

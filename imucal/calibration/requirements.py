@@ -8,12 +8,12 @@ from imucal.errors import DataError
 from imucal.recording import AXES
 
 __all__ = [
-    "ADVICE", "FEWEST", "order_of", "require_attitudes", "require_range", "require_rests",
+    "ADVICE", "MIN_RESTS", "order_of", "require_attitudes", "require_range", "require_rests",
     "unusable_turns",
 ]  # fmt: skip
 
-#: Fewest rests for any result, and the shortest that are worth a try, in s.
-FEWEST, _SHORTEST_S = 6, 0.4
+#: Minimum number of rests for any result, and the shortest that are worth a try, in s.
+MIN_RESTS, _SHORTEST_S = 6, 0.4
 #: Lengths of gravity that belong to a log in g.
 _IN_G = 0.85, 1.15
 #: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
@@ -31,17 +31,17 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
 
     The message reports the rests that are shorter, or that a hand's tremor hides, if these are enough.
     """
-    if len(spans_s) >= FEWEST:
+    if len(spans_s) >= MIN_RESTS:
         return
     short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
     held = len(find_rests(accelerometer, gyroscope, in_hand=True)) if gyroscope is not None else 0
     hint = ""
-    if short >= FEWEST:
+    if short >= MIN_RESTS:
         hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
-    elif held >= FEWEST:
+    elif held >= MIN_RESTS:
         hint = f"; {held} rests have the tremor of a hand"
     whole = f"{accelerometer.end_s:.0f} s"
-    raise DataError(f"rests in {whole}: found {len(spans_s)}, expected at least {FEWEST}; {ADVICE}{hint}")
+    raise DataError(f"rests in {whole}: found {len(spans_s)}, expected at least {MIN_RESTS}; {ADVICE}{hint}")
 
 
 def require_attitudes(means: FloatArray) -> None:

@@ -32,7 +32,7 @@ _HALF, _NAME = 39, 16
 #: Two blocks side by side need this many columns.
 _WIDE = 80
 #: Statuses that the table shows.
-_SHOWN = ("weak",)
+_LISTED = ("weak",)
 
 
 @frozen
@@ -164,7 +164,7 @@ def _row(name: str, found: Parameter) -> Row:
         return Row(name=title, value="not observable", half="")
     (number, unit), (width, _) = readable(found.value, found.unit), readable(found.half_width, found.unit)
     value, half = _rounded(number, width)
-    remark = found.status if found.status in _SHOWN else ""
+    remark = found.status if found.status in _LISTED else ""
     return Row(name=title, value=f"{value} {unit}", half=half, remark=remark)
 
 

@@ -70,10 +70,10 @@ def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
             unit=limit.unit,
         )
         if size is None:
-            said = (
+            text = (
                 f"{where}: the log does not determine {name}; add the rests and turns that the findings name"
             )
-            row = replace(row, text=said)
+            row = replace(row, text=text)
         yield row
 
 

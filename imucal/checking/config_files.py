@@ -213,13 +213,13 @@ def _noise_rows(
 def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
     """Return the verdict on a key; for a matrix, on the worst number of its diagonal."""
     judged = [(*wanted.judge(number), number) for number in _diagonal(setting)]
-    verdict, said, number = min(judged, key=lambda each: WORST_FIRST.index(each[0]))
+    verdict, message, number = min(judged, key=lambda each: WORST_FIRST.index(each[0]))
     key, right = wanted.key, wanted.right
     # A number that passes only with the file's other number has no limit of its own.
     alone = verdict != "pass" or number >= right
-    instead = setting.with_number(spelled) if said and alone else ""
+    instead = setting.with_number(spelled) if message and alone else ""
     shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
-    text = f"{setting.place(key.sensor.short)} is {shown}; {said or 'enough for this sensor'}"
+    text = f"{setting.place(key.sensor.short)} is {shown}; {message or 'enough for this sensor'}"
     return Row(
         key.sensor.short,
         setting.name,
@@ -293,8 +293,8 @@ class _Wanted:
         if self._covers(c, limits):
             return "pass", "too small alone, but the file's other number makes up for it"
         if over > _FAR_BELOW_A_BOUND and self._covers(c, _VALUES):
-            said = "unless a term is below its upper bound; record for longer"
-            return "undecided", f"{times}, {said}"
+            message = "unless a term is below its upper bound; record for longer"
+            return "undecided", f"{times}, {message}"
         own = self.fitted.get(symbol, 0.0)
         below = "below the values that cover the fitted spectrum"
         if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
@@ -322,10 +322,10 @@ class _Wanted:
         def off(other: float) -> float:
             return abs(math.log(number / other)) / power
 
-        other, said = min(self._slips(), key=lambda each: off(each[0]))
+        other, message = min(self._slips(), key=lambda each: off(each[0]))
         larger = (other / self.right) ** (1 / power)
         near = _NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else _NEAR
-        return said if off(other) < math.log(near) else ""
+        return message if off(other) < math.log(near) else ""
 
     def _slips(self) -> Iterator[tuple[float, str]]:
         """Yield wrong numbers that people write, each with its explanation."""
@@ -351,12 +351,12 @@ class _Wanted:
                 f"g into SI twice{_ON_HABIT}" if key.sensor is Sensor.ACCELEROMETER else "deg/s into SI twice"
             )
             slips[f"it was converted from {turned}"] = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
-            for said, other in slips.items():
+            for message, other in slips.items():
                 by = formula.inverse(other, f) / c
                 size = abs(math.log(by))
                 name = next((n for n, x in factors.items() if abs(size - math.log(x)) < _EQUAL), "")
                 if size > _EQUAL:
-                    yield other, f"by {name}: {said}" if name else said
+                    yield other, f"by {name}: {message}" if name else message
         for other_symbol in {"N": "K", "K": "BN"}[symbol]:
             if other_c := self.fitted.get(other_symbol):
                 names = (f"{s}, the {TERMS[s].name(key.sensor)}," for s in (other_symbol, symbol))

@@ -107,14 +107,14 @@ def judge(
     else:
         most, beyond, up = ("largest", "above", 1) if side == "max" else ("smallest", "below", -1)
         allowed = f"the {most} allowed, {limit:.6g}"
-        said = f"the interval contains {allowed}; record for longer to decide"
+        message = f"the interval contains {allowed}; record for longer to decide"
         near, far = (measured.low, measured.high)[::up]
         if up * far <= up * limit:
-            verdict, said = "pass", f"not {beyond} {allowed}"
+            verdict, message = "pass", f"not {beyond} {allowed}"
         elif up * near > up * limit:
-            verdict, said = "fail", f"{beyond} {allowed}"
+            verdict, message = "fail", f"{beyond} {allowed}"
         shown = f"{'not detected, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
-        text = f"{subject} is {shown}; {said}"
+        text = f"{subject} is {shown}; {message}"
     text = f"{where}: {text}"
     return Row(where, subject, verdict, text, side=side, limit=limit, unit=unit, measured=measured)
 

@@ -235,9 +235,9 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
     """Print an error, with --json also as JSON; return the exit code."""
     match error:
         case click.ClickException():
-            said = io.StringIO()
-            error.show(said)
-            message, code = said.getvalue().rstrip(), error.exit_code
+            text = io.StringIO()
+            error.show(text)
+            message, code = text.getvalue().rstrip(), error.exit_code
         case ChoiceError():
             hint = options_for(str(error))
             message, code = f"Error: {error}" + (f"\nUse {hint}." if hint else ""), error.exit_code
@@ -255,7 +255,7 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
             message = f"Error: internal error ({what}). Please report it; IMUCAL_DEBUG=1 shows where."
             code = 70
     click.echo(printable(message), err=True)
-    if as_json and not getattr(error, "told", False):
+    if as_json and not getattr(error, "printed", False):
         # Programs parse standard output; it must not contain an error after the results.
         document = {
             "schema": "imucal/error/1",

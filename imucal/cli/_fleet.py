@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._declared import option
-from imucal.cli._printing import echo, print_findings, say, wrapped
+from imucal.cli._printing import echo, print_findings, print_note, wrapped
 from imucal.cli.parameters import Text
 from imucal.clock import seconds_of
 from imucal.errors import ChoiceError
@@ -53,13 +53,13 @@ def say_plan(plan: "FleetPlan", store: "FleetStore") -> None:
         f"{len(again)} to try again": again,
         f"{number_of(copies, 'copy', 'copies')} of other logs, counted once": copies,
     }
-    say("; ".join(text for text, said in parts.items() if said))
+    print_note("; ".join(text for text, message in parts.items() if message))
     for log in copies:
-        say(f"  {log.path}: same content as {log.copy_of}")
+        print_note(f"  {log.path}: same content as {log.copy_of}")
     # A run without labels keeps those in the store.
     if not any(log.labels.get("unit") for log in plan.logs) and not store.logs()["unit"].count():
         example = "label the units with --labels '{model}/{unit}/*.mcap'"
-        say(f"No log has the label unit, so logs are not grouped; {example}")
+        print_note(f"No log has the label unit, so logs are not grouped; {example}")
 
 
 def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> None:
@@ -115,7 +115,7 @@ def write_files(
     print_findings([*fleet.findings, *missing])
     text = verdict(fleet)[1]
     for line in wrapped(text) if sys.stderr.isatty() else [text]:
-        say(line)
+        print_note(line)
 
 
 def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
@@ -123,9 +123,9 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
     from imucal.fleet.store import STATUSES
 
     grades = {"good": "good", "look": "to look at", "not-noise": "not noise"}
-    said = [f"{count(logs, 'ok', grade)} {text}" for grade, text in grades.items()]
-    said += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
-    echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(said)}")
+    message = [f"{count(logs, 'ok', grade)} {text}" for grade, text in grades.items()]
+    message += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
+    echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(message)}")
     cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
     if cpu:
         echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")
@@ -141,11 +141,11 @@ def print_failures(logs: "pl.DataFrame") -> int:
             kind, why = ("not noise", "not noise") if status == "ok" else (status, reason)
             groups.setdefault(kind, []).append(why if path in why else f"{path}: {why}")
     for kind, texts in groups.items():
-        say(f"{kind}: {len(texts)}")
+        print_note(f"{kind}: {len(texts)}")
         for text in texts[:_NAMED]:
-            say(f"  {text}")
+            print_note(f"  {text}")
         if len(texts) > _NAMED:
-            say(f"  and {len(texts) - _NAMED} more")
+            print_note(f"  and {len(texts) - _NAMED} more")
     return sum(map(len, groups.values()))
 
 

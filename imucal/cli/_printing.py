@@ -49,7 +49,7 @@ def picked(value: object, names: str) -> dict[str, object]:
     return json_node.picked(value, names)
 
 
-def say(text: object) -> None:
+def print_note(text: object) -> None:
     """Print a line for people on standard error, because standard output contains only results."""
     if not is_set("quiet"):
         echo(str(text), err=True)
@@ -58,12 +58,12 @@ def say(text: object) -> None:
 #: Columns of the widest table, which fits a terminal, a mail and a log of CI.
 FULL = 80
 #: Texts are never wrapped to fewer columns.
-_LEAST = 30
+_MIN_WIDTH = 30
 
 
 def width() -> int:
     """Return the columns of the terminal, 30 to 80; 80 if the output is no terminal."""
-    return max(_LEAST, min(FULL, shutil.get_terminal_size((FULL, 24)).columns))
+    return max(_MIN_WIDTH, min(FULL, shutil.get_terminal_size((FULL, 24)).columns))
 
 
 def wrapped(text: str, *, indent: int = 0) -> list[str]:
@@ -82,11 +82,11 @@ def wrapped(text: str, *, indent: int = 0) -> list[str]:
 
 
 #: Level, code and sentence of a finding, without its axis.
-Words: TypeAlias = tuple[str, str, str]
+FindingText: TypeAlias = tuple[str, str, str]
 _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
 
-def words(finding: Finding, text: str | None = None) -> Words:
+def finding_text(finding: Finding, text: str | None = None) -> FindingText:
     """Return level, code and sentence of a finding: its text (or `text`), the advice, and the option."""
     option = f"Try {options_to_keep(finding.keep_s)}." if finding.keep_s else ""
     option = "Use --columns." if "columns text" in finding.advice else option
@@ -94,7 +94,7 @@ def words(finding: Finding, text: str | None = None) -> Words:
     return finding.level, finding.code, " ".join(filter(None, parts))
 
 
-def said_of(axes: Sequence[str], said: Words) -> str:
+def sentence_of(axes: Sequence[str], said: FindingText) -> str:
     """Return ``[code] axes: sentence``, each axis once."""
     _, code, text = said
     return f"[{code}]{''.join(f' {axis}' for axis in dict.fromkeys(axes))}: {text}"
@@ -111,31 +111,31 @@ def print_findings(findings: Sequence[Finding]) -> None:
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False)
-    for said, axes, others in _grave_first(findings):
-        text = Text(said[0], style=_STYLES[said[0]])
+    for message, axes, others in _grave_first(findings):
+        text = Text(message[0], style=_STYLES[message[0]])
         tail = ""
         if others:
             where = " ".join(dict.fromkeys(axis for own in others for axis in own))
             tail = f" ({len(others)} more of this kind, on {where}; -v shows all)"
-        text.append(printable(f" {said_of(axes, said)}{tail}"), style="not bold default")
+        text.append(printable(f" {sentence_of(axes, message)}{tail}"), style="not bold default")
         console.print(text)
 
 
-def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[Words, list[str], list[list[str]]]]:
+def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[FindingText, list[str], list[list[str]]]]:
     """Yield findings to print, errors first: text, axes, and the axes of each finding that it replaces."""
-    about: dict[Words, list[str]] = {}
+    about: dict[FindingText, list[str]] = {}
     for finding in findings:
-        said = words(finding, finding.text.removeprefix(f"{finding.axis}: "))
-        about.setdefault(said, []).extend([finding.axis] if finding.axis else [])
-    ordered = [(said, axes) for level in _STYLES for said, axes in about.items() if said[0] == level]
-    lead: dict[tuple[str, str], Words] = {}
-    others: dict[Words, list[list[str]]] = {}
-    for said, axes in ordered:
-        first = lead.setdefault(said[:2], said)
+        message = finding_text(finding, finding.text.removeprefix(f"{finding.axis}: "))
+        about.setdefault(message, []).extend([finding.axis] if finding.axis else [])
+    ordered = [(message, axes) for level in _STYLES for message, axes in about.items() if message[0] == level]
+    lead: dict[tuple[str, str], FindingText] = {}
+    others: dict[FindingText, list[list[str]]] = {}
+    for message, axes in ordered:
+        first = lead.setdefault(message[:2], message)
         # The first finding of a level and code replaces others about an axis, except errors.
-        folds = first is not said and said[0] != "error" and axes and not is_set("verbose")
-        others.setdefault(first if folds else said, []).extend([axes] if folds else [])
-    yield from ((said, axes, others[said]) for said, axes in ordered if said in others)
+        folds = first is not message and message[0] != "error" and axes and not is_set("verbose")
+        others.setdefault(first if folds else message, []).extend([axes] if folds else [])
+    yield from ((message, axes, others[message]) for message, axes in ordered if message in others)
 
 
 def as_typed(path: Path) -> str:
@@ -160,12 +160,12 @@ def refuse(
     *,
     findings: Sequence[Finding] = (),
     remedy: str = "record again at rest, or --force",
-    told: bool = False,
+    printed: bool = False,
 ) -> None:
     """Raise a DataError, exit code 4, if data are not noise at rest (unless forced) or --strict forbids them.
 
     --strict forbids warnings and errors among the `findings`. The message contains `where`, the `consequence`
-    (such as whether a file was written) and the `remedy`. `told` is true if the results were already printed.
+    (such as whether a file was written) and the `remedy`. `printed`: the results were already printed.
     """
     if not verdict.usable and not is_set("force"):
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
@@ -175,7 +175,7 @@ def refuse(
     else:
         return
     error = DataError(msg)
-    error.told = told
+    error.printed = printed
     raise error
 
 
@@ -200,12 +200,12 @@ def progress(text: str, *columns: str, when: bool = True) -> Iterator[_Update]:
     from rich.table import Column
 
     console = Console(stderr=True)
-    said = bars.TextColumn(text, table_column=Column(no_wrap=True))
+    message = bars.TextColumn(text, table_column=Column(no_wrap=True))
     if console.width < _WIDE:
-        shown: list[bars.ProgressColumn] = [said, bars.TaskProgressColumn()]
+        shown: list[bars.ProgressColumn] = [message, bars.TaskProgressColumn()]
     else:
         own = [getattr(bars, name)() for name in columns]
-        shown = [said, bars.BarColumn(bar_width=20), *own, bars.TimeRemainingColumn()]
+        shown = [message, bars.BarColumn(bar_width=20), *own, bars.TimeRemainingColumn()]
     with bars.Progress(*shown, console=console, transient=True) as bar:
         task = bar.add_task("", total=None, word="")
         yield lambda done, total, word="": bar.update(task, completed=done, total=total or None, word=word)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from imucal.cli._declared import misuse, option, together
-from imucal.cli._printing import as_typed, name_of_log, say
+from imucal.cli._printing import as_typed, name_of_log, print_note
 from imucal.cli.parameters import LOG, LogRequest, model_of
 from imucal.errors import ReadError
 from imucal.recording import Sensor
@@ -170,5 +170,5 @@ def _characterise(request: LogRequest) -> Report:
 
     report = request.characterise(Settings(reading=request.settings()))
     print_findings(report.all_findings)
-    say("Characterised with the defaults of 'imucal fit'")
+    print_note("Characterised with the defaults of 'imucal fit'")
     return report

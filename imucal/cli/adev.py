@@ -8,7 +8,7 @@ from imucal._version import __version__
 from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
 from imucal.cli._declared import declared, flag, option, together
-from imucal.cli._printing import echo, picked, print_findings, print_json, refuse, say
+from imucal.cli._printing import echo, picked, print_findings, print_json, print_note, refuse
 from imucal.cli.parameters import FORCE, LEVEL, LOG, TAUS, LogRequest
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -83,9 +83,9 @@ def command(
         echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
     print_findings(findings)
     if verdict.usable:
-        say(verdict.sentence)
+        print_note(verdict.sentence)
     path = recording.source.path
-    refuse(verdict, path, "the curves were printed", findings=findings, remedy=remedy(findings), told=True)
+    refuse(verdict, path, "the curves were printed", findings=findings, remedy=remedy(findings), printed=True)
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:

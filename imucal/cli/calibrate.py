@@ -14,9 +14,9 @@ from imucal.cli._printing import (
     can_print,
     echo,
     print_findings,
+    print_note,
     progress,
     refuse,
-    say,
     width,
     wrapped,
 )
@@ -144,8 +144,8 @@ def _write_folder(
     files = write_calibration(found, folder, noise=noise, html=html)
     names = [path.name for path in files if path.suffix != ".png"]
     names += [f"{len(files) - len(names)} pictures"] * html
-    say(f"Wrote {folder}: {', '.join(names)}")
-    say(f"Next: imucal export {as_typed(folder)} --to kalibr (or openvins, px4, python, …)")
+    print_note(f"Wrote {folder}: {', '.join(names)}")
+    print_note(f"Next: imucal export {as_typed(folder)} --to kalibr (or openvins, px4, python, …)")
     if opened and html:
         click.launch(str(folder / PAGE_NAME))
 
@@ -161,7 +161,7 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
         )
         raise DataError(msg)
     write_log(corrected, path)
-    say(f"Wrote {path}: the corrected log")
+    print_note(f"Wrote {path}: the corrected log")
 
 
 def _end(verdict: str, where: str, codes: list[str]) -> None:
@@ -175,5 +175,5 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
     else:
         return
     # The result was already printed on standard output.
-    error.told = True
+    error.printed = True
     raise error

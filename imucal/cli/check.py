@@ -10,7 +10,7 @@ from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
 from imucal.cli._declared import declared, flag, misuse, option
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
-from imucal.cli._printing import FULL, echo, print_json, say, width
+from imucal.cli._printing import FULL, echo, print_json, print_note, width
 from imucal.cli._report_input import REPORT, REPORT_OR_LOG, load_calibrated, load_report, read_report
 from imucal.cli.parameters import FILE, PATH, LogRequest
 from imucal.errors import ReadError
@@ -104,7 +104,7 @@ def command(
 
         with replacing(junit, ours="imucal check") as scratch:
             scratch.write_text(junit_xml(result), encoding="utf-8")
-        say(junit)
+        print_note(junit)
     if as_json:
         print_json(to_document(result))
     else:

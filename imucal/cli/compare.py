@@ -7,7 +7,7 @@ import click
 
 from imucal.cli._declared import argument, declared, flag, is_set, misuse, option
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
-from imucal.cli._printing import FULL, as_typed, picked, print_json, say, width
+from imucal.cli._printing import FULL, as_typed, picked, print_json, print_note, width
 from imucal.cli._report_input import MODELS, given_report, is_model, read_report, with_model
 from imucal.cli.parameters import DATASHEET, QUIET, Number
 from imucal.comparison import Comparison, Difference, compare
@@ -69,9 +69,9 @@ def command(
         # Not `echo`, which escapes colours; the table contains no file names.
         click.echo(_table(result))
     for name, path in (("A", result.a), ("B", result.b)):
-        say(f"{name}: {path}")
+        print_note(f"{name}: {path}")
     for note in result.notes:
-        say(note)
+        print_note(note)
     if result.significant and not no_fail:
         click.get_current_context().exit(1)
 

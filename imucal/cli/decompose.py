@@ -8,7 +8,7 @@ import click
 
 from imucal._version import __version__
 from imucal.cli._declared import declared, flag, misuse, option
-from imucal.cli._printing import FITTING, echo, print_findings, print_json, progress, refuse, say
+from imucal.cli._printing import FITTING, echo, print_findings, print_json, print_note, progress, refuse
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, FORCE, LOG, PATH, PICTURES, STRUCTURE, LogRequest
 from imucal.errors import DataError
@@ -101,7 +101,7 @@ def command(
         print_json(document, indent=1)
     else:
         echo(_table(described))
-    say(written)
+    print_note(written)
     findings = report.all_findings
     refuse(report.verdict, path, f"{folder} was written", findings=findings, remedy=remedy(findings))
     if failed:
@@ -129,12 +129,12 @@ def _decompose_axis(
     if isinstance(taken, list) and taken:
         named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
         text = f"the fit removed {' and '.join(named)}; the bias shown here still contains it"
-        say(f"{series.name}: {text}")
+        print_note(f"{series.name}: {text}")
     with progress(f"decomposing {series.name}", "TaskProgressColumn") as update:
         parts = decompose(series, fit, clean=clean, progress=update)
     paths = write_decomposition(parts, folder, **asked)
     for path in paths:
-        say(path)
+        print_note(path)
     return axis_document(parts, paths)
 
 

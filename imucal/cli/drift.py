@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from imucal.cli._declared import declared, flag, misuse, option
-from imucal.cli._printing import FULL, echo, picked, print_json, refuse, say, width, wrapped
+from imucal.cli._printing import FULL, echo, picked, print_json, print_note, refuse, width, wrapped
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, FORMATS, PATH, LogRequest, Text
 from imucal.clock import seconds_of
@@ -73,7 +73,7 @@ def command(
 
         with replacing(out) as scratch:
             scratch.write_bytes(render(drift_figure(report, found), form, version=report.version))
-        say(out)
+        print_note(out)
 
 
 def to_document(found: Drift) -> dict[str, object]:
@@ -90,8 +90,8 @@ def to_document(found: Drift) -> dict[str, object]:
 
 
 def _table(found: Drift) -> str:
-    said = f"Drift without aiding after a rest of {duration(found.rest_s)}: one standard deviation"
-    lines = wrapped(f"{said} [{100 * found.level:.4g} % limits]")
+    text = f"Drift without aiding after a rest of {duration(found.rest_s)}: one standard deviation"
+    lines = wrapped(f"{text} [{100 * found.level:.4g} % limits]")
     lines += [f"{found.vertical} is vertical (by the accelerometer)"] if found.vertical else []
     for quantity in found.quantities:
         lines += ["", quantity.name]
@@ -102,8 +102,8 @@ def _table(found: Drift) -> str:
             makes += [f"{point.term} {100 * point.share:.0f} %"] if point.term else []
             makes += ["extrapolated"] if point.seen is False else []
             row = f"  {duration(point.time_s):<8}{value:<32}"
-            said = "  ".join(makes)
-            lines += [f"{row}{said}".rstrip()] if width() >= FULL else [row.rstrip(), f"    {said}"]
+            text = "  ".join(makes)
+            lines += [f"{row}{text}".rstrip()] if width() >= FULL else [row.rstrip(), f"    {text}"]
     if any(point.seen is False for quantity in found.quantities for point in quantity.points):
         few = f"the log is shorter than {STRETCHES} times rest plus time"
         lines += ["", *wrapped(f"extrapolated: {few}; the model is assumed to remain valid")]

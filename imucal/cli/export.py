@@ -15,7 +15,7 @@ from imucal.calibration.exports import CALIBRATION_TARGETS, find_calibration_tar
 from imucal.calibration.writer import NOISE_NAME, is_calibration
 from imucal.cli._declared import declared, is_set, misuse, option, together
 from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
-from imucal.cli._printing import echo, refuse, say
+from imucal.cli._printing import echo, print_note, refuse
 from imucal.cli._report_input import REPORT_OR_LOG, load_report
 from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
 from imucal.errors import DataError
@@ -169,7 +169,7 @@ def command(
     texts = {exports.TARGETS[name].file_name: exports.render(report, name, **options) for name in names}
     _write(texts, out, several=len(names) > 1)
     for text in _remarks(report, options["numbers"]):
-        say(text)
+        print_note(text)
 
 
 command.epilog = f"""\b
@@ -211,10 +211,10 @@ def _export_calibration(
         except DataError as error:
             if not every:
                 raise
-            say(f"{target.name} is not written: {error}")
+            print_note(f"{target.name} is not written: {error}")
     _write({target.file_name: text for target, text in texts.items()}, out, several=every or len(texts) > 1)
     if noise is None and out != Path("-") and any(target.noise for target in texts):
-        say("The files have no noise numbers: run imucal calibrate with --noise REPORT")
+        print_note("The files have no noise numbers: run imucal calibrate with --noise REPORT")
 
 
 def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
@@ -249,7 +249,7 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
     found = {name: exports.find_target(name) for name in asked}
     for name, target in found.items():
         if not target.is_called(name):
-            say(f"{name}: written as {target.name} ({target.title})")
+            print_note(f"{name}: written as {target.name} ({target.title})")
     return tuple(dict.fromkeys(target.name for target in found.values()))
 
 

@@ -8,7 +8,7 @@ import click
 
 from imucal.arguments import REMOVED
 from imucal.cli._declared import declared, flag, is_set, misuse, option, together
-from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, refuse, say, width
+from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, print_note, refuse, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
@@ -123,16 +123,16 @@ def command(
             report, folder, formats=formats, html=not no_html, paper=figure == "paper",
             tell=missing.append, workers=jobs,
         )  # fmt: skip
-        say(_written(folder, [path.name for path in files], replaced=replaced))
+        print_note(_written(folder, [path.name for path in files], replaced=replaced))
         print_findings(missing)
         if opened and (page := folder / "report.html") in files:
             click.launch(str(page))
         if report.verdict.usable:
-            say(_next_step(report, folder))
+            print_note(_next_step(report, folder))
     written = "nothing was written" if no_report else f"see {folder}"
     where = report.source.path
     findings = (*report.all_findings, *missing)
-    refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), told=True)
+    refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), printed=True)
 
 
 def _next_step(report: "Report", folder: Path) -> str:

@@ -28,7 +28,7 @@ from imucal.cli._fleet import (
     say_plan,
     write_files,
 )
-from imucal.cli._printing import as_typed, echo, fleet_progress, print_json, say
+from imucal.cli._printing import as_typed, echo, fleet_progress, print_json, print_note
 from imucal.cli.parameters import DURATION, FILE, LEVEL, PATH, QUIET, READING, SHARE, TOPIC, Asked, Number
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
@@ -147,7 +147,7 @@ def run(
     settings = fleet_settings(out, {**given, "reading": reading})
     lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in asked.logs)
     names = list(filter(None, itertools.chain.from_iterable(lists)))
-    plan = planned(settings, names, manifest=manifest, dry=dry_run, say=say)
+    plan = planned(settings, names, manifest=manifest, dry=dry_run, say=print_note)
     if dry_run:
         print_plan(plan, settings.jobs)
         return
@@ -205,7 +205,7 @@ def report(
     fleet = load_fleet(folder, content=content, confidence=confidence)
     write_files(fleet, html=html, pictures=pictures)
     if fleet.loose:
-        say(f"to count them, run the fleet with --labels '{fleet.labels}'")
+        print_note(f"to count them, run the fleet with --labels '{fleet.labels}'")
 
 
 @declared
@@ -246,7 +246,7 @@ def status(
     print_standing(logs, folder)
     print_failures(logs)
     for path, other in copies.items():
-        say(f"  {path}: same content as {other}, counted once")
+        print_note(f"  {path}: same content as {other}, counted once")
     if left:
         left_of = f"{len(left)} of {number_of(manifest.height, 'log')}"
         echo(f"left: {left_of}; to continue: imucal fleet run -o {as_typed(folder)}")

@@ -9,14 +9,14 @@ from imucal.cli._declared import declared, flag, is_set, option
 from imucal.cli._printing import (
     BYTES,
     FULL,
-    Words,
+    FindingText,
     echo,
+    finding_text,
     picked,
     print_json,
     progress,
-    said_of,
+    sentence_of,
     width,
-    words,
     wrapped,
 )
 from imucal.cli.parameters import READING, Asked, lent
@@ -216,9 +216,9 @@ def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: b
         yield ""
         yield from wrapped(f"Fields of {topic.name}:")
         yield from wrapped(", ".join(topic.fields), indent=2)
-    said = set(map(words, contents.findings))
+    message = set(map(finding_text, contents.findings))
     for topic in contents.imu_topics:
-        yield from _what_was_read(topic, found.get(topic.name), said)
+        yield from _what_was_read(topic, found.get(topic.name), message)
     if contents.imu_topics and not looked:
         yield ""
         yield from wrapped(f"Gaps were not checked {_why_not(contents.path)}.")
@@ -226,7 +226,7 @@ def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: b
         yield ""
         yield from wrapped(_what_to_give(contents))
     for finding in contents.findings:
-        yield from wrapped(f"{finding.level} {said_of((), words(finding))}", indent=2)
+        yield from wrapped(f"{finding.level} {sentence_of((), finding_text(finding))}", indent=2)
     yield ""
 
 
@@ -258,7 +258,7 @@ def _head(contents: LogContents) -> Iterator[str]:
         yield f"from {_date(contents.start_ns)}"
 
 
-def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> Iterator[str]:
+def _what_was_read(topic: TopicContents, found: Reading, said: set[FindingText]) -> Iterator[str]:
     """Yield rate, gaps, units and findings of a topic that was read, without findings of the whole log."""
     if found is None:
         return
@@ -276,12 +276,12 @@ def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> It
         # Topics are read by name here, so their choice does not show the choice of `fit`.
         if question not in {"topic", "topics"}:
             yield from wrapped(f"{question}: {answer}", indent=2)
-    about: dict[Words, list[str]] = {}
+    about: dict[FindingText, list[str]] = {}
     for finding in _findings(found):
-        about.setdefault(words(finding), []).extend([finding.axis] if finding.axis else [])
+        about.setdefault(finding_text(finding), []).extend([finding.axis] if finding.axis else [])
     for own, axes in about.items():
         if own not in said:
-            yield from wrapped(f"{own[0]} {said_of(axes, own)}", indent=2)
+            yield from wrapped(f"{own[0]} {sentence_of(axes, own)}", indent=2)
 
 
 def _jitter(seconds: float) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from imucal.cli._declared import argument, flag, is_set, option, together
-from imucal.cli._printing import BYTES, FITTING, progress, say
+from imucal.cli._printing import BYTES, FITTING, print_note, progress
 from imucal.clock import seconds_of
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
@@ -110,8 +110,8 @@ def _taus(text: str, *, lists: bool = True) -> str | tuple[float, ...]:
     except ValueError:
         seconds = (0.0,)
     if not lists or min(seconds) <= 0:
-        said = f"neither {known}, nor a list of times such as 0.1,1,10min" if lists else f"not {known}"
-        raise ValueError(f"{text!r} is {said}")
+        message = f"neither {known}, nor a list of times such as 0.1,1,10min" if lists else f"not {known}"
+        raise ValueError(f"{text!r} is {message}")
     return seconds
 
 
@@ -329,11 +329,13 @@ def _say_what_was_read(recording: Recording) -> None:
             sensors[series.sensor.short] = sensors.get(series.sensor.short, "") + series.axis
         names = ", ".join(f"{sensor} {axes}" for sensor, axes in sensors.items())
         samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {duration(clock.duration_s)}"
-        say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}")
+        print_note(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}")
     if source.read is not None and source.read.from_s > 0:
-        say(f"Times below count from {source.read.from_s:.10g} s of the log, except those after --skip")
+        print_note(
+            f"Times below count from {source.read.from_s:.10g} s of the log, except those after --skip"
+        )
     if is_set("verbose"):
         for topic, kind in zip(source.topics, source.message_types, strict=False):
-            say(f"  topic {topic} ({kind})")
+            print_note(f"  topic {topic} ({kind})")
         for question, answer in source.decisions:
-            say(f"  {question}: {answer}")
+            print_note(f"  {question}: {answer}")

@@ -10,11 +10,11 @@ from imucal.calibration.noise_source import report_models
 from imucal.calibration.parameters import Parameter
 from imucal.calibration.table import readable
 from imucal.cli._declared import argument, declared, flag, is_set, option
-from imucal.cli._printing import FULL, can_print, echo, picked, print_json, say, width, wrapped
+from imucal.cli._printing import FULL, can_print, echo, picked, print_json, print_note, width, wrapped
 from imucal.cli._report_input import MODELS, report_or_model
 from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Number, Text
 from imucal.noise.terms import TERMS
-from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, Need, Plan, describe_time, plan
+from imucal.planning import ENOUGH_DETECTED, ONE_DEVIATION, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.report.result import Report
 from imucal.units import DatasheetUnit
@@ -96,9 +96,9 @@ def command(
     else:
         echo(_table(result))
     if any(need.bounded for axis in result.axes for need in axis.needs):
-        say("< value: not detected; the time is for a term as large as this bound")
+        print_note("< value: not detected; the time is for a term as large as this bound")
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
-        say("(n of 10): chance that a log this long detects the term")
+        print_note("(n of 10): chance that a log this long detects the term")
 
 
 def to_document(result: Plan) -> dict[str, object]:
@@ -160,7 +160,7 @@ def _reached(need: Need) -> str:
 
 
 def _may_be_missed(need: Need) -> bool:
-    return need.shown is not None and need.shown < MOSTLY_SHOWN
+    return need.shown is not None and need.shown < ENOUGH_DETECTED
 
 
 def _unit(sensor: Sensor | None, need: Need) -> DatasheetUnit:

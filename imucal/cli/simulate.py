@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from imucal.cli._declared import argument, declared, flag, misuse, option
-from imucal.cli._printing import echo, picked, print_json, say
+from imucal.cli._printing import echo, picked, print_json, print_note
 from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
@@ -13,7 +13,7 @@ from imucal.recording import Sensor
 from imucal.units import G0
 
 #: Largest number of samples: six axes take 48 GB.
-_MOST = 1e9
+_MAX_SAMPLES = 1e9
 
 
 _LSB = Number(min=0)
@@ -81,8 +81,10 @@ def command(
     from imucal.simulation import SensorTruth, simulate_recording, write_log
 
     length = duration if rests is None else rests * (rest + 2.0)
-    if not 1 <= length * rate <= _MOST:
-        misuse(f"{length:g} s at {rate:g} Hz give {length * rate:.3g} samples; expected 1 to {_MOST:g}")
+    if not 1 <= length * rate <= _MAX_SAMPLES:
+        misuse(
+            f"{length:g} s at {rate:g} Hz give {length * rate:.3g} samples; expected 1 to {_MAX_SAMPLES:g}"
+        )
     if rests and gaps:
         misuse("--gap and --rests exclude each other; omit one")
     try:
@@ -122,4 +124,4 @@ def command(
         **errors,
     }
     print_json(truth)
-    say(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}")
+    print_note(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}")

@@ -220,11 +220,11 @@ def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
 
 def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> Iterator[Finding]:
     differing = (t for t in homogeneity if t.differs)
-    if said := "; ".join(f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in differing):
+    if text := "; ".join(f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in differing):
         yield Finding(
             "warning",
             "records-differ",
-            f"The records differ by more than chance: {said}. The intervals are for the mean of the records.",
+            f"The records differ by more than chance: {text}. The intervals are for the mean of the records.",
             "Find the cause (temperature, mounting, supply). Another record may differ as much.",
         )
     if goodness.statistic > MISFIT:
@@ -301,15 +301,15 @@ def _refuse_different(fits: Sequence[NoiseFit]) -> None:
     for number, fit in enumerate(fits[1:], 2):
         corners = [one.response.cutoff_hz if one.response else 0.0 for one in (fit, first)]
         if fit.sensor != first.sensor:
-            said = [f"the {one.sensor}" if one.sensor else "no sensor's name" for one in (fit, first)]
+            text = [f"the {one.sensor}" if one.sensor else "no sensor's name" for one in (fit, first)]
             advice = "pool one axis at a time"
         elif abs(fit.rate_hz / first.rate_hz - 1) > _SAME_RATE:
-            said = [f"{one.rate_hz:.6g} Hz" for one in (fit, first)]
+            text = [f"{one.rate_hz:.6g} Hz" for one in (fit, first)]
             advice = "pool records of one sampling rate"
         elif any(corners) and (not all(corners) or abs(math.log(corners[0] / corners[1])) > _SAME_CORNER):
-            said = [f"an output filter at {hz:.4g} Hz" if hz else "no output filter" for hz in corners]
+            text = [f"an output filter at {hz:.4g} Hz" if hz else "no output filter" for hz in corners]
             advice = "pool records of one setting of the sensor"
         else:
             continue
         where = f"fit {number} of {len(fits)}"
-        raise DataError(f"{where}: found {said[0]}, expected {said[1]} as in fit 1; {advice}")
+        raise DataError(f"{where}: found {text[0]}, expected {text[1]} as in fit 1; {advice}")

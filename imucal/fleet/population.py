@@ -29,11 +29,11 @@ from imucal.fleet.values import LogValue, LogValues
 from imucal.frozen import frozen
 
 #: Fewer units tell no spread.
-FEWEST = 3
+MIN_UNITS = 3
 #: Expected share of false ones among the units that are called odd.
 FALSE_SHARE = 0.05
 #: Share of bounds, in per cent, above which they are worth a sentence.
-_MOSTLY = 50.0
+_MANY_BOUNDS = 50.0
 #: Units that are judged by the others alone at most, and up to which chance at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.2
 #: Probability with which the next unit lies in its limits.
@@ -44,8 +44,8 @@ _ALL_BOUNDED = (
     "is unknown. Longer logs would help more than more units."
 )
 _TOO_FEW = (
-    f"{{}}: the spread between units, the next unit and a tolerance bound need at least {FEWEST}; test about "
-    "10."
+    "{}: the spread between units, the next unit and a tolerance bound need at least "
+    f"{MIN_UNITS}; test about 10."
 )
 #: Points of a mean square's likelihood, up to where its logarithm is so far below the peak; how often its
 #: reach is doubled at most; and units that are added at a time.
@@ -120,7 +120,7 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         raise ArgumentError(f"content and confidence must be between 0 and 1, got {content} and {confidence}")
     values = LogValues.of(logs)
     answer = partial(Population, logs=len(logs), content=content, confidence=confidence)
-    if len(values.names) < FEWEST:
+    if len(values.names) < MIN_UNITS:
         return _too_few(values, answer)
     posterior = Posterior.whole(values)
     within = interval_of(posterior.quantiles(posterior.omega, TAILS))
@@ -148,7 +148,9 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         quantile=quantile,
         tolerance=tolerance,
         # The median then leans on the bounds.
-        findings=(Finding("info", "weak-term", _MOSTLY_BOUNDED.format(share)),) if share > _MOSTLY else (),
+        findings=(Finding("info", "weak-term", _MOSTLY_BOUNDED.format(share)),)
+        if share > _MANY_BOUNDS
+        else (),
     )
 
 
@@ -159,29 +161,31 @@ def membership(found: Population, new: LogValue) -> float:
     and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
     """
     if found.next_log is None:
-        raise ArgumentError(f"a spread between units needs at least {FEWEST} units, got {len(found.units)}")
+        raise ArgumentError(
+            f"a spread between units needs at least {MIN_UNITS} units, got {len(found.units)}"
+        )
     return found.next_log.p_value(LogValues.of([new]))
 
 
 def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population:
     """Return one or two units as they are: they tell nothing of a spread between units."""
     units = _units(values, UnitLikelihoods(values, 0.0))
-    told = [unit.value for unit in units if unit.value is not None]
+    determined = [unit.value for unit in units if unit.value is not None]
     low, high = min(unit.low for unit in units), max(unit.high for unit in units)
-    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
+    middle = math.exp(sum(map(math.log, determined)) / len(determined)) if determined else high
     number = f"{len(units)} unit{'s' * (len(units) > 1)}"
     return answer(
         units=units,
         median=Interval(value=middle, low=low, high=high),
-        bounded=not told,
+        bounded=not determined,
         findings=(Finding("info", "few-units", _TOO_FEW.format(number)),),
     )
 
 
 def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
     """Return each unit by itself; those that only bound the coefficient have no value."""
-    told, limits = units.limits()
-    columns = (told.tolist(), *np.exp(limits).tolist(), np.bincount(values.unit).tolist())
+    determined, limits = units.limits()
+    columns = (determined.tolist(), *np.exp(limits).tolist(), np.bincount(values.unit).tolist())
     return tuple(
         UnitValue(unit=name, logs=logs, value=value if known else None, low=low if known else 0.0, high=high)
         for name, known, low, value, high, logs in zip(values.names, *columns, strict=True)
@@ -194,11 +198,11 @@ def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> 
     A unit is new to the posterior of the others, so that allows for how badly the spreads between and within
     units are known. The quick look is Student's t of well told units, else the posterior of all.
     """
-    told = bool(units.normal.all())
+    determined = bool(units.normal.all())
     squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
     scatter = posterior.quantiles(posterior.omega, [0.5])
     own = scatter / np.sqrt(np.bincount(values.unit))
-    if told:
+    if determined:
         tau = float(posterior.quantiles(posterior.tau, [0.5])[0])
         quick = leave_one_out(units.centre, units.deviation, tau)
     else:
@@ -206,10 +210,10 @@ def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> 
 
     def by_others(unit: int) -> float:
         others = values.take(values.unit != unit)
-        if len(others.names) < FEWEST:
+        if len(others.names) < MIN_UNITS:
             return 1.0
-        alone = Posterior(others, None if told else scatter)
-        if told:
+        alone = Posterior(others, None if determined else scatter)
+        if determined:
             return alone.p_value(values.take(values.unit == unit))
         return float(alone.p_values(squares[[unit]], own[[unit]])[0])
 
@@ -240,7 +244,7 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     error. The standard deviation `tau` between units sets their weights, not the scale of the test.
     """
     n = centre.size
-    if n <= FEWEST:
+    if n <= MIN_UNITS:
         # No degrees of freedom are left to judge one by the others.
         return np.ones(n)
     w = 1 / (deviation**2 + max(tau, 1e-12) ** 2)

@@ -108,12 +108,12 @@ class UnitLikelihoods:
 
         The limits hold 95 %; of a unit that is not told only the upper one holds.
         """
-        told, limits = self.normal.copy(), self.centre + np.outer((-1, 0, 1), TWO_SIDED * self.deviation)
-        for unit, curve in zip(np.flatnonzero(~told).tolist(), self.weak, strict=True):
+        values, limits = self.normal.copy(), self.centre + np.outer((-1, 0, 1), TWO_SIDED * self.deviation)
+        for unit, curve in zip(np.flatnonzero(~values).tolist(), self.weak, strict=True):
             inside = self.theta[curve > math.exp(-(TWO_SIDED**2) / 2)]
             limits[:, unit] = inside[0], self.theta[curve.argmax()], inside[-1]
-            told[unit] = inside[0] > self.theta[0]
-        return told, limits
+            values[unit] = inside[0] > self.theta[0]
+        return values, limits
 
     def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
         """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau.
@@ -133,20 +133,20 @@ class UnitLikelihoods:
     def _prior(self, tau: FloatArray) -> FloatArray:
         """Return the logarithm of the prior of log tau and of the scatter: Jeffreys' where told."""
         t2, variance = tau**2, self.deviation**2
-        told = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
+        values = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
         usual = np.log(tau) - 0.5 * (t2 + self.omega**2) / _USUAL**2
         untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
-        result: FloatArray = (1 - untold) * told + untold * usual
+        result: FloatArray = (1 - untold) * values + untold * usual
         return result
 
     def _prior_of_median(self, mu: FloatArray) -> FloatArray:
         """Return the logarithm of Jeffreys' prior of mu at a usual spread; of weak units in exp(2 mu)."""
         variance = self.deviation**2
-        told = float(np.sum(1 / (variance[self.normal] + _USUAL**2)))
+        values = float(np.sum(1 / (variance[self.normal] + _USUAL**2)))
         # One deviation for all: a prior need not be more exact.
         weak, precision = len(self.weak), float(np.mean(1 / variance[~self.normal]))
         at = np.exp(np.minimum(-4 * (mu - self.about), _LARGEST)) / precision
-        return 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
+        return 0.5 * np.log((values + weak / (at + _USUAL**2)) / (values + weak / _USUAL**2))
 
 
 def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:

@@ -115,10 +115,10 @@ class LogValue:
 
     def __post_init__(self) -> None:
         inside, wrong = self.value is None or 0 <= self.low <= self.value <= self.high, ""
-        told = 1.0 if self.variance_sd is None else self.variance_sd
+        known = 1.0 if self.variance_sd is None else self.variance_sd
         if not (inside and 0 < self.high < math.inf and 0 < self.level < 1 and self.value != 0):
             wrong = f"limits must contain a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
-        elif (self.variance is None) != (self.variance_sd is None) or not (told > 0 <= self.variance_growth):
+        elif (self.variance is None) != (self.variance_sd is None) or not (known > 0 <= self.variance_growth):
             wrong = "a variance needs a positive standard deviation, and must not shrink"
         if wrong:
             raise ValueError(f"{self.unit}: {wrong}")
@@ -160,15 +160,15 @@ class LogValues:
         bounded, weighed = np.isnan(value), ~np.isnan(variance)
         centre = np.log(np.where(bounded, high / 2, value))
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
-        told = ~bounded & (low > 0)
-        low_sd = np.where(told, np.maximum((centre - np.log(np.where(told, low, 1.0))) / z, 1e-9), high_sd)
+        known = ~bounded & (low > 0)
+        low_sd = np.where(known, np.maximum((centre - np.log(np.where(known, low, 1.0))) / z, 1e-9), high_sd)
         # The logarithm of a chi-square has a mean below that of its mean: by half its relative variance.
         positive = weighed & (variance > 0)
         square = np.where(positive, variance, 1.0)
         error = np.where(positive, (sd + growth * variance) / (2 * square), np.inf)
         of_square = 0.5 * np.log(square) + np.minimum(error, _NARROW_SQUARE) ** 2
         centre = np.where(error <= _NARROW_SQUARE, of_square, centre)
-        deviation = np.where(weighed, error, np.where(told, (high_sd + low_sd) / 2, np.inf))
+        deviation = np.where(weighed, error, np.where(known, (high_sd + low_sd) / 2, np.inf))
         of_limits = np.where(bounded, 0.0, np.exp(2 * centre))
         middle = float(np.median(centre))
         mad = 1.4826 * float(np.median(np.abs(centre - middle)))

@@ -11,7 +11,7 @@ from imucal.errors import DataError
 from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.fleet.pooling import log_values
-from imucal.fleet.population import FEWEST, membership
+from imucal.fleet.population import MIN_UNITS, membership
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.pages import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
@@ -145,8 +145,8 @@ def check_fleet(
         If there are fewer than three units, or no axis and term in common.
     """
     found = fleet.model(model)
-    if len(found.units) < FEWEST:
-        few = f"found {len(found.units)} units of {found.title}, expected at least {FEWEST}"
+    if len(found.units) < MIN_UNITS:
+        few = f"found {len(found.units)} units of {found.title}, expected at least {MIN_UNITS}"
         raise DataError(f"{fleet.folder}: {few} to predict the next unit; add units to the fleet")
     common: list[tuple[FleetTerm, LogValue]] = []
     for axis in report.axes:
@@ -183,7 +183,7 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
     verdict: Verdict = "undecided"
     if found.prediction is None or p is None:
         subject, units = term.term, f"{len(found.units)} unit{'s' * (len(found.units) > 1)}"
-        expected = f"expected at least {FEWEST} to predict the next unit"
+        expected = f"expected at least {MIN_UNITS} to predict the next unit"
         text = f"{units} of the fleet with it, {expected}: not judged"
     else:
         low, high = (limit * unit.factor for limit in found.prediction)

@@ -33,7 +33,7 @@ Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
 
 
 #: Smallest p-value that is printed.
-_LEAST_P = 1e-4
+_MIN_P = 1e-4
 
 
 def sheet_unit(term: FleetTerm) -> DatasheetUnit:
@@ -104,7 +104,7 @@ def percent(value: float) -> str:
 
 def p_text(p: float) -> str:
     """Return ``p = 0.0046``, or ``p < 0.0001``."""
-    return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+    return f"p = {p:.2g}" if p >= _MIN_P else f"p < {_MIN_P:g}"
 
 
 def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:

@@ -32,7 +32,7 @@ from imucal.units import parse_sample_unit
 #: Default model and confidence level.
 MODEL, LEVEL = "N + B + K", 0.95
 #: Memory of the imported packages and a short log, in bytes.
-LEAST_MEMORY = 300 << 20
+MIN_MEMORY = 300 << 20
 #: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
 #: Final states: another attempt with the same file, settings and version would have the same result.
@@ -43,7 +43,7 @@ _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
 #: Minimum number of batches per worker, so that all workers end together; number in a long run; and the
 #: factor by which its batches may last longer.
-_LEAST_BATCHES, _BATCHES, _LONGER = 4, 40, 10
+_MIN_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 #: Arguments of `imucal.read` that may be several texts.
 _SEVERAL = ("topic", "fields", "message_definition")
 
@@ -266,8 +266,8 @@ _ARGUMENTS: dict[str, Column] = {
     "jobs": ("a number from 1", int, lambda jobs: jobs >= 1),
     "shard": ("(i, n) with i from 1 to n", tuple, lambda part: 1 <= part[0] <= part[1]),
     "memory": (
-        f"a size such as 500M or 2G, {LEAST_MEMORY >> 20}M or more",
-        lambda size: parse_size(str(size), least=LEAST_MEMORY),
+        f"a size such as 500M or 2G, {MIN_MEMORY >> 20}M or more",
+        lambda size: parse_size(str(size), least=MIN_MEMORY),
         bool,
     ),
     "timeout_s": ("seconds above 0", float, lambda seconds: 0 < seconds < math.inf),
@@ -416,7 +416,7 @@ def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterat
     """
     total = sum(task.seconds for task in tasks)
     longer = min(total / (_BATCHES * workers), _LONGER * seconds)
-    target = min(max(seconds, longer), total / (_LEAST_BATCHES * workers))
+    target = min(max(seconds, longer), total / (_MIN_BATCHES * workers))
     batch: list[LogTask] = []
     expected = 0.0
     for task in tasks:

@@ -64,7 +64,7 @@ _NEGLIGIBLE = 1e-14
 #: If the phase of sin^4 grows by less than this in a piece, the piece is integrated without cosines.
 _CALM = 4.0
 #: Relative error requested, largest relative error accepted, and largest number of subdivisions of a piece.
-_WANTED, _WORST, _HALVINGS = 1e-11, 1e-6, 200
+_TOLERANCE, _WORST, _HALVINGS = 1e-11, 1e-6, 200
 
 
 #: Pieces around a break end at these distances, relative to its frequency.
@@ -147,9 +147,9 @@ class _PsdIntegral:
         size: float = 0.0,
     ) -> float:
         """Return the integral of a function, times a cosine if `omega`, to an accuracy relative to `size`."""
-        weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _WANTED}
+        weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _TOLERANCE}
         value, error, *_ = scipy.integrate.quad(
-            function, low, high, epsabs=_WANTED * size, limit=_HALVINGS, full_output=1, **weight
+            function, low, high, epsabs=_TOLERANCE * size, limit=_HALVINGS, full_output=1, **weight
         )
         self.errors.append((error, low))
         return float(value)

@@ -34,7 +34,7 @@ class Stroke:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class Description:
     """Description of a term on the page: its shape in the curve, its meaning, its other names."""
 
     in_the_curve: str
@@ -64,7 +64,7 @@ class NoiseTerm(ABC):
         Names in `imucal.units.DATASHEET_UNITS` of the units used in data sheets.
     divisors
         Divisor of the sample unit in a unit of the coefficient -> its factor in SI.
-    stroke, words
+    stroke, description
         Line style and description for pictures and page.
     slope
         Slope of the Allan deviation on logarithmic axes; None if it is not constant.
@@ -84,7 +84,7 @@ class NoiseTerm(ABC):
     units: ClassVar[tuple[str, str]]
     datasheet: ClassVar[tuple[str, str]]
     stroke: ClassVar[Stroke]
-    words: ClassVar[Words]
+    description: ClassVar[Description]
     divisors: ClassVar[dict[str, float]] = {}
     slope: ClassVar[float | None] = None
     read_at: ClassVar[tuple[float | None, float]] = (None, 1.0)

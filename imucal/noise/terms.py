@@ -17,10 +17,10 @@ import scipy
 from imucal.arrays import FloatArray, IntArray
 from imucal.frozen import frozen
 from imucal.noise.term import (
+    Description,
     NoiseTerm,
     PowerLawTerm,
     Stroke,
-    Words,
     draw_flicker,
     gauss_markov_dct,
     gauss_markov_sum,
@@ -42,7 +42,7 @@ class Quantization(PowerLawTerm):
     slope = -1.0
     read_at = (math.sqrt(3), 1.0)
     stroke = Stroke("#8a6100", "#e6b64c", (1, 2))
-    words = Words("slope −1, read at τ = √3 s", "rounding of the integrated output", "GMWM: QN")
+    description = Description("slope −1, read at τ = √3 s", "rounding of the integrated output", "GMWM: QN")
 
     @classmethod
     def per_sample(cls, tau0: float) -> float:
@@ -67,7 +67,7 @@ class AngleRandomWalk(PowerLawTerm):
     read_at = (1.0, 1.0)
     always = True
     stroke = Stroke("#b84300", "#ff9157", (6, 2))
-    words = Words(
+    description = Description(
         "slope −1/2, read at τ = 1 s",
         "white noise of the rate; its integral is a random walk",
         "noise density; Kalibr: noise_density; GMWM: WN. Not Kalibr's random_walk",
@@ -96,7 +96,7 @@ class BiasInstability(PowerLawTerm):
     read_at = (None, math.sqrt(2 * math.log(2) / math.pi))
     always = True
     stroke = Stroke("#00734f", "#36c99a", (6, 2, 1, 2))
-    words = Words(
+    description = Description(
         "slope 0, floor at 0.664 B",
         "flicker noise: the bias wanders equally at all time scales",
         "often confused with the curve's minimum, which is at least 0.664 B",
@@ -121,7 +121,7 @@ class RateRandomWalk(PowerLawTerm):
     read_at = (3.0, 1.0)
     always = True
     stroke = Stroke("#a63c78", "#ee8fc4", (10, 3))
-    words = Words(
+    description = Description(
         "slope +1/2, read at τ = 3 s",
         "the bias moves in independent steps",
         "Kalibr: random_walk; bias random walk; GMWM: RW",
@@ -150,7 +150,7 @@ class RateRamp(NoiseTerm):
     read_at = (math.sqrt(2), 1.0)
     fitted_by = frozenset({"mle", "gmwm", "slope"})
     stroke = Stroke("#4c6a00", "#a9cc45", (8, 2, 1, 2, 1, 2))
-    words = Words("slope +1, read at τ = √2 s", "a steady drift, such as warming up", "GMWM: DR")
+    description = Description("slope +1, read at τ = √2 s", "a steady drift, such as warming up", "GMWM: DR")
     value: float
 
     def __post_init__(self) -> None:
@@ -195,7 +195,7 @@ class GaussMarkov(NoiseTerm):
     fitted_by = frozenset({"mle", "gmwm"})
     repeatable = True
     stroke = Stroke("#5c4a9e", "#a99cf0", (3, 1.5))
-    words = Words(
+    description = Description(
         "a hump of 0.617 σ at 1.89 T",
         "a bias with the correlation time T; a filter state",
         "AR1, exponentially correlated noise",

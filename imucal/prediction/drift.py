@@ -40,7 +40,7 @@ TIMES_S, REST_S = (1.0, 10.0, 60.0, 300.0), 60.0
 #: coasts is known to a third.
 STRETCHES = 5
 #: Largest ratio of rest and coast: the shorter one then has a dozen blocks.
-_MOST_UNLIKE = 2e4
+_MAX_RATIO = 2e4
 #: Relative tolerance of g at rest; cosine of the largest tilt, 20 degrees, of a vertical axis.
 _NEAR_G, _UPRIGHT = 0.1, 0.94
 
@@ -140,9 +140,9 @@ def drift(
     sample_s = max(1 / axis.fit.rate_hz for axis in axes)
     for time in times_s:
         short, long = min(time, rest_s), max(time, rest_s)
-        if not (sample_s < short * (1 + 1e-9) and long <= _MOST_UNLIKE * short < math.inf):
+        if not (sample_s < short * (1 + 1e-9) and long <= _MAX_RATIO * short < math.inf):
             found = f"rest {rest_s:g} s and time {time:g} s"
-            ratio = f"at most {_MOST_UNLIKE:.0f} times the other"
+            ratio = f"at most {_MAX_RATIO:.0f} times the other"
             raise ArgumentError(f"{found}; expected at least a sample ({sample_s:.3g} s) each, and {ratio}")
     vertical, whole = _vertical(axes), _Coasts(times_s=tuple(times_s), rest_s=rest_s)
     groups = [[axis] for axis in axes] if each_axis else [axes]

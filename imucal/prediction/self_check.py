@@ -46,7 +46,7 @@ _SPARSE = 4
 #: False alarm rate of the check per record.
 _CHANCE = 0.01
 #: Lower limit of a prediction, as a share of the fitted model's: least squares may give negative values.
-_LEAST = 0.05
+_MIN_SHARE = 0.05
 #: Number of bins to leave out around each line.
 _OF_LINE = 3
 
@@ -187,7 +187,7 @@ def _held(one: _Half, other: _Half) -> tuple[FloatArray, FloatArray, FloatArray]
     found, covariance = one.coefficients()
     shares = other.weights @ other.columns
     model = other.weights @ other.fitted
-    predicted = np.maximum(shares @ found, _LEAST * model)
+    predicted = np.maximum(shares @ found, _MIN_SHARE * model)
     freedom = 2 * model**2 / np.einsum("ti,ij,tj->t", shares, covariance, shares)
     edf = model**2 / np.sum((other.weights * other.fitted) ** 2 / other.count, axis=1)
     observed = other.weights @ other.psd

@@ -211,7 +211,7 @@ def _lacks(root: Path, wanted: int) -> bool:
 Progress: TypeAlias = Callable[[int, int], None]
 
 #: Most changes of an object during reading; with more it is being written.
-_MOST_CHANGES = 3
+_MAX_CHANGES = 3
 
 
 @frozen
@@ -239,7 +239,7 @@ def fetched(
     Raises ReadError if the log is missing, can't be fetched or has changed, or if the disk is full.
     """
     asked = identify(log) if isinstance(log, str) else log
-    for _ in range(_MOST_CHANGES):
+    for _ in range(_MAX_CHANGES):
         entry = Entry(cache_folder(), asked.key if asked.etag else f"{asked.key}-{uuid4().hex}")
         try:
             with _made(asked, entry, progress) as copy:
@@ -283,7 +283,7 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
     make_room(entry.root, size, most=most - size if size <= most else most)
     done = 0
 
-    def tell(count: int) -> None:
+    def count_bytes(count: int) -> None:
         nonlocal done
         done += count
         if progress:
@@ -297,7 +297,7 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
         for file, path in zip(log.files, entry.files(log, entry.part), strict=True):
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as out:
-                _download(file, out, tell)
+                _download(file, out, count_bytes)
                 out.flush()
                 os.fsync(out.fileno())
         entry.part.replace(entry.whole)
@@ -311,7 +311,7 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
         shutil.rmtree(entry.part, ignore_errors=True)
 
 
-def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> None:
+def _download(file: RemoteFile, out: IO[bytes], count_bytes: Callable[[int], None]) -> None:
     """Write an object to an open file; resume after a broken connection.
 
     Bytes received again are no progress: give up on a server without parts that always ends early.
@@ -324,7 +324,7 @@ def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> 
             for block in store.blocks(file, done):
                 out.write(block)
                 done += len(block)
-                tell(len(block))
+                count_bytes(len(block))
                 if done > farthest:
                     farthest = done
                     attempts.went_on()
@@ -338,5 +338,5 @@ def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> 
         if not file.ranges:
             out.seek(0)
             out.truncate()
-            tell(-done)
+            count_bytes(-done)
             done = 0

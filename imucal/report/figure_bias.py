@@ -187,10 +187,10 @@ def check_folder(out: Path) -> None:
     if held and not (out / DOCUMENT).exists():
         raise WriteError(f"{out}: contains {held} but no imucal decomposition; choose another folder")
     if not (home.is_dir() and os.access(home, os.W_OK | os.X_OK)):
-        said = f"can't be created: {home} is not writable; choose another folder"
+        message = f"can't be created: {home} is not writable; choose another folder"
         if home is out:
-            said = "is not writable; choose another folder"
-        raise WriteError(f"{out}: {said}")
+            message = "is not writable; choose another folder"
+        raise WriteError(f"{out}: {message}")
 
 
 def write_decomposition(

@@ -54,9 +54,11 @@ def drift_figure(report: Report, found: Drift) -> "Figure":
         axes = figure.add_axes((left, _FOOT / _HEIGHT, width - (_SPACE + 0.12) / WIDTH, height))
         _draw(axes, [quantity for quantity in lines.quantities if quantity.unit == unit], set(asked))
     upright = f"   ·   {found.vertical} is vertical" if found.vertical else ""
-    said = f"one standard deviation, {100 * found.level:.4g} % limits   ·   each sensor's worst axis{upright}"
+    message = (
+        f"one standard deviation, {100 * found.level:.4g} % limits   ·   each sensor's worst axis{upright}"
+    )
     title = f"Drift without aiding, after a rest of {duration(found.rest_s)}"
-    write_head(figure, title, said if report.verdict.usable else report.verdict.sentence)
+    write_head(figure, title, message if report.verdict.usable else report.verdict.sentence)
     write_foot(figure, report.source.name, report.version)
     return figure
 

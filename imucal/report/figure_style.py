@@ -49,7 +49,7 @@ _SIZE = 9.0
 #: Length of a minor tick, as a fraction of the plot's width.
 _MINOR = 0.006
 #: Largest number of labelled ticks per axis.
-_MOST = 8
+_MAX_TICKS = 8
 
 
 def draw_ticks(axes: "Axes") -> None:
@@ -80,7 +80,7 @@ def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
     """Return the positions of labelled and of minor ticks between two positive limits."""
     decades, inside = _multiples(low, high, (1,)), _multiples(low, high, range(1, 10))
     if len(decades) >= 3:
-        step = math.ceil(len(decades) / _MOST)
+        step = math.ceil(len(decades) / _MAX_TICKS)
         if step == 1:
             return decades, inside
         return [place for place in decades if round(math.log10(place)) % step == 0], decades

@@ -51,9 +51,9 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
             one = given_axis(sensor, "x", estimates, rate_hz=rate_hz, duration_s=_RECORD_S, method=GIVEN)
             # No samples were recorded; all axes share one result.
             axes += [replace(one, axis=letter, samples=0) for letter in get_args(Axis)]
-    said = "; ".join(f"{models[sensor]} ({sensor})" for sensor in Sensor if sensor in models)
+    message = "; ".join(f"{models[sensor]} ({sensor})" for sensor in Sensor if sensor in models)
     return Report(
-        source=Source(path=said, format="a model as given, no log"),
+        source=Source(path=message, format="a model as given, no log"),
         axes=tuple(axes),
         settings={"models": {str(sensor): text for sensor, text in models.items()}, "rate_hz": rate_hz},
         version=__version__,

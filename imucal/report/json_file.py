@@ -321,10 +321,10 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
     fit = replace(axis.fit, curve=curve, bins=bins)
     floor, unit = numbers.minimum(fit), TERMS["B"].datasheet_unit(axis.sensor)
     low, high = curve.confidence_interval(fit.level)
-    told = {"level": fit.level, "low": low, "high": high, "model_adev": fit.model_adev(), "used": fit.used}
+    known = {"level": fit.level, "low": low, "high": high, "model_adev": fit.model_adev(), "used": fit.used}
     return _AXIS.write(
         axis,
-        curve=_CURVE.write(curve, adev=curve.adev, **told),
+        curve=_CURVE.write(curve, adev=curve.adev, **known),
         minimum={
             "adev": floor.value,
             "tau_s": curve.minimum[1],
@@ -340,30 +340,30 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
 
 
 def _fit_entry(fit: NoiseFit, sensor: Sensor) -> JsonObject:
-    said: JsonObject = {}
+    message: JsonObject = {}
     if (bins := fit.bins) is not None:
         # The products are symmetric: write the lower triangle.
-        said["bins"] = _BINS.write(bins, gram=bins.gram[np.tril_indices(len(bins.names))])
+        message["bins"] = _BINS.write(bins, gram=bins.gram[np.tril_indices(len(bins.names))])
     return _FIT.write(
         fit,
         model=str(fit.model),
         expression=fit.model.text(),
         terms={estimate.key: _term_entry(estimate, fit, sensor) for estimate in fit.estimates},
         segments=fit.segments and _segments_entry(fit.segments, fit.level, sensor),
-        **said,
+        **message,
     )
 
 
 def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> JsonObject:
     kind = TERMS[estimate.symbol]
-    said: JsonObject = {"name": kind.name(sensor), "unit": kind.unit(sensor), "drawn": estimate.drawn}
+    message: JsonObject = {"name": kind.name(sensor), "unit": kind.unit(sensor), "drawn": estimate.drawn}
     if len(kind.parameters()) > 1:
         # Parameters of a filter's state: T, and phi and q of x[t+1] = phi x[t] + q w[t].
         time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
-        said["correlation_time"] = time and numbers.correlation_time(time)
-        said["phi"] = term and term.phi(1 / fit.rate_hz)
-        said["q"] = term and term.q(1 / fit.rate_hz)
-    return _TERM.write(estimate, datasheet=numbers.datasheet(estimate, sensor), **said)
+        message["correlation_time"] = time and numbers.correlation_time(time)
+        message["phi"] = term and term.phi(1 / fit.rate_hz)
+        message["q"] = term and term.q(1 / fit.rate_hz)
+    return _TERM.write(estimate, datasheet=numbers.datasheet(estimate, sensor), **message)
 
 
 def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> JsonObject:

@@ -20,7 +20,7 @@ from imucal.errors import ReadError
 from imucal.recording import Sensor
 
 #: Number of characters of a wrong value in a message.
-_SHOWN = 40
+_MAX_TEXT = 40
 #: An object of a document.
 JsonObject: TypeAlias = dict[str, object]
 A = TypeVar("A")
@@ -135,7 +135,7 @@ class Node:
 
     def _refuse(self, expected: str) -> NoReturn:
         found = json.dumps(self.value)
-        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}…"
+        shown = found if len(found) <= _MAX_TEXT else f"{found[:_MAX_TEXT]}…"
         self.fail(f"found {shown}", expected)
 
 

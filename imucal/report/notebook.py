@@ -23,7 +23,7 @@ _Clock: TypeAlias = tuple[str, str, str, str, str]
 #: Largest number of lines of a text.
 _LINES = 12
 #: Largest number of rows of a curve's table; others are left out in the middle.
-_MOST = 12
+_MAX_ROWS = 12
 
 
 def text_of(value: Displayed) -> str:
@@ -117,8 +117,8 @@ def _tables(value: Displayed) -> dict[str, Any]:
         case AllanCurve():
             values = zip(value.tau, value.m, value.adev, *value.confidence_interval(), strict=True)
             rows = [(f"{tau:.6g}", (str(m), *(f"{each:.4g}" for each in rest))) for tau, m, *rest in values]
-            if len(rows) > _MOST:
-                rows = [*rows[: _MOST - 3], ("…", ("…",) * 4), *rows[-3:]]
+            if len(rows) > _MAX_ROWS:
+                rows = [*rows[: _MAX_ROWS - 3], ("…", ("…",) * 4), *rows[-3:]]
             titles = ("τ (s)", "m", "deviation", "low (95 %)", "high (95 %)")
             return {"caption": "; ".join([caption, *more]), "titles": titles, "rows": rows}
         case NoiseFit():

@@ -82,7 +82,7 @@ def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
 
 def term_name(symbol: str, sensor: Sensor | None) -> str:
     """Return the usual name of a term for a sensor; its meaning if the sensor is unknown."""
-    return TERMS[symbol].name(sensor) if sensor else TERMS[symbol].words.meaning
+    return TERMS[symbol].name(sensor) if sensor else TERMS[symbol].description.meaning
 
 
 def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:

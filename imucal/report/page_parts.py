@@ -159,7 +159,7 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
 #: Width of the picture, height of a row, and margins, in user units of the SVG.
 _WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
 #: Limits of the half-height of a row, as a logarithm and as a ratio; larger deviations are cut.
-_LEAST, _MOST = 0.02, 4.0
+_MIN_HEIGHT, _MAX_HEIGHT = 0.02, 4.0
 #: Largest number of steps between labelled times.
 _MARKS = 6
 
@@ -198,7 +198,9 @@ def _segments_row(
     band = (whole.low / mean, whole.high / mean) if whole else ()
     ratios = np.stack([trace.low, trace.value, trace.high], axis=1) / mean
     ends = np.array([*ratios[:, 0], *ratios[:, 2], *band])
-    reach = float(np.clip(np.nanmax(np.abs(np.log(np.clip(ends, 1e-3, 1e3)))), _LEAST, math.log(_MOST)))
+    reach = float(
+        np.clip(np.nanmax(np.abs(np.log(np.clip(ends, 1e-3, 1e3)))), _MIN_HEIGHT, math.log(_MAX_HEIGHT))
+    )
 
     def y(ratio: float) -> float:
         part = math.log(max(ratio, 1e-9)) / (1.08 * reach)
@@ -257,8 +259,8 @@ def drift_section(report: Report) -> Markup | None:
 def downstream_section(report: Report) -> Markup:
     """Return the numbers for config files with their formulas; no numbers if the data are not noise."""
     if not report.verdict.usable:
-        said = f"{report.verdict.sentence}. No filter should be given its numbers."
-        return Markup("<p>{}</p>").format(said)
+        message = f"{report.verdict.sentence}. No filter should be given its numbers."
+        return Markup("<p>{}</p>").format(message)
     chosen = Numbers(report=report, choices=Choices(), target="the page", covers=True)
     return render(
         "downstream.html",

@@ -89,9 +89,9 @@ def _checked(alive: Sequence[Profile]) -> Iterator[Finding]:
 
 def worst_first(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings, errors first, without those already in `recording.findings`."""
-    said = {(finding.code, finding.axis) for finding in recording.findings}
+    text = {(finding.code, finding.axis) for finding in recording.findings}
     order = ("error", "warning", "info")
-    new = (finding for finding in findings if (finding.code, finding.axis) not in said)
+    new = (finding for finding in findings if (finding.code, finding.axis) not in text)
     return tuple(sorted(new, key=lambda finding: order.index(finding.level)))
 
 

@@ -35,7 +35,7 @@ _LOUD = 3e-3
 #: Shortest and longest transformed stretch, in samples.
 _SHORTEST, _LONGEST = 256, 16384
 #: Stretches: minimum, number wanted from a short log, and maximum, spread evenly over a long one.
-_LEAST, _WANTED, _MOST = 4, 16, 256
+_MIN_STRETCHES, _USUAL_STRETCHES, _MAX_STRETCHES = 4, 16, 256
 #: Coloured noise has a density in the band this many times as high as in the upper half of frequencies.
 _COLOURED = 8.0
 
@@ -112,14 +112,14 @@ def density_at_rest(profile: Profile) -> FloatArray | None:
     Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15(2).
     """
     series, size = profile.series, _LONGEST
-    while size > _SHORTEST and size * _WANTED > series.n:
+    while size > _SHORTEST and size * _USUAL_STRETCHES > series.n:
         size //= 2
-    while (starts := _stretches(profile, size)).size < _LEAST:
+    while (starts := _stretches(profile, size)).size < _MIN_STRETCHES:
         size //= 2
         if size < _SHORTEST:
             return None
-    if starts.size > _MOST:
-        starts = starts[np.linspace(0, starts.size - 1, _MOST).astype(np.int64)]
+    if starts.size > _MAX_STRETCHES:
+        starts = starts[np.linspace(0, starts.size - 1, _MAX_STRETCHES).astype(np.int64)]
     taper = np.hanning(size + 1)[:-1]
     power = np.zeros(size // 2 + 1)
     for start in starts.tolist():

@@ -20,19 +20,19 @@ from imucal.units import G0
 #: Probability that noise repeats one value through a window by chance.
 _FALSE_ALARM = 1e-6
 #: Clipping: this many samples at the extreme value, and this many times the next value's.
-_LEAST_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
+_MIN_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
 #: An extreme closer to the middle than this many steps is caused by a coarse resolution, not by clipping.
-_LEAST_STEPS = 4.0
+_MIN_STEPS = 4.0
 #: Samples that are not finite are a warning above this fraction.
 _MANY = 1e-3
 #: Repeated samples below this fraction are not reported.
-_LEAST_REPEATS = 0.005
+_MIN_REPEATS = 0.005
 #: Noise below this many LSB no longer dithers the rounding, so LSB^2/12 cannot correct N.
 _COARSE = 0.5
 #: White noise of two axes never has this correlation; a duplicated column does.
 _COPY = 0.999
 #: Minimum number of samples to detect copied axes or repeated samples.
-_LEAST = 64
+_MIN_SAMPLES = 64
 
 
 def check_no_data(profile: Profile) -> tuple[Finding, ...]:
@@ -100,13 +100,13 @@ def check_saturated(profile: Profile) -> tuple[Finding, ...]:
         (float(windows.high.max()), windows.high, "highest"),
         (float(windows.low.min()), windows.low, "lowest"),
     ):
-        if abs(limit - middle) <= _LEAST_STEPS * step:
+        if abs(limit - middle) <= _MIN_STEPS * step:
             continue
         index = np.flatnonzero(extremes == limit)
-        if index.size < 2 and windows.repeats[index].sum() < _LEAST_AT_LIMIT:
+        if index.size < 2 and windows.repeats[index].sum() < _MIN_AT_LIMIT:
             continue
         at_limit, next_to_it = _counts(profile, index, limit)
-        if at_limit >= _LEAST_AT_LIMIT and at_limit > _LIMIT_RATIO * next_to_it:
+        if at_limit >= _MIN_AT_LIMIT and at_limit > _LIMIT_RATIO * next_to_it:
             text = (
                 f"{series.name} is at its {word} value, {amount(limit, series.sensor)}, {at_limit} times: it "
                 f"is saturated, first at {windows.time_s[index[0]]:.1f} s."
@@ -137,7 +137,7 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     findings = []
     for sensor in Sensor:
         group = [p for p in profiles if p.series.sensor is sensor and not p.constant]
-        if len(group) < 2 or len({p.series.n for p in group}) > 1 or group[0].series.n < _LEAST:
+        if len(group) < 2 or len({p.series.n for p in group}) > 1 or group[0].series.n < _MIN_SAMPLES:
             continue
         rate, held, between = group[0].series.rate_hz, _held(group), _interpolated(group)
         if held:
@@ -183,7 +183,7 @@ def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], Bool
         shares.append([marks.all(axis=0).mean(), *marks.mean(axis=1)])
     together, *each = np.mean(shares, axis=0).tolist()
     apart, least = float(np.prod(each)), min(each)
-    return together if together > _LEAST_REPEATS and together - apart > 0.5 * (least - apart) else 0.0
+    return together if together > _MIN_REPEATS and together - apart > 0.5 * (least - apart) else 0.0
 
 
 def check_lsb(profile: Profile) -> tuple[Finding, ...]:
@@ -210,7 +210,7 @@ def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     findings = []
     advice = "Check the choice of columns, or the driver that fills them."
     for one, two in combinations(profiles, 2):
-        if one.constant or two.constant or one.series.n != two.series.n or one.series.n < _LEAST:
+        if one.constant or two.constant or one.series.n != two.series.n or one.series.n < _MIN_SAMPLES:
             continue
         correlation = _correlation(one, two)
         if abs(correlation) > _COPY:

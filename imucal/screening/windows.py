@@ -22,9 +22,9 @@ from imucal.units import G0
 #: Length of a window, in s: long compared with a knock's ringing, short compared with the part to keep.
 _LENGTH_S = 0.5
 #: Minimum samples of a window: its variance then has 15 degrees of freedom.
-_LEAST = 16
+_MIN_SAMPLES = 16
 #: Number of windows wanted from a short log.
-_WANTED = 64
+_USUAL_WINDOWS = 64
 #: Samples processed at a time: they fit in the cache, and a mapped file is never fully in memory.
 _BLOCK = 1 << 17
 
@@ -66,14 +66,14 @@ class Windows(ReadOnlyArrays):
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
 
-def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _LEAST) -> Windows:
+def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _MIN_SAMPLES) -> Windows:
     """Return the windows of an axis without NaN; none if it never has `least` samples in a row.
 
     A window never spans a gap longer than a quarter of its length; windows over shorter gaps count as
     complete. The last window of a stretch ends with it, so that no sample is left out: it may overlap the
     previous one. O(n), one pass, in blocks.
     """
-    width = max(least, min(round(series.rate_hz * length_s), series.n // _WANTED))
+    width = max(least, min(round(series.rate_hz * length_s), series.n // _USUAL_WINDOWS))
     starts, places = _starts(series.clock.segments, width)
     size = max(1, _BLOCK // width)
     batches = (starts[first : first + size] for first in range(0, starts.size, size))
@@ -144,9 +144,9 @@ _MARGIN = 1.25
 #: A spike exceeds this many robust deviations and is at most two samples long.
 _SPIKE = 5 * 1.4826
 #: If more than this fraction of a window would be spikes, they are not spikes.
-_MOST_SPIKES = 0.15
+_MAX_SPIKES = 0.15
 #: Minimum number of windows to estimate the limits.
-_LEAST_WINDOWS = 8
+_MIN_WINDOWS = 8
 #: Median of chi2(1).
 _MEDIAN_CHI2 = 0.4549364
 
@@ -176,7 +176,7 @@ def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None)
     limit of chance. Both must also exceed the resolution `lsb`, below which values only toggle. The limits
     are estimated from the `quiet` windows: by default all of them, most of which are at rest.
     """
-    if windows.size < _LEAST_WINDOWS:
+    if windows.size < _MIN_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
     quiet = quiet or windows
     p_above = _FALSE_ALARM / windows.size
@@ -225,7 +225,7 @@ def without_spikes(series: AxisSeries, windows: Windows, suspects: NDArray[np.bo
     ):
         table = series.samples[windows.start[index, None] + offsets]
         keep = ~_spikes(table)
-        rare = (~keep).sum(axis=1) <= max(2, _MOST_SPIKES * windows.width)
+        rare = (~keep).sum(axis=1) <= max(2, _MAX_SPIKES * windows.width)
         count = keep.sum(axis=1)
         middle = np.where(keep, table, 0).sum(axis=1) / count
         rest = np.where(keep, table - middle[:, None], 0)

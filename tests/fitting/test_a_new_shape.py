@@ -10,7 +10,7 @@ import imucal
 from imucal.arrays import FloatArray
 from imucal.fitting import METHODS, NoiseFit
 from imucal.noise.model import NoiseModel
-from imucal.noise.term import NoiseTerm, Stroke, Words
+from imucal.noise.term import Description, NoiseTerm, Stroke
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import AxisSeries
 
@@ -28,7 +28,7 @@ class SquaredExponential(NoiseTerm):
     divisors: ClassVar[dict[str, float]] = {"": 1.0}
     fitted_by = frozenset({"mle", "gmwm"})
     stroke = Stroke("#333333", "#cccccc", (2, 2))
-    words = Words("a hump", "a bias that forgets without corners", "Gaussian process")
+    description = Description("a hump", "a bias that forgets without corners", "Gaussian process")
     sigma: float
     T: float
 
@@ -58,7 +58,7 @@ class Smoothed(NoiseTerm):
     datasheet = ("deg/h", "mg")
     fitted_by = frozenset({"mle", "gmwm"})
     stroke = Stroke("#333333", "#cccccc", (2, 2))
-    words = Words("slope −1/2", "white noise of means of two", "MA(1)")
+    description = Description("slope −1/2", "white noise of means of two", "MA(1)")
     value: float
 
     def structure(self, k: FloatArray, tau0: float) -> FloatArray:  # noqa: ARG002 - samples, not seconds

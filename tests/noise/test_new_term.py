@@ -17,7 +17,7 @@ from imucal.fitting import METHODS
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.precision import relative_deviations
 from imucal.noise.model import NoiseModel, parse_structure
-from imucal.noise.term import NoiseTerm, Stroke, Words
+from imucal.noise.term import Description, NoiseTerm, Stroke
 from imucal.noise.terms import TERMS, term_keys
 from imucal.planning import plan
 from imucal.recording import AxisSeries, Sensor
@@ -38,7 +38,9 @@ class Sinusoid(NoiseTerm):
     datasheet = ("deg/h", "ug")
     divisors: ClassVar[dict[str, float]] = {"": 1.0}
     stroke = Stroke("#555555", "#aaaaaa", (1, 1))
-    words = Words("lobes at odd halves of its period", "a cycle of the surroundings", "line, tone")
+    description = Description(
+        "lobes at odd halves of its period", "a cycle of the surroundings", "line, tone"
+    )
     amplitude: float
     period: float
 
@@ -64,7 +66,7 @@ class SecondOrder(NoiseTerm):
     units = ("rad/s", "m/s^2")
     datasheet = ("deg/h", "ug")
     stroke = Stroke("#222222", "#dddddd", (4, 1))
-    words = Words("a hump", "a bias that forgets smoothly", "AR2")
+    description = Description("a hump", "a bias that forgets smoothly", "AR2")
     repeatable = True
     sigma: float
     T: float

@@ -41,8 +41,8 @@ def find_target(name: str) -> Target:
     if found is None:
         near = [target.name for key, target in by_key.items() if _is_slip(name_key(name), key)]
         meant = f"did you mean {near[0]}? " if near else ""
-        said = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
-        raise ValueError(f"no downstream format {name!r}; {said}choose one of {', '.join(TARGETS)}")
+        text = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
+        raise ValueError(f"no downstream format {name!r}; {text}choose one of {', '.join(TARGETS)}")
     return found
 
 

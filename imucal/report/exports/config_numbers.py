@@ -395,18 +395,18 @@ class Numbers:
         used, term, walk = [self.of(axis, "N")], self.slowest(axis), axis.fit["K"]
         if term is not None and (walk.value is None or walk.drawn is None):
             driving, time = term.sigma * math.sqrt(2 / term.T), term.T
-            said = f"Gauss-Markov term of {axis.name}: sigma {term.sigma:.4g}, T {term.T:.4g} s"
+            message = f"Gauss-Markov term of {axis.name}: sigma {term.sigma:.4g}, T {term.T:.4g} s"
         else:
             used.append(self.of(axis, "K"))
             driving, time = used[1].value, NOMINAL_TIME_S
             left_out = f"; a Gauss-Markov term (T {term.T:.4g} s) is left out" if term else ""
-            said = f"T is nominal{left_out}"
+            message = f"T is nominal{left_out}"
         return WithBias(
             white=used[0].value,
             driving=driving,
             correlation_time=time,
             used=tuple(used),
-            note="; ".join([*(number.note for number in used), said]),
+            note="; ".join([*(number.note for number in used), message]),
         )
 
     def topic(self) -> tuple[str, str]:

@@ -372,13 +372,13 @@ def price(pair: FilterNumbers) -> str:
 
 def itself(axes: Sequence[AxisReport], number: Callable[[float], str] = "{:.3g}".format) -> str:
     """Return the fitted coefficients, each for the axis with the largest, formatted by `number`."""
-    said = []
+    message = []
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
         worst = max(found, key=lambda e: (e.value is not None, e.value or e.high))
         if worst.value is None:
-            said += [f"{key} < {number(worst.high)}"] if worst.high else []
+            message += [f"{key} < {number(worst.high)}"] if worst.high else []
         else:
             limits = f" ({number(worst.low)} to {number(worst.high)})" if worst.low < worst.high else ""
-            said.append(f"{key} {number(worst.value)}{limits}")
-    return ", ".join(said)
+            message.append(f"{key} {number(worst.value)}{limits}")
+    return ", ".join(message)
