@@ -32,21 +32,19 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
-from imucal.fitting.spectral.estimates import Fitted
 from imucal.fitting.spectral.hump import Hump, find_hump, hump_finding
-from imucal.fitting.spectral.likelihood import (
+from imucal.fitting.spectral.likelihood import Fits, derivatives
+from imucal.fitting.spectral.models import (
     COLUMN,
     SHORTEST,
     SHORTEST_GIVEN,
-    Candidates,
-    Evaluation,
+    Models,
     Structure,
-    candidates_of,
-    derivatives,
+    models_of,
     shaped_symbols,
 )
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, band_top, coarser
-from imucal.fitting.spectral.scoring import covariance, maximize, misfit
+from imucal.fitting.spectral.scoring import maximize, misfit
 from imucal.fitting.spectral.starts import fit_blindly
 from imucal.frozen import frozen_alone
 
@@ -108,7 +106,7 @@ class Band:
         return replace(ordinates[self.holds(ordinates) & (ordinates.size > 0)], top=band_top(self.fraction))
 
 
-def response_of(fitted: Fitted, band: Band, rate_hz: float) -> Response | None:
+def response_of(fitted: Fits, band: Band, rate_hz: float) -> Response | None:
     """Return the filter's kind and -3 dB corner, or None where it has none inside the band."""
     frequency, power, corner = _fitted_response(fitted, band)
     if not band.order[0] or corner is None:
@@ -121,11 +119,11 @@ def corner_of(band: Band) -> float | None:
     return _response(band, band.response, band.zeros)[2] if band.order[0] else None
 
 
-def _fitted_response(fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray, float | None]:
+def _fitted_response(fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray, float | None]:
     """Return what `_response` does of the response that a fit has."""
-    candidate = fitted.candidate
-    response = fitted.maximum.theta[0, candidate.response :][: int(candidate.poles[0])]
-    return _response(band, response, int(candidate.zeros[0]))
+    models = fitted.models
+    response = fitted.theta[0, models.response :][: int(models.poles[0])]
+    return _response(band, response, int(models.zeros[0]))
 
 
 def _response(band: Band, response: FloatArray, zeros: int) -> tuple[FloatArray, FloatArray, float | None]:
@@ -155,7 +153,7 @@ def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -
 
 
 def filter_finding(
-    fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
+    fitted: Fits, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> tuple[Finding, ...]:
     """Return what is said about an output filter; nothing where the whole band is flat."""
     top = band.fraction * rate_hz / 2
@@ -184,7 +182,7 @@ def filter_finding(
 
 
 def _two_readings(
-    fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
+    fitted: Fits, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> Finding:
     """Return the warning for a spectrum that a filter and a Gauss-Markov term explain equally well."""
     of_filter, time_s = "", band.masked / rate_hz
@@ -194,8 +192,8 @@ def _two_readings(
     less = "far less than"
     if band.fraction == 1.0:
         # The density at the highest frequencies, compared with that of N.
-        seen = fitted.maximum.spectrum[0, -_TOP:].mean()
-        below = float(np.sqrt(seen / np.exp(fitted.maximum.theta[0, COLUMN["N"]])))
+        seen = fitted.spectrum[0, -_TOP:].mean()
+        below = float(np.sqrt(seen / np.exp(fitted.theta[0, COLUMN["N"]])))
         less = f"less than {below:.2g} times"
     text = (
         f"The spectrum has two explanations: white noise behind a low-pass filter{of_filter}, or a Gauss-"
@@ -332,7 +330,7 @@ class _Trial:
 
     fraction: float
     order: Order
-    maximum: Evaluation
+    fit: Fits
     statistic: float
     deviation: float
 
@@ -418,11 +416,11 @@ class _BandSearch:
     ) -> None:
         self.ordinates, self.structure, self.shortest = ordinates, structure, shortest
         self.rounding = rounding
-        self.width = SHAPED + 2 * len(shaped_symbols(structure))
+        self.width = self.models([(0, 0)]).response
         self.tried: list[_Trial] = []
 
-    def candidates(self, orders: list[Order]) -> Candidates:
-        return candidates_of(
+    def models(self, orders: list[Order]) -> Models:
+        return models_of(
             [self.structure] * len(orders),
             self.ordinates.names,
             poles=[poles for poles, _ in orders],
@@ -433,8 +431,8 @@ class _BandSearch:
 
     def blind(self, seen: Ordinates) -> FloatArray:
         """Return parameters of the best blind fit without a response, shape (1, p)."""
-        candidate = self.candidates([(0, 0)])
-        return fit_blindly(seen, candidate, keep=(1, 2, 4), tolerance=1e-3).theta
+        models = self.models([(0, 0)])
+        return fit_blindly(seen, models, keep=(1, 2, 4), tolerance=1e-3).theta
 
     def fit(
         self,
@@ -446,12 +444,12 @@ class _BandSearch:
         tolerance: float = 1e-3,
     ) -> list[_Trial]:
         """Fit one band with some responses, each from its row of `starts`, shape (k, p)."""
-        every = maximize(seen, self.candidates(orders), starts, tolerance=tolerance, iterations=60)
+        every = maximize(seen, self.models(orders), starts, tolerance=tolerance, iterations=60)
         return [
             _Trial(
                 fraction=fraction,
                 order=order,
-                maximum=(found := every[[row]]),
+                fit=(found := every[[row]]),
                 statistic=misfit(seen, found).statistic,
                 deviation=_deviation_of_white(found),
             )
@@ -464,15 +462,15 @@ class _BandSearch:
         start = np.repeat(self.blind(self.ordinates), 3, axis=0)
         # Gains of ten decide: they need no digits.
         trials = self.fit(self.ordinates, 1.0, orders, start, tolerance=1e-2)
-        quantization = float(np.exp(trials[0].maximum.theta[0, 0])) * self.ordinates.basis[0, -1]
+        quantization = float(np.exp(trials[0].fit.theta[0, 0])) * self.ordinates.basis[0, -1]
         bent = "Q" in self.structure and quantization > _QUANTIZED * self.level_at_the_top()
         chance = _GAIN_QUANTIZED if bent else _GAIN_FLAT
         if not _enough(trials, chance, _SOUND_FLAT):
             # The richer fits may have found a better place for the slow terms: try it without them.
-            again = np.concatenate([t.maximum.theta for t in trials])
+            again = np.concatenate([t.fit.theta for t in trials])
             again[:, self.width :] = 0.0
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
-            trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
+            trials[0] = min(flat, key=lambda t: t.fit.objective[0])
         return self.band(trials[0]) if _enough(trials, chance, _SOUND_FLAT) else None
 
     def level_at_the_top(self) -> float:
@@ -518,7 +516,7 @@ class _BandSearch:
             for order in orders
         ]
         fits = self.fit(seen, fraction, orders, np.concatenate(starts))
-        return [t for t in fits if np.isfinite(t.maximum.objective[0])]
+        return [t for t in fits if np.isfinite(t.fit.objective[0])]
 
     def simplest(self, found: tuple[_Trial, _Trial]) -> Band:
         """Return the band of a sound description: one order more than it needs, unless it is flat."""
@@ -533,7 +531,7 @@ class _BandSearch:
             order=simplest or trial.order,
             poles=poles,
             zeros=zeros,
-            response=trial.maximum.theta[0, self.width : self.width + poles],
+            response=trial.fit.theta[0, self.width : self.width + poles],
             shortest=self.shortest,
             masked=self.masked(trial),
             statistic=trial.statistic,
@@ -541,13 +539,13 @@ class _BandSearch:
 
     def masked(self, trial: _Trial) -> float:
         """Return the correlation time of the term that hides the white noise, in samples; 0 if none does."""
-        found, seen = trial.maximum, self.ordinates.below(trial.fraction)
-        times = found.theta[0, found.candidates.variances : found.candidates.response]
+        found, seen = trial.fit, self.ordinates.below(trial.fraction)
+        times = found.theta[0, found.models.variances : found.models.response]
         if not times.size:
             return 0.0
         # White noise is looked for where the response is flat.
         power = _power(seen.lam, seen.top, found.theta[0, self.width :], trial.order[1])
-        parts = derivatives(seen, found.candidates, found.theta)[: found.candidates.variances, power > 0.5]
+        parts = derivatives(seen, found.models, found.theta)[: found.models.variances, power > 0.5]
         white, shaped = parts[COLUMN["N"]], parts[SHAPED:]
         top = parts[:, -_TOP:].sum(axis=1)
         hidden = top[SHAPED:].sum() > _MASKING * top.sum()
@@ -570,13 +568,12 @@ def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
 def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:
     """Whether the first of nested trials is sound and the next orders gain no more than chance."""
     first = trials[0]
-    gains = [2 * float(first.maximum.objective[0] - t.maximum.objective[0]) for t in trials[1:]]
+    gains = [2 * float(first.fit.objective[0] - t.fit.objective[0]) for t in trials[1:]]
     return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))
 
 
-def _deviation_of_white(maximum: Evaluation) -> float:
-    """Return the relative standard error of N; infinite where it is not told."""
-    if not maximum.candidates.laws[0, 1]:
+def _deviation_of_white(fit: Fits) -> float:
+    """Return the relative standard error of N; infinite if it is undetermined."""
+    if not fit.models.has[0, COLUMN["N"]]:
         return float(np.inf)
-    variance = float(covariance(maximum.information[0], maximum.candidates.free[0])[1, 1])
-    return 0.5 * float(np.sqrt(variance))
+    return 0.5 * float(np.sqrt(fit.covariance[1, 1]))

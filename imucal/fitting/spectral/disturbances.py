@@ -17,7 +17,8 @@ import scipy
 from imucal.arrays import FloatArray
 from imucal.findings import Finding, Level
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.likelihood import COLUMN, Evaluation, Structure, candidates_of, evaluate
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, cycle_ordinates
 from imucal.fitting.spectral.starts import fit_blindly
 from imucal.frozen import frozen, frozen_alone
@@ -211,7 +212,7 @@ _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
 #: Ratio of the spectra with and without walk below which the record shows no walk.
 _NO_WALK = 2.0
 #: Logarithm of a variance that is zero.
-_NOTHING = -300.0
+_ABSENT = -300.0
 #: Other shapes, which have a cause, are preferred to cycles if they gain at least this share of the best.
 _CAUSED = 0.9
 #: Steps nearer than the record's length over this are collinear in the lowest ordinates.
@@ -265,17 +266,18 @@ def find_disturbances(
     length = blocks[-1].offset + blocks[-1].bins.n
     found: list[Disturbance] = []
     doubtful: tuple[Disturbance, ...] = ()
+    plain = bin_blocks(low, 1.0, ())
     base = _fits(low, [()])
     while len(found) < _MOST:
         names = tuple(name for one in found for name in one.names)
-        whitened = Whitened.by(low, base.spectrum, ("R", *names))
+        whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
         kinds = [*_candidates(whitened, length, found)]
         kinds += _step(whitened, max(length / _TELLABLE, 1.0), found, exact)
         candidates = [one for one in kinds if not set(one.names) & set(names)]
         if not candidates:
             break
         fits = _fits(low, [(*names, *one.names) for one in candidates])
-        gains = 2 * (base.objective - fits.maximum.objective)
+        gains = 2 * (base.objective[0] - fits.objective)
         net = gains - np.array([one.price for one in candidates])
         cycle = np.array([one.kind == "cycle" for one in candidates])
         caused = ~cycle & (net > _MARGIN) & (gains > _CAUSED * gains.max())
@@ -286,14 +288,14 @@ def find_disturbances(
             if likely[row] > _DOUBT:
                 doubtful = _sized([candidates[row]], fits, row)
             break
-        taken, base = _taken_out(candidates[best], low, names, length)
+        taken, base = _taken_out(candidates[best], low, plain, names)
         found.append(taken)
-    return _sized(found, base), (*doubtful, *_rival(low, base, found))
+    return _sized(found, base), (*doubtful, *_rival(low, plain, base, found))
 
 
 def _taken_out(
-    one: Disturbance, low: Sequence[Block], names: tuple[str, ...], length: int
-) -> tuple[Disturbance, "_Fits"]:
+    one: Disturbance, low: Sequence[Block], plain: Ordinates, names: tuple[str, ...]
+) -> tuple[Disturbance, Fits]:
     """Return a shape and the fit with it and the regressors `names`.
 
     The spectrum without a warm-up contains the warm-up's power, so its time constant is searched again
@@ -302,51 +304,25 @@ def _taken_out(
     base = _fits(low, [(*names, *one.names)])
     if one.kind != "warm-up":
         return one, base
-    one = _warm_up(Whitened.by(low, base.spectrum, ("R", *names)), length)[1]
+    whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
+    one = _warm_up(whitened, low[-1].offset + low[-1].bins.n)[1]
     return one, _fits(low, [(*names, *one.names)])
 
 
-def _sized(found: Sequence[Disturbance], fits: "_Fits", row: int = 0) -> tuple[Disturbance, ...]:
+def _sized(found: Sequence[Disturbance], fits: Fits, row: int = 0) -> tuple[Disturbance, ...]:
     """Return shapes with their coefficients in one of the fits."""
-    beta = dict(zip(fits.ordinates.names, fits.maximum.beta[row].tolist(), strict=True))
+    beta = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
     return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
 
-@frozen_alone
-class _Fits:
-    """A rich structure fitted with sets of regressors, one row each."""
-
-    ordinates: Ordinates
-    maximum: Evaluation
-
-    @property
-    def objective(self) -> float:
-        return float(self.maximum.objective[0])
-
-    @property
-    def spectrum(self) -> FloatArray:
-        """Spectrum of the first set at the bins, shape (b,); 1 in bins without ordinates."""
-        return self._spectrum_at(self.maximum.theta[[0]])
-
-    @property
-    def without_walk(self) -> FloatArray:
-        """Spectrum of the first set without K and the Gauss-Markov term, shape (b,)."""
-        theta = self.maximum.theta[[0]]
-        theta[:, [COLUMN["K"], SHAPED]] = _NOTHING
-        return self._spectrum_at(theta)
-
-    def _spectrum_at(self, theta: FloatArray) -> FloatArray:
-        return np.asarray(evaluate(self.ordinates, self.maximum.candidates[[0]], theta).spectrum[0])
-
-
-def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> _Fits:
+def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> Fits:
     """Return the best fit of a structure with the ramp and each set of regressors."""
     names = ("R", *dict.fromkeys(name for names in sets for name in names))
     ordinates = bin_blocks(low, 1.0, names)
     seen = ordinates[ordinates.size > 0]
     has = np.array([[name in {"R", *own} for name in names] for own in sets])
-    candidates = replace(candidates_of([structure] * len(sets), names), regressors=has)
-    return _Fits(ordinates=ordinates, maximum=fit_blindly(seen, candidates, keep=(1, 2, 2), tolerance=1e-2))
+    models = replace(models_of([structure] * len(sets), names), regressors=has)
+    return fit_blindly(seen, models, keep=(1, 2, 2), tolerance=1e-2)
 
 
 def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
@@ -385,14 +361,18 @@ def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
     return gain, Disturbance(kind="warm-up", names=(f"exp:{best!r}",), price=_PRICE_WARM_UP)
 
 
-def _rival(low: Sequence[Block], base: "_Fits", found: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
+def _rival(
+    low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance]
+) -> tuple[Disturbance, ...]:
     """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ().
 
     A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little with it.
     The shape with N and B alone is compared with the rich model instead.
     """
-    still, length = base.without_walk, low[-1].offset + low[-1].bins.n
-    if np.max(base.spectrum / still) < _NO_WALK:
+    theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
+    theta[:, [COLUMN["K"], SHAPED]] = _ABSENT
+    still = replace(base, theta=theta).unfiltered(plain)
+    if np.max(base.unfiltered(plain) / still) < _NO_WALK:
         return ()
     names = tuple(name for one in found for name in one.names)
     whitened = Whitened.by(low, still, ("R", *names))
@@ -400,7 +380,7 @@ def _rival(low: Sequence[Block], base: "_Fits", found: Sequence[Disturbance]) ->
     if all(one.kind != "warm-up" for one in found):
         rivals[_warm_up(whitened, length)[1]] = _RIVAL_WARM_UP
     fits = _fits(low, [(*names, *one.names) for one in rivals], ("N", "B", "R"))
-    excess = 2 * (base.objective - fits.maximum.objective) - np.array([*rivals.values()])
+    excess = 2 * (base.objective[0] - fits.objective) - np.array([*rivals.values()])
     row = int(np.argmax(excess))
     return _sized([[*rivals][row]], fits, row) if excess[row] > 0 else ()
 

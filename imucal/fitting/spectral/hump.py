@@ -11,7 +11,8 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
-from imucal.fitting.spectral.likelihood import COLUMN, Structure, candidates_of, derivatives, evaluate
+from imucal.fitting.spectral.likelihood import derivatives, evaluate
+from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.starts import fit_blindly
 from imucal.frozen import frozen
@@ -58,14 +59,14 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
     """
     order = np.argsort(ordinates.fraction, kind="stable")
     fraction, size = ordinates.fraction[order], ordinates.size[order]
-    candidate = candidates_of([structure], ordinates.names)
+    model = models_of([structure], ordinates.names)
     hump: Hump | None = None
     for _ in range(_ROUNDS):
         seen = ordinates[hump.outside(ordinates.fraction)] if hump else ordinates
         if seen.size.size < _FEWEST:
             return None
-        found = fit_blindly(seen, candidate, keep=(1, 2, 4), tolerance=1e-3)
-        spectrum = evaluate(ordinates, candidate, found.theta).spectrum[0]
+        found = fit_blindly(seen, model, keep=(1, 2, 4), tolerance=1e-3)
+        spectrum = evaluate(ordinates, model, found.theta).spectrum[0]
         ratio = (ordinates.rest(found.beta[0]) / ordinates.size / spectrum)[order]
         first, last, total = largest_run((ratio - 1) * np.sqrt(size / 2) - _EXCESS)
         enough_around = size[:first].sum() >= _BELOW and size[last + 1 :].sum() >= _ABOVE * size.sum()
@@ -81,7 +82,7 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
         )
         if previous == hump:
             break
-    white = (derivatives(ordinates, candidate, found.theta)[COLUMN["N"]] / spectrum)[order]
+    white = (derivatives(ordinates, model, found.theta)[COLUMN["N"]] / spectrum)[order]
     beside = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
     if hump is None or hump.times < _TIMES:
         return None

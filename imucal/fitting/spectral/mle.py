@@ -31,14 +31,9 @@ from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
-from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import (
-    SHORTEST_GIVEN,
-    Structure,
-    all_structures,
-    evaluate,
-    richest,
-)
+from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
+from imucal.fitting.spectral.likelihood import Fits, spectra
+from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.ordinates import Ordinates, band_top
 from imucal.fitting.spectral.scoring import misfit
@@ -95,7 +90,7 @@ def fit_mle(
     else:
         fitted, own = estimate_or_bound(problem, choice)
         estimates = with_absent(problem, fitted, own)
-    found = misfit(view.ordinates, fitted.maximum)
+    found = misfit(view.ordinates, fitted)
     response = response_of(fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
@@ -141,7 +136,7 @@ def fit_mle(
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
     nyquist = series.rate_hz / 2
-    coefficients = (fitted.maximum.beta[0] * view.whole.scale).tolist()
+    coefficients = (fitted.beta[0] * view.whole.scale).tolist()
     taken_out = dict(zip(view.whole.names[1:], coefficients[1:], strict=True))
     return NoiseFit(
         method="mle",
@@ -187,7 +182,7 @@ def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels
     )
 
 
-def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
+def _noise_share(view: View, fitted: Fits, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
     """Return the share of noise in each Allan variance, by the longest block; None where it is all noise.
 
     A line of amplitude A at f adds A² sin⁴(pi f m tau0) / (m sin(pi f tau0))² to the variance.
@@ -211,14 +206,14 @@ def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) 
     return share
 
 
-def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray]:
+def _spectra(whole: Ordinates, fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray]:
     """Return the model's spectrum in every bin, and that which the curve holds; shape (b,) each."""
     model = fitted.unfiltered(whole)
     inside = band.holds(whole)
     part = replace(whole[inside], top=band_top(band.fraction))
     measured = np.where(whole.size > 0, whole.power / np.maximum(whole.size, 1e-12), model)
     seen = np.where(inside, model, measured)
-    seen[inside] = evaluate(part, fitted.candidate, fitted.maximum.theta).spectrum[0]
+    seen[inside] = spectra(part, fitted.models, fitted.theta)[0][0]
     return model, seen
 
 

@@ -21,8 +21,8 @@ from imucal.fitting.spectral.disturbances import (
     find_disturbances,
 )
 from imucal.fitting.spectral.hump import hump_finding
-from imucal.fitting.spectral.likelihood import richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
+from imucal.fitting.spectral.models import richest
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 from imucal.screening import amount

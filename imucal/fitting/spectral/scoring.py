@@ -1,4 +1,4 @@
-"""Fisher scoring, damped as by Levenberg and Marquardt, of many candidates side by side."""
+"""Damped Fisher scoring (Levenberg and Marquardt) of many models at once."""
 
 from dataclasses import fields
 
@@ -7,57 +7,56 @@ import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Goodness
-from imucal.fitting.spectral.likelihood import Candidates, Evaluation, derivatives, evaluate
+from imucal.fitting.spectral.likelihood import Fits, derivatives, evaluate
+from imucal.fitting.spectral.models import Models
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 
 #: A term whose share of every bin is below exp(-_ABSENT) is absent.
 _ABSENT = 18.0
-#: Longest step of a parameter, in log units; of a response's, relative to 1 + its size.
+#: Longest step of a parameter, in log units; for a response coefficient, relative to 1 + its size.
 _STEP = 1.5
-#: A parameter with less information than this is not told at all.
-_NONE = 1e-8
-#: Steps -> how far behind the best, in log-likelihood, a candidate may be from then on …
+#: Number of steps -> largest distance from the best, in log-likelihood, after them …
 _BEHIND = {3: 50.0, 12: 37.5, 20: 20.0}
-#: … unless its last step made up more than this share of it.
+#: … unless the last step gained more than this share of the distance.
 _CATCHING_UP = 0.1
-#: Neighbouring bins are joined until they hold so many degrees of freedom.
+#: Neighbouring bins are joined until they have this many degrees of freedom.
 _JOIN = 8.0
 
 
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
-    """Return which candidates of a race are far behind the best and do not catch up, shape (c,).
+    """Return the mask of the models that are far behind the best and do not catch up, shape (c,).
 
-    `value` is the objective after so many steps, of which the last gained `gain`. Of those that ended
-    within 12.5 of the best, on simulated and real logs of all kinds, none was given up.
+    `value` is the objective after `steps` steps, and `gain` the gain of the last one. On simulated and real
+    logs, no model that ends within 12.5 of the best is given up.
     """
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
     return np.asarray((behind > (most[-1] if most else np.inf)) & (gain < _CATCHING_UP * behind))
 
 
-def bounds(ordinates: Ordinates, candidates: Candidates) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and highest values of each parameter, each of shape (p,).
+def bounds(ordinates: Ordinates, models: Models) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and upper bounds of each parameter, shape (p,) each.
 
-    A variance may fall until its term is invisible in every bin; a correlation time lies between
-    the candidates' shortest and twice the record.
+    At the lower bound of its variance a term is invisible in every bin. A correlation time is between the
+    models' shortest and twice the record.
     """
-    times = slice(candidates.variances, candidates.response)
+    times = slice(models.variances, models.response)
     eighths = np.arange(0, ordinates.size.size, 8)
     power = np.add.reduceat(ordinates.power, eighths) + 1e-300
     level = power / np.add.reduceat(ordinates.size, eighths)
     visible = np.log(np.min(level / ordinates.basis[:, eighths], axis=1))
-    low = np.full(candidates.width, -np.inf)
-    high = np.full(candidates.width, np.inf)
+    low = np.full(models.width, -np.inf)
+    high = np.full(models.width, np.inf)
     low[:SHAPED] = visible - _ABSENT
-    low[SHAPED : candidates.variances] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
-    low[times] = np.log(candidates.shortest)
+    low[SHAPED : models.variances] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
+    low[times] = np.log(models.shortest)
     high[times] = np.log(2 * ordinates.samples)
     return low, high
 
 
 def maximize(
     ordinates: Ordinates,
-    candidates: Candidates,
+    models: Models,
     start: FloatArray,
     *,
     free: BoolArray | None = None,
@@ -65,19 +64,19 @@ def maximize(
     iterations: int = 100,
     tolerance: float = 1e-7,
     handicap: FloatArray | None = None,
-) -> Evaluation:
-    """Maximise the likelihood of each candidate from its row of `start`, shape (c, p).
+) -> Fits:
+    """Maximise the likelihood of each model from its row of `start`, shape (c, p).
 
-    Of the parameters that a candidate has, those `free`, shape (c, p), are moved; `ramp` are ramps to hold,
-    see `evaluate`. A step that gains less log-likelihood than `tolerance` ends the search. A `handicap`,
-    shape (c,), is added to the objectives in a race of which only the best matter: those far behind are given
-    up on the way.
+    `free`, shape (c, p), is the mask of the parameters to move, by default all parameters of a model. `ramp`
+    is a fixed ramp, see `evaluate`. The search ends if a step gains less log-likelihood than `tolerance`. If
+    a `handicap`, shape (c,), is given, it is added to the objectives, and models far behind the best are
+    given up early.
     """
-    low, high = bounds(ordinates, candidates)
-    moving = candidates.free if free is None else free & candidates.free
-    state = evaluate(ordinates, candidates, np.clip(start, low, high), ramp=ramp)
-    damping = np.full(candidates.count, 1e-3)
-    last = np.full(candidates.count, np.inf)
+    low, high = bounds(ordinates, models)
+    moving = models.free if free is None else free & models.free
+    state = evaluate(ordinates, models, np.clip(start, low, high), ramp=ramp)
+    damping = np.full(models.count, 1e-3)
+    last = np.full(models.count, np.inf)
     active = np.isfinite(state.objective) & moving.any(axis=1)
     for count in range(iterations):
         if handicap is not None:
@@ -86,8 +85,8 @@ def maximize(
         if not rows.size:
             break
         trial = _step(state, rows, moving, damping, limits=(low, high))
-        every = rows.size == candidates.count
-        own = candidates if every else candidates[rows]
+        every = rows.size == models.count
+        own = models if every else models[rows]
         found = evaluate(ordinates, own, trial, ramp=None if ramp is None else ramp[rows])
         gain = state.objective[rows] - found.objective
         noise = 1e-14 * np.abs(state.objective[rows])
@@ -108,14 +107,14 @@ def maximize(
 
 
 def _step(
-    state: Evaluation,
+    state: Fits,
     rows: IntArray,
     moving: BoolArray,
     damping: FloatArray,
     *,
     limits: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Return the damped scoring step from where the rows stand, inside the bounds."""
+    """Return the parameters of some rows after a damped scoring step inside the bounds."""
     low, high = limits
     theta, score = state.theta[rows], state.score[rows]
     at_bound = (theta <= low) & (score > 0) | (theta >= high) & (score < 0)
@@ -130,30 +129,10 @@ def _step(
     return np.clip(theta + np.clip(step, -longest, longest), low, high)
 
 
-def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
-    """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
+def misfit(ordinates: Ordinates, found: Fits) -> Goodness:
+    """Return the misfit of one model to the ordinates that it was fitted to.
 
-    Parameters that the data do not tell (a term that is absent) have variance inf, and are held
-    for the others; so have parameters that are held (0 information).
-    """
-    size = free.size
-    result = np.zeros((size, size))
-    diagonal = np.diag(information)
-    used = np.flatnonzero(free & (diagonal > _NONE))
-    result[np.arange(size), np.arange(size)] = np.inf
-    if used.size:
-        root = np.sqrt(diagonal[used])
-        correlation = information[np.ix_(used, used)] / np.outer(root, root)
-        values, vectors = np.linalg.eigh(correlation)
-        inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
-        result[np.ix_(used, used)] = inverse / np.outer(root, root)
-    return result
-
-
-def misfit(ordinates: Ordinates, found: Evaluation) -> Goodness:
-    """Return how far one candidate is from the ordinates that its likelihood was `found` with.
-
-    Each group's sum of X²/S is chi-squared with its n degrees of freedom: mean n, variance 2n, and
+    The sum of X²/S over a group is chi-squared with n degrees of freedom: it has mean n and variance 2n, and
     the squared standardised residual has mean 1 and variance 2 + 12/n.
     """
     _, size, residual = _residuals(ordinates, found)
@@ -162,27 +141,27 @@ def misfit(ordinates: Ordinates, found: Evaluation) -> Goodness:
     return Goodness(statistic=statistic, p_value=float(scipy.special.ndtr(-statistic)), chi2_per_bin=square)
 
 
-def misfit_factors(ordinates: Ordinates, found: Evaluation) -> FloatArray:
-    """Return by what factor each variance parameter is less sure than the likelihood says, shape (p,).
+def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
+    """Return the factor by which a misfit widens the error of each variance parameter, shape (s,).
 
-    The root of the mean squared residual where the parameter's information lies: the variance that holds
-    for a model which is only nearly right (Huber 1967, Proc. 5th Berkeley Symposium 1, 221) for one
-    parameter by itself. Of a power law that the candidate lacks, where its information would lie.
+    It is the root of the mean squared residual, weighted by the parameter's information: the robust variance
+    of one parameter of a misspecified model (Huber 1967, Proc. 5th Berkeley Symposium 1, 221). A power law
+    that the model lacks gets the information that it would have.
     """
     first, _, residual = _residuals(ordinates, found)
-    parts = derivatives(ordinates, found.candidates, found.theta)[: found.candidates.variances]
+    parts = derivatives(ordinates, found.models, found.theta)[: found.models.variances]
     laws = ordinates.basis.shape[0]
     absent = np.flatnonzero(np.max(parts[:laws], axis=1) <= 0)
     parts[absent] = ordinates.basis[absent]
-    # The largest is one, so that the squares of what is far below the line stay numbers.
+    # Scale the maximum to one, so that small squares do not underflow.
     share = parts / found.spectrum[0]
     share /= np.maximum(share.max(axis=1, keepdims=True), 1e-300)
     weight = np.add.reduceat(share**2 * ordinates.size, first, axis=1)
     return np.asarray(np.sqrt(weight @ residual**2 / np.maximum(weight.sum(axis=1), 1e-300)))
 
 
-def _residuals(ordinates: Ordinates, found: Evaluation) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return groups of bins: the first of each, its degrees of freedom, its residual."""
+def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return groups of bins: the first bin, the degrees of freedom and the residual of each."""
     ratio = ordinates.rest(found.beta[0]) / found.spectrum[0]
     group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
     first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)

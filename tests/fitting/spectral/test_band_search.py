@@ -21,12 +21,13 @@ from imucal.fitting.spectral.band import (
     start_response,
 )
 from imucal.fitting.spectral.hump import Hump
-from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
+from imucal.fitting.spectral.likelihood import Fits, evaluate
+from imucal.fitting.spectral.models import models_of
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 
-def _maximum(objective: float, information: FloatArray) -> Evaluation:
+def _maximum(objective: float, information: FloatArray) -> Fits:
     return at_maximum(
         np.zeros((1, SHAPED)),
         objective=np.array([objective]),
@@ -38,7 +39,7 @@ def _maximum(objective: float, information: FloatArray) -> Evaluation:
 
 def _trial(order: Order, objective: float, statistic: float = 0.0) -> _Trial:
     maximum = _maximum(objective, np.zeros((SHAPED, SHAPED)))
-    return _Trial(fraction=1.0, order=order, maximum=maximum, statistic=statistic, deviation=0.1)
+    return _Trial(fraction=1.0, order=order, fit=maximum, statistic=statistic, deviation=0.1)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +103,7 @@ def test_the_deviation_of_white_noise_is_half_that_of_its_logarithm() -> None:
     information = np.diag([1.0, 25.0, 1.0, 1.0])
     white = _maximum(0.0, information)
     assert _deviation_of_white(white) == pytest.approx(0.1)
-    assert _deviation_of_white(replace(white, candidates=candidates_of([("B",)], ()))) == np.inf
+    assert _deviation_of_white(replace(white, models=models_of([("B",)], ()))) == np.inf
 
 
 def test_the_level_at_the_top_is_that_of_the_last_eight_bins() -> None:
@@ -147,8 +148,8 @@ def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> No
     data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
     wild = _shaped(data, (1, 0), np.array([-0.9999]), 1.0)
     theta = start_response(wild, np.zeros((1, 4)), (2, 0), width=4, room=2)
-    candidate = candidates_of([("N",)], data.names, poles=2)
-    assert np.isfinite(evaluate(wild, candidate, theta).objective[0])
+    model = models_of([("N",)], data.names, poles=2)
+    assert np.isfinite(evaluate(wild, model, theta).objective[0])
 
 
 def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
@@ -227,7 +228,7 @@ def _flat_trials(
         *(_trial((k + 1, 0), 100 - g / 2) for k, g in enumerate(gains)),
     ]
     row = np.full((1, SHAPED + 5), 3.0) if theta is None else theta
-    return [replace(trial, maximum=replace(trial.maximum, theta=row)) for trial in trials]
+    return [replace(trial, fit=replace(trial.fit, theta=row)) for trial in trials]
 
 
 def test_a_flat_band_needs_one_look_where_it_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:

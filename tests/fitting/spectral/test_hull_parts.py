@@ -9,11 +9,12 @@ import pytest
 
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral import bounds
-from imucal.fitting.spectral.estimates import Fitted, Problem
-from imucal.fitting.spectral.likelihood import Structure
+from imucal.fitting.spectral.estimates import Problem
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.models import Structure, models_of
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.noise.terms import ALWAYS
-from tests.fitting.fits import ordinates_of
+from tests.fitting.fits import at_maximum, ordinates_of
 
 PROBLEM = Problem(
     ordinates=ordinates_of(np.random.default_rng(0).standard_normal(100)),
@@ -25,15 +26,10 @@ PROBLEM = Problem(
 
 def _ranked(structures: list[Structure], criterion: list[float], fit: list[float]) -> RankedModels:
     """Return models by criterion; `fit` is twice the sum of objective and number of parameters."""
-    parameters = np.array([len(structure) for structure in structures])
-    models = SimpleNamespace(
-        structures=structures,
-        criterion=np.array(criterion),
-        maximum=SimpleNamespace(
-            candidates=SimpleNamespace(parameters=parameters), objective=np.array(fit) / 2 - parameters
-        ),
-    )
-    return cast("RankedModels", models)
+    models = models_of(structures, ("R",))
+    objective = np.array(fit) / 2 - models.parameters
+    fits = at_maximum(np.zeros((models.count, models.width)), models=models, objective=objective)
+    return RankedModels(fits=fits, criterion=np.array(criterion), modes=np.full(models.count, np.inf))
 
 
 def _estimate(key: str, low: float, value: float, high: float, time: Interval | None = None) -> Estimate:
@@ -49,7 +45,7 @@ def _estimate(key: str, low: float, value: float, high: float, time: Interval | 
 
 
 def _opinion(say: float, *terms: Estimate) -> bounds.Opinion:
-    return bounds.Opinion(say=say, terms={e.key: e for e in terms}, fitted=cast("Fitted", None))
+    return bounds.Opinion(say=say, terms={e.key: e for e in terms}, fitted=cast("Fits", None))
 
 
 @pytest.mark.parametrize(
@@ -62,12 +58,12 @@ def test_a_model_has_less_to_say_the_farther_it_is(
     """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
     levels = []
 
-    def estimates_of(problem: Problem, _: Fitted) -> tuple[Estimate, ...]:
+    def estimates_of(problem: Problem, _: Fits) -> tuple[Estimate, ...]:
         levels.append(problem.level)
         return (_estimate("K", 1.0, 2.0, 3.0),)
 
     monkeypatch.setattr(bounds, "estimate", estimates_of)
-    found = bounds._opinion(PROBLEM, distance, cast("Fitted", None))
+    found = bounds._opinion(PROBLEM, distance, cast("Fits", None))
     assert found.say == pytest.approx(say, abs=1e-3)
     assert levels == pytest.approx([level], abs=1e-3)
     assert not found.slow
@@ -79,7 +75,6 @@ def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[
     def model(structure: Structure) -> SimpleNamespace:
         return SimpleNamespace(structure=structure, missing=[s for s in ALWAYS if s not in structure])
 
-    monkeypatch.setattr(bounds, "fitted_model", lambda made, index: model(made.structures[index]))
     monkeypatch.setattr(bounds, "add_term", lambda _, fitted, symbol: model((*fitted.structure, symbol)))
     found = bounds._completed(PROBLEM, choice)
     return [(distance, " ".join(model.structure)) for distance, model in found]
@@ -179,15 +174,15 @@ def test_the_drawn_model_gains_what_is_shown_and_keeps_what_it_lost(
 ) -> None:
     """What is printed adds up to the line; a Gauss-Markov term that was dropped does not come back."""
 
-    def add(_: Problem, model: Fitted, symbol: str) -> Fitted:
-        return cast("Fitted", SimpleNamespace(structure=(*model.structure, symbol)))
+    def add(_: Problem, model: Fits, symbol: str) -> Fits:
+        return cast("Fits", SimpleNamespace(structure=(*model.structure, symbol)))
 
-    def estimates_of(_: Problem, model: Fitted) -> tuple[Estimate, ...]:
+    def estimates_of(_: Problem, model: Fits) -> tuple[Estimate, ...]:
         return tuple(_estimate(symbol, 1.0, 2.0, 3.0) for symbol in model.structure)
 
     monkeypatch.setattr(bounds, "add_term", add)
     monkeypatch.setattr(bounds, "estimate", estimates_of)
-    fitted = cast("Fitted", SimpleNamespace(structure=("N", "GM")))
+    fitted = cast("Fits", SimpleNamespace(structure=("N", "GM")))
     own = (_estimate("N", 4.0, 5.0, 6.0), _estimate("GM", 1.0, 2.0, 3.0), Estimate.bounded("GM2", "GM", 5.0))
     richer, estimates = bounds._richer(PROBLEM, fitted, shown, own)
     assert richer.structure == ("N", "GM", *added)
