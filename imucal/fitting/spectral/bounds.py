@@ -20,8 +20,8 @@ from imucal.fitting.homogeneity import NOUGHT
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.estimates import Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import bounds, maximize
 from imucal.fitting.spectral.models import COLUMN, has_time
-from imucal.fitting.spectral.scoring import bounds, maximize
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys

@@ -17,8 +17,8 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.homogeneity import symbol_of
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, Interval
 from imucal.fitting.spectral.likelihood import Fits, covariance
+from imucal.fitting.spectral.maximum import bounds, maximize, misfit_factors
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import bounds, maximize, misfit_factors
 from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys

@@ -25,15 +25,16 @@ from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.homogeneity import symbol_of, widened
 from imucal.fitting.noise_fit import Estimate, Goodness
-from imucal.fitting.spectral.band import Band, find_band, flat_band
+from imucal.fitting.spectral.band import Band
+from imucal.fitting.spectral.band_search import find_band, flat_band
 from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import completed, estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Problem, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, derivatives
+from imucal.fitting.spectral.maximum import bounds, misfit
 from imucal.fitting.spectral.models import Structure, richest
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
-from imucal.fitting.spectral.scoring import bounds, misfit
 from imucal.fitting.spectral.selection import choose
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel

@@ -12,9 +12,9 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.spectral.likelihood import derivatives, evaluate
+from imucal.fitting.spectral.maximum import fit_blindly
 from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.starts import fit_blindly
 from imucal.frozen import frozen
 
 #: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum

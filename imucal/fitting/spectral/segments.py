@@ -23,9 +23,9 @@ from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Problem, quantile, student_quantile
 from imucal.fitting.spectral.likelihood import Fits, derivatives
 from imucal.fitting.spectral.lines import left_out, outside
+from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.models import COLUMN
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
-from imucal.fitting.spectral.scoring import bounds
 from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import term_keys

@@ -9,10 +9,9 @@ from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.settings import CRITERIA
 from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import find_starts, maximize
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.scoring import maximize
-from imucal.fitting.spectral.starts import find_starts
 from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 

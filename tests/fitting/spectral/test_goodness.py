@@ -5,8 +5,8 @@ import pytest
 
 from imucal.fitting.robust import heavy_tails
 from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.maximum import misfit
 from imucal.fitting.spectral.models import models_of
-from imucal.fitting.spectral.scoring import misfit
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, ordinates_of, simulated

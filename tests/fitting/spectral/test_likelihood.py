@@ -8,11 +8,11 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import starts
+from imucal.fitting.spectral import maximum
 from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.maximum import _combinations, _mix, find_starts, time_grid
 from imucal.fitting.spectral.models import Models, models_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.starts import _combinations, _mix, find_starts, time_grid
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
 
@@ -257,7 +257,7 @@ def test_the_best_starts_are_those_of_all_rounds(monkeypatch: pytest.MonkeyPatch
     data = coarser(ordinates(n=40_000, text=text, seed=8123), singles=48, merge=3)
     candidates = models_of([("N", "GM", "K"), ("N", "GM", "GM"), ("N", "B", "GM", "GM", "R")], data.names)
     owner, theta = find_starts(data, candidates, keep=(1, 2, 3), quick=quick)
-    monkeypatch.setattr(starts, "_THOROUGH", ((25, 10**6, 1.0) if quick else (50, 10**6, 0.5),))
+    monkeypatch.setattr(maximum, "_THOROUGH", ((25, 10**6, 1.0) if quick else (50, 10**6, 0.5),))
     every_owner, every_theta = find_starts(data, candidates, keep=(1, 2, 3))
     assert owner.tolist() == every_owner.tolist()
     npt.assert_allclose(theta, every_theta, rtol=1e-9)

@@ -11,9 +11,9 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.spectral import estimates
 from imucal.fitting.spectral.estimates import RAMP, _ProfileSearch, profile_limits, quantile
 from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.models import Models, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import bounds
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 #: Columns of the variances of N and of a Gauss-Markov term, and of its time.

@@ -7,8 +7,8 @@ from scipy import optimize
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.given_model import BinFit, fit_bins, record_tests
 from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.ordinates import SHAPED
-from imucal.fitting.spectral.scoring import bounds
 from tests.fleet.records import bins_from, simulated
 
 

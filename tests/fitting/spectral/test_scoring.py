@@ -8,8 +8,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.fitting.spectral.likelihood import covariance, evaluate
-from imucal.fitting.spectral.models import models_of
-from imucal.fitting.spectral.scoring import (
+from imucal.fitting.spectral.maximum import (
     _step,
     bounds,
     given_up,
@@ -17,6 +16,7 @@ from imucal.fitting.spectral.scoring import (
     misfit,
     misfit_factors,
 )
+from imucal.fitting.spectral.models import models_of
 from tests.fitting.fits import ordinates_of, simulated
 
 

@@ -11,9 +11,9 @@ from imucal.fitting import CRITERIA, FitSettings, fit
 from imucal.fitting.spectral import selection
 from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import maximize
 from imucal.fitting.spectral.mle import spectral_view
 from imucal.fitting.spectral.models import Structure, all_structures, models_of
-from imucal.fitting.spectral.scoring import maximize
 from imucal.fitting.spectral.selection import (
     RankedModels,
     _distinct,
