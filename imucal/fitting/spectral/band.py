@@ -43,8 +43,8 @@ class Band:
     `order` has the poles and zeros of the simplest sound response. The response to fit has `poles` and
     `zeros`, one order more, or 0 if it is flat, and the coefficients `response`, shape (poles,).
 
-    Gauss-Markov terms have correlation times of at least `shortest` samples. If such a term could explain
-    the spectrum instead of a filter in front of it, `masked` is its correlation time in samples, else 0.
+    Gauss-Markov terms have correlation times of at least `shortest` samples. `masked` is the correlation
+    time, in samples, of a term that could explain the spectrum instead of the filter, or 0.
     The bins of a `hump` are excluded. `statistic` is the misfit score.
     """
 
@@ -161,7 +161,7 @@ def _two_readings(
         time_s = 1 / (2 * np.pi * response.cutoff_hz)
     less = "far less than"
     if band.fraction == 1.0:
-        # The density at the highest frequencies, compared with that of N.
+        # Compare the density at the highest frequencies with the white noise's.
         seen = fitted.spectrum[0, -HIGHEST:].mean()
         below = float(np.sqrt(seen / np.exp(fitted.theta[0, COLUMN["N"]])))
         less = f"less than {below:.2g} times"

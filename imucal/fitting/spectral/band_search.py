@@ -261,7 +261,7 @@ class _BandSearch:
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
     def sound(self, near: float | None) -> Band | None:
-        """Return the sound description near the end `near`, else the best one of all bands, or None."""
+        """Return a sound description that ends at `near`, or the best of all bands, or None."""
         narrow = self.ordinates.below(_LOW)
         low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
         if near is not None and (found := _simplest(self.responses(near, low))):
@@ -328,7 +328,7 @@ class _BandSearch:
         top = parts[:, -HIGHEST:].sum(axis=1)
         hidden = top[SHAPED:].sum() > _MASKING * top.sum()
         if not hidden and np.any(shaped > _ABOVE * white):
-            # The white noise is visible, but it may be that of the rounding.
+            # The white noise is visible, but it may be rounding noise.
             hidden = float(np.exp(found.theta[0, COLUMN["N"]])) < _ROUNDED * self.rounding()
         return float(np.exp(times[np.argmax(top[SHAPED:])])) if hidden else 0.0
 

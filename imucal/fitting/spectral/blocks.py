@@ -325,7 +325,7 @@ def ordinates_of(bins: Bins) -> Ordinates:
 
 
 def joined(records: Sequence[Ordinates]) -> Ordinates:
-    """Return the ordinates of several records as those of one: their likelihoods multiply.
+    """Return the ordinates of several records as if of one record: their likelihoods multiply.
 
     They share the ramp, in the first record's scale. Other regressors belong to one record only, such as
     ``2:step@1000`` of the third record.

@@ -59,7 +59,7 @@ def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
 
 
 def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> list[Estimate]:
-    """Return terms, one of which must be dropped to make the other estimates meaningful.
+    """Return terms of which one must be dropped to make the other estimates meaningful.
 
     These are bounded terms with a correlation time: their time is arbitrary and widens other intervals. If
     there are none, these are terms that can replace one another: each may be zero, but not all at once.
@@ -123,7 +123,7 @@ def upper_bound(problem: Problem, fitted: Fits, symbol: str) -> Estimate:
 
 
 #: Distances in the criterion from the best: weight 1 up to the first, 0 from the second on.
-_FULL_SAY, _NO_SAY = 6.0, 9.0
+_FULL_WEIGHT, _NO_WEIGHT = 6.0, 9.0
 #: Difference in Akaike's criterion within which the data can't distinguish models.
 _ALIKE = 4.0
 #: Share of the record; a Gauss-Markov term with a longer correlation time is reported as K.
@@ -139,10 +139,10 @@ _MOST = 16
 class Opinion:
     """The estimates of a model near the best, by their keys.
 
-    `say` is its weight, 1 near the best and 0 far from it; it scales the width of the intervals.
+    `weight` is 1 near the best model and 0 far from it; it scales the width of the intervals.
     """
 
-    say: float
+    weight: float
     terms: dict[str, Estimate]
     fitted: Fits
 
@@ -153,7 +153,7 @@ class Opinion:
 
     def vetoes(self, key: str) -> bool:
         """Whether a term may be zero here, and the model has enough weight to bound it."""
-        return _may_be_zero(self.terms[key]) and (self.say >= 1 or key not in _FADES)
+        return _may_be_zero(self.terms[key]) and (self.weight >= 1 or key not in _FADES)
 
 
 def hull_estimates(
@@ -208,15 +208,15 @@ def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
 
 def _opinion(problem: Problem, distance: float, model: Fits) -> Opinion:
     """Return the opinion of a model at a `distance` from the best; its slowest term may replace K."""
-    say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
-    reach = say * quantile(problem.level)
+    weight = min((_NO_WEIGHT - distance) / (_NO_WEIGHT - _FULL_WEIGHT), 1.0)
+    reach = weight * quantile(problem.level)
     terms = {
         e.key: e for e in estimate(replace(problem, level=float(2 * scipy.special.ndtr(reach) - 1)), model)
     }
     slowest = max((e for e in terms.values() if e.value), key=_time_of, default=terms["K"])
     if _may_be_zero(terms["K"]) and _time_of(slowest) > _WALK * problem.ordinates.samples * problem.tau0:
         terms["K"] = _walk(slowest, terms["K"].high, reach, model)
-    return Opinion(say=say, terms=terms, fitted=model)
+    return Opinion(weight=weight, terms=terms, fitted=model)
 
 
 def _time_of(found: Estimate) -> float:
@@ -282,9 +282,9 @@ def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[
     For terms other than N, B and K only models with the same such terms count.
     """
     if key in ALWAYS:
-        return [(model.say, model.terms[key]) for model in models]
+        return [(model.weight, model.terms[key]) for model in models]
     others = values.keys() - set(ALWAYS)
-    return [(m.say, m.terms[key]) for m in models if m.terms.keys() - set(ALWAYS) == others]
+    return [(m.weight, m.terms[key]) for m in models if m.terms.keys() - set(ALWAYS) == others]
 
 
 def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
@@ -300,7 +300,7 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
-    """Return for each term the terms that may replace it: the data show one of them, but not which.
+    """Return for each term the alternatives that the data can't exclude.
 
     Every model near the best likelihood contains one of the two, and neither is in all of these models. Near
     is judged by Akaike's criterion: the data must distinguish the two, not the simplicity of a model.
@@ -324,11 +324,11 @@ def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
     if not span:
         return own
     high = max(e.high for _, e in span)
-    zeros = [say for say, e in span if _may_be_zero(e)]
+    zeros = [weight for weight, e in span if _may_be_zero(e)]
     if own.value is None or (zeros and (max(zeros) >= 1 or own.key not in _FADES)):
         return Estimate.bounded(own.key, own.symbol, high)
     low = min([own.value, *(e.low for _, e in span if not _may_be_zero(e))])
-    low *= float(np.prod([1 - say for say in zeros]))
+    low *= float(np.prod([1 - weight for weight in zeros]))
     time = _time_hull(own.correlation_time, [e for _, e in span])
     found = replace(own, low=low, high=max(own.value, high), correlation_time=time)
     return Estimate.bounded(own.key, own.symbol, high) if _may_be_zero(found) else found
@@ -351,7 +351,7 @@ def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, 
     """Yield the distances and distinct completions of the near models, the best first."""
     distances = choice.criterion - choice.criterion[0]
     seen = set()
-    for index in np.flatnonzero(distances < _NO_SAY)[:_MOST].tolist():
+    for index in np.flatnonzero(distances < _NO_WEIGHT)[:_MOST].tolist():
         model = choice.fits[[index]]
         structure = in_order((*model.structure, *model.missing))
         if structure not in seen:

@@ -1,8 +1,8 @@
 """Maximum of the likelihood -> estimates in SI, with their profile-likelihood limits and covariance.
 
-A limit is where twice the drop of the log-likelihood, maximised over all other parameters, reaches
-the square of a quantile: the normal one, which makes it that of chi-squared, or Student's where few
-degrees of freedom tell a variance. An interval that holds zero is [0, U].
+At a limit, twice the drop of the log-likelihood, maximised over all other parameters, is the square of a
+normal quantile, or of Student's quantile if few degrees of freedom determine a variance. An interval that
+contains zero is [0, U].
 
 Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82; few degrees
 of freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
@@ -23,27 +23,27 @@ from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
 
-#: Column of the ramp, which is a regressor and not a parameter of the spectrum.
+#: Column number of the ramp, which is a regressor and not a parameter of the spectrum.
 RAMP = -1
 
-#: A limit is found to this part of a standard error.
+#: Accuracy of a limit, as a share of the reach.
 _CLOSE = 0.01
 _ROUNDS = 40
-#: A step that ends inside the limit is followed by one that is longer by this factor.
+#: Factor by which steps grow until one passes the limit.
 _STRIDE = 1.7
 #: Lower limit of the degrees of freedom; the expansion about the maximum underestimates them near zero.
 _FEWEST = 10.0
 
 
 def quantile(level: float) -> float:
-    """Return the two-sided normal quantile z of a confidence level; z² is that of chi-squared."""
+    """Return the two-sided normal quantile of a confidence level."""
     return float(scipy.special.ndtri((1 + level) / 2))
 
 
 def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
     """Return Student's two-sided quantiles for variances whose logarithms have these standard errors.
 
-    That of a variance told by n degrees of freedom is the root of 2/n.
+    With n degrees of freedom this standard error is the root of 2/n.
     """
     freedom = np.maximum(2 / deviation**2, _FEWEST)
     return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2), dtype=np.float64)
@@ -52,12 +52,11 @@ def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
 def profile_limits(
     ordinates: Ordinates, fits: Fits, columns: IntArray, *, reach: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
+    """Return the lower and upper limits of parameter `columns[i]` of fit i, shape (k,) each.
 
-    In log units; of a ramp, whose column is `RAMP`, in its own. The lower is -inf where the parameter may
-    vanish, the upper inf where it may grow past its bound. A model's maximum stands there once for each of
-    its parameters that is profiled. The root of twice the drop at the limits is `reach`, shape
-    (k,): a quantile of the level.
+    Limits are in log units, except for the ramp (column `RAMP`). The lower limit is -inf if the parameter may
+    vanish, the upper inf if it may exceed its bound. `fits` has one row for each profiled parameter. `reach`,
+    shape (k,), is the root of twice the drop at the limits: a quantile of the level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
@@ -107,7 +106,7 @@ class _ProfileSearch:
         return width
 
     def run(self, toward: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the limits in log units, ±inf where there is none."""
+        """Return the limits in log units, ±inf if there is none."""
         size = toward.size
         inside, outside = self.centre.copy(), np.full(size, np.nan)
         z_inside, z_outside = -z, np.full(size, np.nan)
@@ -125,12 +124,12 @@ class _ProfileSearch:
             drop, theta = self.drop(rows, u)
             found = drop - z[rows]
             within = found < 0
-            # From inside only: far outside the other parameters may have gone to another maximum.
+            # Start only from inside: far outside the other parameters may be at another maximum.
             self.theta[rows[within]] = theta[within]
             edge = np.where(toward[rows] < 0, u <= self.low[rows], u >= self.high[rows])
             unlimited = within & edge
             ins, out = rows[within], rows[~within]
-            # Illinois: the end that stays gets half the weight, so that neither end stalls.
+            # Illinois rule: halve the weight of the end that stays, so that neither end stalls.
             z_outside[ins] *= 0.5
             z_inside[out] *= np.where(bracketed[out], 0.5, 1.0)
             inside[ins], z_inside[ins] = u[within], found[within]
@@ -146,7 +145,7 @@ class _ProfileSearch:
         return np.where(self.variance[rows], 2 * np.log(np.maximum(u, 1e-200)), u)
 
     def drop(self, rows: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the root of twice the drop of the log-likelihood with `u` held, and where that is."""
+        """Return the root of twice the drop of the log-likelihood at fixed `u`, and the parameters there."""
         start = self.theta[rows].copy()
         plain = ~self.ramp[rows]
         held = np.flatnonzero(plain)
@@ -167,9 +166,9 @@ class _ProfileSearch:
 
 @frozen_alone
 class Problem:
-    """What every estimate of a fit is made with: the `ordinates` that are fitted, and a confidence level.
+    """The `ordinates` to fit, the confidence `level` of the limits, and the sampling period `tau0` in s.
 
-    `tau0` is in s, and `widening` says by what factor a symbol's interval is wider than the likelihood says.
+    `widening` maps symbols to factors by which their intervals are wider than those of the likelihood.
     """
 
     ordinates: Ordinates
@@ -192,7 +191,7 @@ class Problem:
 
 
 def estimate(problem: Problem, fitted: Fits) -> tuple[Estimate, ...]:
-    """Return an estimate of each term of a fitted structure; those whose interval holds 0 bounded."""
+    """Return an estimate of each term of a fit, or its bound if its interval contains 0."""
     columns = fitted.columns()
     if "R" in fitted.structure:
         columns.append(("R", RAMP))
@@ -247,7 +246,7 @@ def covariance_of(
 
 
 def misfits_of(problem: Problem, fitted: Fits, found: Goodness) -> dict[str, float]:
-    """Return for each symbol by what factor a misfit makes its interval wider, one at least; {} for none."""
+    """Return the factors, at least 1, by which a misfit widens each symbol's interval; {} for no misfit."""
     if found.statistic < MISFIT:
         return {}
     factors = misfit_factors(problem.ordinates, fitted)
@@ -259,7 +258,7 @@ def misfits_of(problem: Problem, fitted: Fits, found: Goodness) -> dict[str, flo
 
 
 def model_of(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> NoiseModel:
-    """Return the model of the estimated terms; the estimate of a ramp is its size, the model has its sign."""
+    """Return the model of the estimated terms; its ramp has a sign, the ramp's estimate has none."""
     ramp = float(fitted.beta[0, 0]) * problem.deviation("R")
     return NoiseModel(
         terms=tuple(

@@ -122,7 +122,7 @@ def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Distances between missing samples: `lag`, shape (l,), and which of them |i-j| and i+j+1 are, (g, g)."""
+    """Distances between missing samples: `lag`, shape (l,), and its indices of |i-j| and i+j+1, (g, g)."""
 
     lag: IntArray
     apart: IntArray
@@ -162,7 +162,7 @@ def _precision(
 def _cosine_sums(lag: IntArray, weight: FloatArray, groups: IntArray, n: int) -> FloatArray:
     """Return the sum over k = 1 … n-1 of w_k cos(pi k l / n) / n at each lag, shape (l,).
 
-    For equal weights from a to b - 1 it is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
+    The sum over equal weights from a to b - 1 is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
     """
     edge = np.append(groups, n - 1) + 0.5
     fall = -np.diff(weight, prepend=0.0, append=0.0)

@@ -44,7 +44,7 @@ class Fits:
     shape (c, p, p). `beta` are the regressors' coefficients, shape (c, r), 0 for those not in a model, and
     `beta_covariance`, shape (c, r, r), their covariance given the `spectrum` S, shape (c, b).
 
-    Properties in the singular are those of the first row.
+    `structure`, `missing` and `covariance` refer to the first row.
     """
 
     models: Models
@@ -76,7 +76,7 @@ class Fits:
         return covariance(self.information[0], self.models.free[0])
 
     def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
-        """Return name and column of each parameter except R, including those of power laws `beside` it."""
+        """Return name and column of each parameter except R, including added power laws (`beside`)."""
         return self.models.with_laws(beside).columns(self.theta[0])
 
     def variances(self, beside: Iterable[str] = ()) -> dict[str, int]:

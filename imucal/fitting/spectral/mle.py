@@ -51,7 +51,7 @@ class View:
     """The part of the spectrum to fit.
 
     `ordinates` are the bins of the `band`, and `whole` all bins of the `blocks`. `doubtful` are regressors
-    that may be needed in addition to those of `whole`.
+    that may be needed in addition.
     """
 
     blocks: SeriesBlocks
@@ -260,7 +260,7 @@ def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> lis
 
 
 def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
-    """Return the points of the curve at times longer than those of the filter and the band's end."""
+    """Return the points of the curve at times longer than those of the filter and of excluded frequencies."""
     return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 

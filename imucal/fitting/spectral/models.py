@@ -151,8 +151,8 @@ def models_of(
     """Return one model for each structure, with all of the regressors `names`.
 
     The ramp ``R`` is only in structures that contain it. `poles` and `zeros` of the output filter's response
-    are equal for all models or given for each. `room_poles` columns are reserved for the response, by default
-    as many as needed.
+    are equal for all models or given for each. `room_poles` is the number of columns for the response, by
+    default the largest of `poles`.
     """
     count = len(structures)
     most = {symbol: max((own.count(symbol) for own in structures), default=0) for symbol in TERMS}

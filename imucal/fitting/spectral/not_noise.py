@@ -29,7 +29,7 @@ _NAMED = 4
 _CHANCE = 1e-4
 #: Relative increase of the Allan variance at a line's hump below which there is no warning.
 _VISIBLE = 0.1
-#: Time constants after which a warm-up has settled: 5 % of it is left.
+#: Time constants after which a warm-up has settled to 5 %.
 _SETTLED = 3.0
 #: Share of the record within which jumps in one direction are one shift.
 _ONE_SHIFT = 0.02

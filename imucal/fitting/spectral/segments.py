@@ -31,7 +31,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
-#: Fewest samples of a segment, and of a part of it between two long gaps.
+#: Fewest samples of a segment, and of its parts between long gaps.
 _FEWEST, _FEWEST_IN_PART = 2048, 64
 #: Least number of segments for the tests.
 _LEAST = 3

@@ -1,4 +1,4 @@
-"""The parts of an interval after the choice: what near models say, which are looked at, what is named."""
+"""The parts of an interval after the choice: the near models, their weights, and the terms named."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -44,16 +44,16 @@ def _estimate(key: str, low: float, value: float, high: float, time: Interval | 
     )
 
 
-def _opinion(say: float, *terms: Estimate) -> bounds.Opinion:
-    return bounds.Opinion(say=say, terms={e.key: e for e in terms}, fitted=cast("Fits", None))
+def _opinion(weight: float, *terms: Estimate) -> bounds.Opinion:
+    return bounds.Opinion(weight=weight, terms={e.key: e for e in terms}, fitted=cast("Fits", None))
 
 
 @pytest.mark.parametrize(
-    ("distance", "say", "level"),
+    ("distance", "weight", "level"),
     [(0.0, 1.0, 0.9545), (6.0, 1.0, 0.9545), (7.5, 0.5, 0.6827), (8.0, 1 / 3, 0.4950), (8.999, 0.0, 0.0)],
 )
-def test_a_model_has_less_to_say_the_farther_it_is(
-    monkeypatch: pytest.MonkeyPatch, distance: float, say: float, level: float
+def test_a_model_has_less_weight_the_farther_it_is(
+    monkeypatch: pytest.MonkeyPatch, distance: float, weight: float, level: float
 ) -> None:
     """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
     levels = []
@@ -64,7 +64,7 @@ def test_a_model_has_less_to_say_the_farther_it_is(
 
     monkeypatch.setattr(bounds, "estimate", estimates_of)
     found = bounds._opinion(PROBLEM, distance, cast("Fits", None))
-    assert found.say == pytest.approx(say, abs=1e-3)
+    assert found.weight == pytest.approx(weight, abs=1e-3)
     assert levels == pytest.approx([level], abs=1e-3)
     assert not found.slow
 
@@ -138,24 +138,24 @@ def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
 def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
     """By the highest limit of all, though the chosen model shows it."""
     own = _estimate("B", 2.0, 3.0, 4.0)
-    for say in (1.0, 0.1):
-        found = bounds._hull(own, [(1.0, own), (say, Estimate.bounded("B", "B", 5.0))])
+    for weight in (1.0, 0.1):
+        found = bounds._hull(own, [(1.0, own), (weight, Estimate.bounded("B", "B", 5.0))])
         assert found == Estimate.bounded("B", "B", 5.0)
 
 
-@pytest.mark.parametrize(("say", "low"), [(0.25, 1.5), (0.75, 0.5), (0.99, None), (1.0, None)])
-def test_a_walk_is_bounded_by_a_model_with_full_say_only(say: float, low: float | None) -> None:
-    """One that is farther draws its lower limit towards zero, as much as it has to say."""
+@pytest.mark.parametrize(("weight", "low"), [(0.25, 1.5), (0.75, 0.5), (0.99, None), (1.0, None)])
+def test_a_walk_is_bounded_by_a_model_of_full_weight_only(weight: float, low: float | None) -> None:
+    """One that is farther draws its lower limit towards zero, as much as its weight."""
     own, zero = _estimate("K", 2.0, 3.0, 4.0), Estimate.bounded("K", "K", 5.0)
-    found = bounds._hull(own, [(1.0, own), (say, zero)])
+    found = bounds._hull(own, [(1.0, own), (weight, zero)])
     assert found == (Estimate.bounded("K", "K", 5.0) if low is None else _estimate("K", low, 3.0, 5.0))
-    assert _opinion(say, zero).vetoes("K") == (say == 1.0)
-    assert _opinion(say, replace(zero, key="B")).vetoes("B")
+    assert _opinion(weight, zero).vetoes("K") == (weight == 1.0)
+    assert _opinion(weight, replace(zero, key="B")).vetoes("B")
 
 
 @pytest.mark.parametrize(("low", "shown"), [(0.079, False), (0.081, True)])
 def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> None:
-    """Less than a fiftieth of the upper one: ``34 [0, 77]`` would say that K is there and that it is not."""
+    """Less than a fiftieth of the upper one: ``34 [0, 77]`` would mean that K is there and that it is not."""
     own = _estimate("K", low, 2.0, 4.0)
     assert (bounds._hull(own, [(1.0, own)]).value is not None) == shown
 
