@@ -43,7 +43,7 @@ def quantile(level: float) -> float:
 def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
     """Return Student's two-sided quantiles for variances whose logarithms have these standard errors.
 
-    With n degrees of freedom this standard error is the root of 2/n.
+    The standard error for n degrees of freedom is the root of 2/n.
     """
     freedom = np.maximum(2 / deviation**2, _FEWEST)
     return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2), dtype=np.float64)

@@ -124,7 +124,7 @@ def evaluate(
 def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
     """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
 
-    Undetermined parameters, such as those of an absent term, have variance inf and are held for the others.
+    Undetermined parameters, such as an absent term, have variance inf and are fixed for the others.
     """
     size = free.size
     result = np.zeros((size, size))
@@ -212,7 +212,7 @@ def regress(
     rows = np.flatnonzero(has.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
-    # Skip regressors that no model has: if there are many, most steps use only a few of them.
+    # Skip regressors that no model has: most steps use only a few.
     columns = np.flatnonzero(has.any(axis=0))
     seen = replace(
         ordinates, gram=ordinates.gram[np.ix_(columns, columns)], cross=ordinates.cross[columns], names=()

@@ -32,7 +32,7 @@ def relative_deviations(
 ) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
-    The fit has every term of the model and the power laws `beside` it, whose coefficients are zero. The
+    The fit has every term of the model and the added power laws (`beside`), whose coefficients are zero. The
     result is infinite for a term with coefficient 0, and for a record with fewer samples than parameters.
     """
     names = [name for _, own in named_terms(model) for name in own]
