@@ -35,6 +35,8 @@ MODEL, LEVEL = "N + B + K", 0.95
 MIN_MEMORY = 300 << 20
 #: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
+#: Version of the packed bins in the store: `imucal.fitting.bins.PACKED_VERSION`, whose import is slow.
+_BINS = 2
 #: Final states: another attempt with the same file, settings and version would have the same result.
 _SETTLED = ("ok", "unreadable", "no-data")
 #: Columns of the store about a log.
@@ -109,8 +111,8 @@ class FleetSettings:
     fresh: bool = False
 
     def key(self, content: str, reading: Mapping[str, object]) -> str:
-        """Return the key of a result, a hash of content, settings and version."""
-        text = json.dumps([content, self.model, self.level, reading, __version__], sort_keys=True)
+        """Return the key of a result, a hash of content, settings and versions."""
+        text = json.dumps([content, self.model, self.level, reading, __version__, _BINS], sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def patience(self, task: LogTask) -> float:

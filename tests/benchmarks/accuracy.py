@@ -24,9 +24,9 @@ from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import fit_mle, spectral_view
-from imucal.fitting.spectral.likelihood import candidates_of, evaluate, parameter_columns
+from imucal.fitting.spectral.likelihood import covariance, evaluate
+from imucal.fitting.spectral.models import models_of
 from imucal.fitting.spectral.ordinates import LAWS
-from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.term import PowerLawTerm
@@ -144,8 +144,8 @@ def cramer_rao(model: NoiseModel, n: int) -> FloatArray:
     """Return the relative standard deviations that no unbiased estimator goes below, shape (p,)."""
     structure = parse_structure(str(model))
     ordinates = ordinates_of(np.random.default_rng(0).standard_normal(n))
-    candidate = candidates_of([structure], ordinates.names)
-    theta = np.full((1, candidate.width), -60.0)
+    own = models_of([structure], ordinates.names)
+    theta = np.full((1, own.width), -60.0)
     markov = [term for term in model.terms if isinstance(term, GaussMarkov)]
     for term in model.terms:
         if isinstance(term, PowerLawTerm):
@@ -153,12 +153,12 @@ def cramer_rao(model: NoiseModel, n: int) -> FloatArray:
     for index, gm in enumerate(markov):
         theta[0, 4 + index] = 2 * np.log(gm.sigma)
         theta[0, 4 + len(markov) + index] = np.log(gm.T)
-    found = evaluate(ordinates, candidate, theta)
-    inverse = covariance(found.information[0], candidate.free[0])
+    found = evaluate(ordinates, own, theta)
+    inverse = covariance(found.information[0], own.free[0])
     values = truth_of(model)
     bounds = {
         name: (1.0 if name.endswith(".T") else 0.5) * float(np.sqrt(inverse[column, column]))
-        for name, column in parameter_columns(structure, len(markov))
+        for name, column in found.columns()
     }
     if "R" in values:
         bounds["R"] = float(np.sqrt(found.beta_covariance[0, 0, 0])) / values["R"]
@@ -187,11 +187,9 @@ def _maximum(samples: FloatArray, model: str, key: str) -> float:
         band=view.band,
     )
     if key == "R":
-        return float(abs(choice.maximum.beta[0, 0])) * view.blocks.scale
-    column = dict(parameter_columns(structure, choice.maximum.candidates.room))[
-        f"{key}.sigma" if key.startswith("GM") else key
-    ]
-    return float(np.exp(choice.maximum.theta[0, column] / 2)) * view.blocks.scale
+        return float(abs(choice.fits.beta[0, 0])) * view.blocks.scale
+    column = dict(choice.fits.columns())[f"{key}.sigma" if key.startswith("GM") else key]
+    return float(np.exp(choice.fits.theta[0, column] / 2)) * view.blocks.scale
 
 
 def cell(samples: Iterator[FloatArray], model: NoiseModel, n: int, *, choose: bool) -> Cell:

@@ -53,7 +53,7 @@ STAGES = {
     "spikes": ("imucal/fitting/robust.py", "clean"),
     "blocks of ordinates": ("imucal/fitting/spectral/blocks.py", "make_blocks"),
     "steps, cycles": ("imucal/fitting/spectral/not_noise.py", "find_shapes"),
-    "band and filter": ("imucal/fitting/spectral/band.py", "find_band"),
+    "band and filter": ("imucal/fitting/spectral/band_search.py", "find_band"),
     "choice of the model": ("imucal/fitting/spectral/selection.py", "choose"),
     "terms that are not in it": ("imucal/fitting/spectral/bounds.py", "hull_estimates"),
     "segments": ("imucal/fitting/spectral/segments.py", "fit_segments"),

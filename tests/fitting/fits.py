@@ -11,7 +11,8 @@ from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.bounds import estimate_or_bound, with_absent
 from imucal.fitting.spectral.estimates import Problem
-from imucal.fitting.spectral.likelihood import Candidates, Evaluation, candidates_of
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.models import Models, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.selection import choose
 from imucal.noise.model import NoiseModel, parse_structure
@@ -63,15 +64,15 @@ def at_maximum(
     theta: FloatArray,
     *,
     objective: FloatArray,
-    candidates: Candidates | None = None,
+    models: Models | None = None,
     information: FloatArray | None = None,
     beta: FloatArray | None = None,
     beta_covariance: FloatArray | None = None,
-) -> Evaluation:
+) -> Fits:
     """Return a likelihood at rows of parameters, its gradient zero; what is not given is empty or zero."""
     rows, size = theta.shape
-    return Evaluation(
-        candidates=candidates_of([("N",)] * rows, ()) if candidates is None else candidates,
+    return Fits(
+        models=models_of([("N",)] * rows, ()) if models is None else models,
         theta=theta,
         objective=objective,
         score=np.zeros(theta.shape),

@@ -1,4 +1,4 @@
-"""Maximum likelihood on the spectrum of the samples, and how well a record can tell a model."""
+"""Maximum likelihood on the spectrum of the samples, and the precision that a record allows."""
 
 from imucal.fitting.spectral.mle import fit_mle, spectral_view
 from imucal.fitting.spectral.precision import named_terms, relative_deviations

@@ -18,40 +18,34 @@ import scipy
 
 from imucal.fitting.homogeneity import NOUGHT
 from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
-from imucal.fitting.spectral.likelihood import (
-    COLUMN,
-    Candidates,
-    Structure,
-    candidates_of,
-    shaped_symbols,
-)
-from imucal.fitting.spectral.ordinates import SHAPED
-from imucal.fitting.spectral.scoring import bounds, maximize
+from imucal.fitting.spectral.estimates import Problem, estimate, quantile
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import bounds, maximize
+from imucal.fitting.spectral.models import COLUMN, has_time
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
 
-def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
+def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fits, tuple[Estimate, ...]]:
     """Return the best candidate, and estimates or bounds of its terms.
 
     A term whose interval contains zero is bounded and left out of the model. The other terms keep their
     values and intervals from the fit with it, since it may exist.
     """
-    fitted = fitted_model(choice, 0)
+    fitted = choice.fits[[0]]
     bounded: dict[str, Estimate] = {}
     estimates = estimate(problem, fitted)
     while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
         # Drop the term that costs the least likelihood.
         fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
-        least = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
-        fitted, bounded[gone[least].key] = fits[least].by_time(), gone[least]
+        least = int(np.argmin([float(fit.objective[0]) for fit in fits]))
+        fitted, bounded[gone[least].key] = fits[least], gone[least]
         estimates = estimate(problem, fitted)
     return fitted, ordered((*estimates, *bounded.values()))
 
 
-def with_absent(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+def with_absent(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
     """Add the upper bounds of N, B and K if the model lacks them, each fitted together with its own terms."""
     absent = set(ALWAYS).difference(e.symbol for e in estimates)
     bounds_of = [upper_bound(problem, add_term(problem, fitted, symbol), symbol) for symbol in absent]
@@ -64,19 +58,19 @@ def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
     return tuple(sorted(estimates, key=lambda e: (order.index(e.symbol), e.key)))
 
 
-def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> list[Estimate]:
-    """Return terms, one of which must be dropped to make the other estimates meaningful.
+def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> list[Estimate]:
+    """Return terms of which one must be dropped to make the other estimates meaningful.
 
     These are bounded terms with a correlation time: their time is arbitrary and widens other intervals. If
     there are none, these are terms that can replace one another: each may be zero, but not all at once.
     """
     gone = [e for e in estimates if e.status == "bounded"]
-    timed = [e for e in gone if len(TERMS[e.symbol].parameters()) > 1]
+    timed = [e for e in gone if has_time(e.symbol)]
     if timed or len(gone) < 2:
         return timed
     if len(gone) < len(fitted.structure):
         without = drop_terms(problem, fitted, [e.key for e in gone])
-        drop = float(without.maximum.objective[0] - fitted.maximum.objective[0])
+        drop = float(without.objective[0] - fitted.objective[0])
         if 2 * drop < quantile(problem.level) ** 2:
             return []
     return gone
@@ -96,66 +90,40 @@ def numbered(
     return result, tuple(".".join((new[key], *rest)) for key, *rest in (n.split(".") for n in names))
 
 
-def fitted_model(choice: RankedModels, index: int) -> Fitted:
-    """Return one of the ranked models, with terms of one kind sorted by rising time."""
-    return Fitted(structure=choice.structures[index], maximum=choice.maximum[[index]]).by_time()
-
-
-def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
+def drop_terms(problem: Problem, fitted: Fits, keys: list[str]) -> Fits:
     """Return the fit without some of its terms, started at its other parameters."""
-    terms = list(zip(term_keys(fitted.structure), fitted.structure, strict=True))
-    structure = tuple(symbol for key, symbol in terms if key not in keys)
-    old = fitted.candidate
-    shaped = [key for key, symbol in terms if symbol in shaped_symbols(fitted.structure)]
-    places = [i for i, key in enumerate(shaped) if key not in keys]
-    candidate = behind_filter(problem, fitted, structure, len(places))
-    times = [old.variances + i for i in places]
-    columns = [*range(SHAPED), *(SHAPED + i for i in places), *times, *range(old.response, old.width)]
-    start = fitted.maximum.theta[:, columns]
-    return Fitted(structure=structure, maximum=maximize(problem.ordinates, candidate, start))
+    columns = [at for key, at in fitted.variances().items() if key in keys]
+    return maximize(problem.ordinates, fitted.models.without(columns, ramp="R" in keys), fitted.theta)
 
 
-def behind_filter(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> Candidates:
-    """Return the candidate of another structure with a fit's output filter."""
-    return candidates_of(
-        [structure],
-        problem.ordinates.names,
-        poles=int(fitted.candidate.poles[0]),
-        zeros=int(fitted.candidate.zeros[0]),
-        room_shaped=room,
-        shortest=fitted.candidate.shortest,
-    )
-
-
-def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
+def add_term(problem: Problem, fitted: Fits, symbol: str) -> Fits:
     """Return the fit with a power-law term added, started from almost zero."""
-    structure = in_order((*fitted.structure, symbol))
-    candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
-    low, _ = bounds(problem.ordinates, candidate)
+    models = fitted.models.with_laws([symbol])[[0, 0]]
+    low, _ = bounds(problem.ordinates, models)
     column = COLUMN[symbol]
-    starts = np.repeat(fitted.maximum.theta, 2, axis=0)
+    starts = np.repeat(fitted.theta, 2, axis=0)
     starts[:, column] = low[column] + np.array([8.0, 16.0])
-    found = maximize(problem.ordinates, candidate[[0, 0]], starts)
-    return Fitted(structure=structure, maximum=found[[int(np.argmin(found.objective))]])
+    found = maximize(problem.ordinates, models, starts)
+    return found[[int(np.argmin(found.objective))]]
 
 
-def completed(problem: Problem, fitted: Fitted) -> Fitted:
+def completed(problem: Problem, fitted: Fits) -> Fits:
     """Return the fit with the terms that every fit reports, at zero if the data prefer that."""
     for symbol in fitted.missing:
         fitted = add_term(problem, fitted, symbol)
     return fitted
 
 
-def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
+def upper_bound(problem: Problem, fitted: Fits, symbol: str) -> Estimate:
     """Return the bound of a power-law term that was added."""
     _, highs = problem.limits(fitted, [COLUMN[symbol]])
-    value = float(fitted.maximum.theta[0, COLUMN[symbol]])
+    value = float(fitted.theta[0, COLUMN[symbol]])
     high = value + problem.widening.get(symbol, 1.0) * (float(highs[0]) - value)
     return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))
 
 
 #: Distances in the criterion from the best: weight 1 up to the first, 0 from the second on.
-_FULL_SAY, _NO_SAY = 6.0, 9.0
+_FULL_WEIGHT, _NO_WEIGHT = 6.0, 9.0
 #: Difference in Akaike's criterion within which the data can't distinguish models.
 _ALIKE = 4.0
 #: Share of the record; a Gauss-Markov term with a longer correlation time is reported as K.
@@ -171,12 +139,12 @@ _MOST = 16
 class Opinion:
     """The estimates of a model near the best, by their keys.
 
-    `say` is its weight, 1 near the best and 0 far from it; it scales the width of the intervals.
+    `weight` is 1 near the best model and 0 far from it; it scales the width of the intervals.
     """
 
-    say: float
+    weight: float
     terms: dict[str, Estimate]
-    fitted: Fitted
+    fitted: Fits
 
     @property
     def slow(self) -> bool:
@@ -185,12 +153,12 @@ class Opinion:
 
     def vetoes(self, key: str) -> bool:
         """Whether a term may be zero here, and the model has enough weight to bound it."""
-        return _may_be_zero(self.terms[key]) and (self.say >= 1 or key not in _FADES)
+        return _may_be_zero(self.terms[key]) and (self.weight >= 1 or key not in _FADES)
 
 
 def hull_estimates(
     problem: Problem, choice: RankedModels
-) -> tuple[Fitted, tuple[Estimate, ...], tuple[Estimate, ...]]:
+) -> tuple[Fits, tuple[Estimate, ...], tuple[Estimate, ...]]:
     """Return the model to draw, its own estimates, and estimates whose intervals cover all near models.
 
     A term whose interval reaches down to zero is bounded, even if it is in the chosen model. If N, B or K is
@@ -221,7 +189,7 @@ def _with_rivals(
     if markov in others["K"]:
         # K is valid up to the lower limit of T of the term that replaces it in the nearest model.
         rivals = (s for s in choice.structures if markov in s and "K" not in s)
-        rival = fitted_model(choice, choice.structures.index(next(rivals)))
+        rival = choice.fits[[choice.structures.index(next(rivals))]]
         slowest = [column for name, column in rival.columns() if name.endswith(".T")][-1]
         horizon = min(horizon, problem.tau0 * float(np.exp(problem.limits(rival, [slowest])[0][0])))
     elif horizon < np.inf:
@@ -238,17 +206,17 @@ def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
     return next((e for e in every if e.value is not None), own)
 
 
-def _opinion(problem: Problem, distance: float, model: Fitted) -> Opinion:
+def _opinion(problem: Problem, distance: float, model: Fits) -> Opinion:
     """Return the opinion of a model at a `distance` from the best; its slowest term may replace K."""
-    say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
-    reach = say * quantile(problem.level)
+    weight = min((_NO_WEIGHT - distance) / (_NO_WEIGHT - _FULL_WEIGHT), 1.0)
+    reach = weight * quantile(problem.level)
     terms = {
         e.key: e for e in estimate(replace(problem, level=float(2 * scipy.special.ndtr(reach) - 1)), model)
     }
     slowest = max((e for e in terms.values() if e.value), key=_time_of, default=terms["K"])
     if _may_be_zero(terms["K"]) and _time_of(slowest) > _WALK * problem.ordinates.samples * problem.tau0:
         terms["K"] = _walk(slowest, terms["K"].high, reach, model)
-    return Opinion(say=say, terms=terms, fitted=model)
+    return Opinion(weight=weight, terms=terms, fitted=model)
 
 
 def _time_of(found: Estimate) -> float:
@@ -257,7 +225,7 @@ def _time_of(found: Estimate) -> float:
     return time.value if time and found.symbol == GaussMarkov.symbol else 0.0
 
 
-def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
+def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
     """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term at short times.
 
     Sigma and T are uncertain separately, their walk is not: its limits are `reach` standard errors of half
@@ -278,7 +246,7 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fitted) -> Estimate:
     return replace(walk, horizon_s=span.low if span else np.inf)
 
 
-def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
+def _floor(problem: Problem, bound: Estimate, models: list[Fits]) -> Estimate:
     """Return N from the minima of the near models' spectra, if N may be zero.
 
     Every record has a noise floor. If a fast Gauss-Markov term at the end of the band can explain it, the
@@ -299,8 +267,8 @@ def _floor(problem: Problem, bound: Estimate, models: list[Fitted]) -> Estimate:
 
 
 def _richer(
-    problem: Problem, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
-) -> tuple[Fitted, tuple[Estimate, ...]]:
+    problem: Problem, fitted: Fits, shown: set[str], own: tuple[Estimate, ...]
+) -> tuple[Fits, tuple[Estimate, ...]]:
     """Return the chosen model with the terms that are shown added, and its estimates."""
     for symbol in ALWAYS:
         if symbol in shown and symbol not in fitted.structure:
@@ -314,9 +282,9 @@ def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[
     For terms other than N, B and K only models with the same such terms count.
     """
     if key in ALWAYS:
-        return [(model.say, model.terms[key]) for model in models]
+        return [(model.weight, model.terms[key]) for model in models]
     others = values.keys() - set(ALWAYS)
-    return [(m.say, m.terms[key]) for m in models if m.terms.keys() - set(ALWAYS) == others]
+    return [(m.weight, m.terms[key]) for m in models if m.terms.keys() - set(ALWAYS) == others]
 
 
 def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
@@ -332,12 +300,12 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
-    """Return for each term the terms that may replace it: the data show one of them, but not which.
+    """Return for each term the alternatives that the data can't exclude.
 
     Every model near the best likelihood contains one of the two, and neither is in all of these models. Near
     is judged by Akaike's criterion: the data must distinguish the two, not the simplicity of a model.
     """
-    fit = 2 * (choice.maximum.objective + choice.maximum.candidates.parameters)
+    fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _ALIKE)]
 
     def replaces(one: str, other: str) -> bool:
@@ -356,11 +324,11 @@ def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
     if not span:
         return own
     high = max(e.high for _, e in span)
-    zeros = [say for say, e in span if _may_be_zero(e)]
+    zeros = [weight for weight, e in span if _may_be_zero(e)]
     if own.value is None or (zeros and (max(zeros) >= 1 or own.key not in _FADES)):
         return Estimate.bounded(own.key, own.symbol, high)
     low = min([own.value, *(e.low for _, e in span if not _may_be_zero(e))])
-    low *= float(np.prod([1 - say for say in zeros]))
+    low *= float(np.prod([1 - weight for weight in zeros]))
     time = _time_hull(own.correlation_time, [e for _, e in span])
     found = replace(own, low=low, high=max(own.value, high), correlation_time=time)
     return Estimate.bounded(own.key, own.symbol, high) if _may_be_zero(found) else found
@@ -379,12 +347,12 @@ def _may_be_zero(found: Estimate) -> bool:
     return found.low <= NOUGHT * found.high
 
 
-def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fitted]]:
+def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fits]]:
     """Yield the distances and distinct completions of the near models, the best first."""
     distances = choice.criterion - choice.criterion[0]
     seen = set()
-    for index in np.flatnonzero(distances < _NO_SAY)[:_MOST].tolist():
-        model = fitted_model(choice, index)
+    for index in np.flatnonzero(distances < _NO_WEIGHT)[:_MOST].tolist():
+        model = choice.fits[[index]]
         structure = in_order((*model.structure, *model.missing))
         if structure not in seen:
             seen.add(structure)

@@ -1,12 +1,12 @@
-"""Have several records, or segments of one, a term in common? One likelihood ratio for both.
+"""Likelihood-ratio test of a term that several records, or segments of one record, may have in common.
 
-A spectrum is a sum of what is held, the part that is tested, and parts that vary beside it, so that a
-change of theirs is not blamed on it. In each group of bins, a record or a segment, every part but the held
-one has a scale of its own; or the tested one has the same in all groups. Twice the drop of the log-likelihood
-from the first to the second is chi-squared with a degree of freedom for each group but one.
+A spectrum is the sum of a fixed part, the tested part, and free parts, so that their changes are not
+attributed to the tested part. Each group of bins (a record or a segment) has its own scale of every part
+except the fixed one. Under the null hypothesis the scale of the tested part is equal in all groups, and twice
+the drop of the log-likelihood is chi-squared with one degree of freedom less than groups.
 
-Fisher scoring of the scales is a small system a group. With the tested scale in common the others are
-eliminated group by group, and the sums over the groups are one equation more.
+Fisher scoring of the scales is a small system for each group. With a common tested scale, the other scales
+are eliminated group by group, and the sums over the groups are one more equation.
 
 Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bartlett (1937), Proc. R. Soc. A
 160, 268.
@@ -22,16 +22,16 @@ from imucal.fitting.spectral.likelihood import regress
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen_alone
 
-#: Logs of the scales stay above this: what is lower is invisible.
+#: Lower bound of the logs of the scales: lower scales are invisible.
 _INVISIBLE = -30.0
-#: A part that is absent is looked for from this share of the spectrum on, where its share is largest.
+#: Starting value of an absent part: its largest share of the spectrum.
 _SHARE = 0.1
-#: Longest step of a log, and most steps.
+#: Longest step of a log, and largest number of steps.
 _STEP, _STEPS = 1.5, 100
 #: Gain of the log-likelihood that ends the search.
 _CLOSE = 1e-5
-#: Where the second of two scales ends: at first so many of its deviations, then half as much more each time,
-#: so often; points of a grid between the ends, and scoring steps of the first scale at each.
+#: Ends of the scan of the second of two scales: the first in its deviations, and the number of ends, which
+#: grow by a factor of 1.5. Number of grid points between the ends; scoring steps of scale 1 at each.
 _FIRST_REACH, _WIDER, _GRID, _SCORINGS = 1.2, 12, 32, 3
 _TINY = 1e-12
 
@@ -40,9 +40,9 @@ _TINY = 1e-12
 class Parts:
     """The spectra of t tests over g groups of bins, b bins in all.
 
-    The `ordinates` of all groups stand one after the other, each group's `first` bin at a place, shape (g,);
-    `regressors`, shape (r,), says which of theirs are taken out. In each test `varied`, shape (t, q, b), is
-    scaled, the tested part first, and `held`, shape (t, b), is not.
+    `ordinates` contain the groups one after the other; `first`, shape (g,), is the index of each group's
+    first bin. `regressors`, shape (r,), is the mask of the regressors to remove. `varied`, shape (t, q, b),
+    are the scaled parts of each test, the tested part first, and `held`, shape (t, b), is the fixed part.
     """
 
     ordinates: Ordinates
@@ -74,7 +74,7 @@ class Parts:
         )
 
     def fit(self, *, common: bool) -> "Scales":
-        """Maximise the likelihood, from scales of 1; the tested one is the same in all groups if `common`."""
+        """Maximise the likelihood, from scales of 1; if `common`, all groups share the tested scale."""
         tests, count, _ = self.varied.shape
         best = self.at(np.zeros((tests, self.first.size, count)))
         damping = np.full(best.objective.shape, 1e-3)
@@ -100,9 +100,9 @@ class Parts:
     def sum_limits(
         self, logs: FloatArray, weights: FloatArray, reach: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return a weighted sum of the two scales of one test in each group, and its least and greatest.
+        """Return a weighted sum of the two scales of one test in each group, and its limits, shape (g,) each.
 
-        `logs`, shape (g, 2), are those of the maximum; `weights` is of shape (2,), the others of shape (g,).
+        `logs`, shape (g, 2), is the maximum, and `weights` has the shape (2,), `reach` the shape (g,).
         The limits are the extremes over all scales at which twice the drop of the log-likelihood is below the
         square of `reach`, because an expansion about the maximum is wrong where one scale is near zero.
         Scan scale 2. For each value maximise over scale 1. Keep the points whose drop is below `reach`².
@@ -121,10 +121,10 @@ class Parts:
         left = reach**2 - 2 * (found.objective - peak)
         width = np.sqrt(np.maximum(left, 0.0) / (found.matrix[..., 0, 0] + _TINY))
         fast, slow = np.moveaxis(weights * np.exp(found.logs), -1, 0)
-        # A curve that is flat there reaches to infinity.
+        # A flat curve extends to infinity.
         with np.errstate(over="ignore"):
             ends = np.where(left >= 0, fast * np.exp([-width, width]) + slow, np.nan)
-        # Where the reach ends between two points of the grid.
+        # Interpolate between the grid points inside and outside the reach.
         share = left[:-1] / (left[:-1] - left[1:])
         crossing = (fast + slow)[:-1] + share * np.diff(fast + slow, axis=0)
         crossing[left[:-1] * left[1:] > 0] = np.nan
@@ -133,7 +133,7 @@ class Parts:
         return value, np.nanmin(every, axis=0), np.nanmax(every, axis=0)
 
     def _at_second(self, deviations: FloatArray, tested: FloatArray) -> "Scales":
-        """Return the likelihood at the roots of the second scale, shape (t, g), the first at its best."""
+        """Return the likelihood at given roots of scale 2, shape (t, g), with the best scale 1."""
         logs = np.empty((*deviations.shape, 2))
         logs[..., 0], logs[..., 1] = tested, 2 * np.log(np.maximum(deviations, np.exp(_INVISIBLE / 2)))
         for _ in range(_SCORINGS):
@@ -146,9 +146,9 @@ class Parts:
 class Scales:
     """The likelihood at some scales of each group in each test.
 
-    At `logs` of them, shape (t, g, q), the tested one first: `objective`, -log L of each group less a
-    constant, shape (t, g), its gradient in the logs, (t, g, q), and `matrix`, their expected information, (t,
-    g, q, q).
+    At `logs`, shape (t, g, q), with the tested scale first, `objective` is -log L of each group less a
+    constant, shape (t, g). `gradient`, shape (t, g, q), is its gradient in the logs, and `matrix`, shape
+    (t, g, q, q), the expected information.
     """
 
     logs: FloatArray
@@ -157,7 +157,7 @@ class Scales:
     matrix: FloatArray
 
     def where(self, chosen: BoolArray, other: "Scales") -> "Scales":
-        """Return these where `chosen`, shape (t, g), and the others elsewhere."""
+        """Return these values where `chosen`, shape (t, g), is true, and the `other` ones elsewhere."""
         return Scales(
             logs=np.where(chosen[..., None], self.logs, other.logs),
             objective=np.where(chosen, self.objective, other.objective),
@@ -167,13 +167,13 @@ class Scales:
 
     @property
     def information(self) -> FloatArray:
-        """Information on the log of the tested scale with those beside it unknown, shape (t, g)."""
+        """Information on the log of the tested scale if the other scales are unknown, shape (t, g)."""
         return self._eliminated(np.zeros(self.objective.shape))[1]
 
     def _eliminated(self, damping: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return gradient and information of the tested scale, (t, g) each, with the others at their best.
+        """Return gradient and information of the tested scale, (t, g) each, with the others eliminated.
 
-        And by how much these move, shape (t, g, q-1, 2): at all, and with the tested one.
+        The third result, shape (t, g, q-1, 2), are the steps of the others: alone, and per tested step.
         """
         diagonal = np.diagonal(self.matrix, axis1=2, axis2=3)
         added = diagonal * 1e-9 + damping[..., None] * (diagonal + 1e-3) + _TINY
@@ -184,7 +184,7 @@ class Scales:
         return self.gradient[..., 0] - reduced[0], np.maximum(matrix[..., 0, 0] - reduced[1], _TINY), moves
 
     def step(self, damping: FloatArray, *, common: bool) -> FloatArray:
-        """Return the scoring step of all logs, shape (t, g, q), damped as in `scoring`, shape (t, g)."""
+        """Return the scoring step of all logs, shape (t, g, q), damped as in `maximum`."""
         left, rest, moves = self._eliminated(damping)
         if common:
             left, rest = (np.broadcast_to(x.sum(axis=1, keepdims=True), x.shape) for x in (left, rest))
@@ -194,7 +194,7 @@ class Scales:
 
 
 def visible(spectra: FloatArray, absent: list[int]) -> FloatArray:
-    """Return factors on spectra, shape (p, b), that make those `absent` a share of the sum, shape (p,)."""
+    """Return factors, shape (p,), that make `absent` spectra, shape (p, b), a visible share of the sum."""
     factor = np.ones(len(spectra))
     whole = np.delete(spectra, absent, axis=0).sum(axis=0)
     factor[absent] = _SHARE / np.max(spectra[absent] / whole, axis=1, initial=1e-300)

@@ -1,14 +1,13 @@
 """Maximum of the likelihood -> estimates in SI, with their profile-likelihood limits and covariance.
 
-A limit is where twice the drop of the log-likelihood, maximised over all other parameters, reaches
-the square of a quantile: the normal one, which makes it that of chi-squared, or Student's where few
-degrees of freedom tell a variance. An interval that holds zero is [0, U].
+At a limit, twice the drop of the log-likelihood, maximised over all other parameters, is the square of a
+normal quantile, or of Student's quantile if few degrees of freedom determine a variance. An interval that
+contains zero is [0, U].
 
 Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82; few degrees
 of freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -17,58 +16,51 @@ import scipy
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.homogeneity import symbol_of
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, Interval
-from imucal.fitting.spectral.likelihood import (
-    Candidates,
-    Evaluation,
-    Structure,
-    evaluate,
-    parameter_columns,
-)
+from imucal.fitting.spectral.likelihood import Fits, covariance
+from imucal.fitting.spectral.maximum import bounds, maximize, misfit_factors
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import bounds, covariance, maximize, misfit_factors
 from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+from imucal.noise.terms import TERMS, term_keys
 
-#: Column of the ramp, which is a regressor and not a parameter of the spectrum.
+#: Column number of the ramp, which is a regressor and not a parameter of the spectrum.
 RAMP = -1
 
-#: A limit is found to this part of a standard error.
+#: Accuracy of a limit, as a share of the reach.
 _CLOSE = 0.01
 _ROUNDS = 40
-#: A step that ends inside the limit is followed by one that is longer by this factor.
+#: Factor by which steps grow until one passes the limit.
 _STRIDE = 1.7
 #: Lower limit of the degrees of freedom; the expansion about the maximum underestimates them near zero.
 _FEWEST = 10.0
 
 
 def quantile(level: float) -> float:
-    """Return the two-sided normal quantile z of a confidence level; z² is that of chi-squared."""
+    """Return the two-sided normal quantile of a confidence level."""
     return float(scipy.special.ndtri((1 + level) / 2))
 
 
 def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
     """Return Student's two-sided quantiles for variances whose logarithms have these standard errors.
 
-    That of a variance told by n degrees of freedom is the root of 2/n.
+    The standard error for n degrees of freedom is the root of 2/n.
     """
     freedom = np.maximum(2 / deviation**2, _FEWEST)
     return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2), dtype=np.float64)
 
 
 def profile_limits(
-    ordinates: Ordinates, maximum: Evaluation, columns: IntArray, *, reach: FloatArray
+    ordinates: Ordinates, fits: Fits, columns: IntArray, *, reach: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
+    """Return the lower and upper limits of parameter `columns[i]` of fit i, shape (k,) each.
 
-    In log units; of a ramp, whose column is `RAMP`, in its own. The lower is -inf where the parameter may
-    vanish, the upper inf where it may grow past its bound. A model's maximum stands there once for each of
-    its parameters that is profiled. The root of twice the drop at the limits is `reach`, shape
-    (k,): a quantile of the level.
+    Limits are in log units, except for the ramp (column `RAMP`). The lower limit is -inf if the parameter may
+    vanish, the upper inf if it may exceed its bound. `fits` has one row for each profiled parameter. `reach`,
+    shape (k,), is the root of twice the drop at the limits: a quantile of the level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
-    limit = _ProfileSearch(ordinates, maximum[both], columns[both]).run(toward, reach[both])
+    limit = _ProfileSearch(ordinates, fits[both], columns[both]).run(toward, reach[both])
     return limit[: columns.size], limit[columns.size :]
 
 
@@ -79,31 +71,31 @@ class _ProfileSearch:
     variance, the logarithm for a time, and the slope itself for a ramp.
     """
 
-    def __init__(self, ordinates: Ordinates, maximum: Evaluation, columns: IntArray) -> None:
+    def __init__(self, ordinates: Ordinates, fits: Fits, columns: IntArray) -> None:
         self.ordinates, self.columns = ordinates, columns
-        self.candidates = candidates = maximum.candidates
-        self.theta, self.peak = maximum.theta.copy(), maximum.objective
+        self.models = models = fits.models
+        self.theta, self.peak = fits.theta.copy(), fits.objective
         self.ramp = columns == RAMP
-        self.variance = (columns >= 0) & (columns < candidates.variances)
-        self.free = candidates.free.copy()
+        self.variance = (columns >= 0) & (columns < models.variances)
+        self.free = models.free.copy()
         plain = np.flatnonzero(~self.ramp)
         self.free[plain, columns[plain]] = False
-        low, high = bounds(ordinates, candidates)
+        low, high = bounds(ordinates, models)
         self.low = np.where(self.ramp, -np.inf, self.to_u(low[columns]))
         self.high = np.where(self.ramp | self.variance, np.inf, high[columns])
         estimate = self.theta[np.arange(columns.size), columns]
-        self.centre = np.where(self.ramp, maximum.beta[:, 0], self.to_u(estimate))
-        self.width = self._width(maximum, low)
+        self.centre = np.where(self.ramp, fits.beta[:, 0], self.to_u(estimate))
+        self.width = self._width(fits, low)
 
     def to_u(self, log: FloatArray) -> FloatArray:
         return np.where(self.variance, np.exp(0.5 * np.minimum(log, 600.0)), log)
 
-    def _width(self, maximum: Evaluation, low: FloatArray) -> FloatArray:
+    def _width(self, fits: Fits, low: FloatArray) -> FloatArray:
         """Return a first guess of the standard error of u."""
-        width = np.sqrt(maximum.beta_covariance[:, 0, 0])
+        width = np.sqrt(fits.beta_covariance[:, 0, 0])
         for i in np.flatnonzero(~self.ramp).tolist():
             column = int(self.columns[i])
-            inverse = covariance(maximum.information[i], self.candidates.free[i])
+            inverse = covariance(fits.information[i], self.models.free[i])
             deviation = float(np.sqrt(max(inverse[column, column], 1e-12)))
             if self.variance[i]:
                 told = 0.5 * deviation * float(self.centre[i])
@@ -114,7 +106,7 @@ class _ProfileSearch:
         return width
 
     def run(self, toward: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the limits in log units, ±inf where there is none."""
+        """Return the limits in log units, ±inf if there is none."""
         size = toward.size
         inside, outside = self.centre.copy(), np.full(size, np.nan)
         z_inside, z_outside = -z, np.full(size, np.nan)
@@ -132,12 +124,12 @@ class _ProfileSearch:
             drop, theta = self.drop(rows, u)
             found = drop - z[rows]
             within = found < 0
-            # From inside only: far outside the other parameters may have gone to another maximum.
+            # Start only from inside: far outside the other parameters may be at another maximum.
             self.theta[rows[within]] = theta[within]
             edge = np.where(toward[rows] < 0, u <= self.low[rows], u >= self.high[rows])
             unlimited = within & edge
             ins, out = rows[within], rows[~within]
-            # Illinois: the end that stays gets half the weight, so that neither end stalls.
+            # Illinois rule: halve the weight of the end that stays, so that neither end stalls.
             z_outside[ins] *= 0.5
             z_inside[out] *= np.where(bracketed[out], 0.5, 1.0)
             inside[ins], z_inside[ins] = u[within], found[within]
@@ -153,14 +145,14 @@ class _ProfileSearch:
         return np.where(self.variance[rows], 2 * np.log(np.maximum(u, 1e-200)), u)
 
     def drop(self, rows: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the root of twice the drop of the log-likelihood with `u` held, and where that is."""
+        """Return the root of twice the drop of the log-likelihood at fixed `u`, and the parameters there."""
         start = self.theta[rows].copy()
         plain = ~self.ramp[rows]
         held = np.flatnonzero(plain)
         start[held, self.columns[rows][held]] = self.from_u(rows, u)[held]
         found = maximize(
             self.ordinates,
-            self.candidates[rows],
+            self.models[rows],
             start,
             free=self.free[rows],
             ramp=np.where(plain, np.nan, u),
@@ -173,61 +165,10 @@ class _ProfileSearch:
 
 
 @frozen_alone
-class Fitted:
-    """A structure at its maximum, of a single row."""
-
-    structure: Structure
-    maximum: Evaluation
-
-    @property
-    def candidate(self) -> Candidates:
-        """Its terms and response."""
-        return self.maximum.candidates
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the parameters, shape (p, p), inf for those that the data do not tell."""
-        return covariance(self.maximum.information[0], self.candidate.free[0])
-
-    @property
-    def missing(self) -> list[str]:
-        """Terms that every fit reports and this one lacks."""
-        return [symbol for symbol in ALWAYS if symbol not in self.structure]
-
-    def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
-        """Return name and column of each parameter but R, those of power laws `beside` it too."""
-        return parameter_columns(in_order((*self.structure, *beside)), self.candidate.room)
-
-    def variances(self, beside: Iterable[str] = ()) -> dict[str, int]:
-        """Return the column of each term's variance by its key, of the terms in `columns`."""
-        first = self.candidate.variances
-        return {name.partition(".")[0]: at for name, at in self.columns(beside) if at < first}
-
-    def unfiltered(self, ordinates: Ordinates) -> FloatArray:
-        """Return the spectrum of the noise before the output filter, shape (b,)."""
-        none = np.zeros(1, dtype=np.int64)
-        bare = replace(self.candidate, poles=none, zeros=none)
-        return np.asarray(evaluate(ordinates, bare, self.maximum.theta).spectrum[0])
-
-    def by_time(self) -> "Fitted":
-        """Return the same with terms of one kind by rising correlation time."""
-        old, candidate = self.maximum, self.candidate
-        first, stop = candidate.variances, candidate.response
-        # What is no term stays behind them.
-        kind = np.where(candidate.shaped[0] < 0, len(candidate.kinds), candidate.shaped[0])
-        order = np.lexsort((old.theta[0, first:stop], kind))
-        index = np.arange(candidate.width)
-        index[first - order.size : first] = first - order.size + order
-        index[first:stop] = first + order
-        information = old.information[:, index][:, :, index]
-        return replace(self, maximum=replace(old, theta=old.theta[:, index], information=information))
-
-
-@frozen_alone
 class Problem:
-    """What every estimate of a fit is made with: the `ordinates` that are fitted, and a confidence level.
+    """The `ordinates` to fit, the confidence `level` of the limits, and the sampling period `tau0` in s.
 
-    `tau0` is in s, and `widening` says by what factor a symbol's interval is wider than the likelihood says.
+    `widening` maps symbols to factors by which their intervals are wider than those of the likelihood.
     """
 
     ordinates: Ordinates
@@ -239,23 +180,23 @@ class Problem:
         """Return the coefficient, in SI, of a unit deviation per sample."""
         return self.ordinates.scale / TERMS[symbol].per_sample(self.tau0)
 
-    def limits(self, fitted: "Fitted", columns: list[int]) -> tuple[FloatArray, FloatArray]:
+    def limits(self, fitted: Fits, columns: list[int]) -> tuple[FloatArray, FloatArray]:
         """Return the limits of some parameters of a fit, shape (k,) each; see `profile_limits`."""
         places = np.array(columns)
         reach = np.full(places.size, quantile(self.level))
-        variances = (places >= 0) & (places < fitted.candidate.variances)
+        variances = (places >= 0) & (places < fitted.models.variances)
         deviation = np.sqrt(np.diag(fitted.covariance)[places[variances]])
         reach[variances] = student_quantile(self.level, deviation)
-        return profile_limits(self.ordinates, fitted.maximum[[0] * places.size], places, reach=reach)
+        return profile_limits(self.ordinates, fitted[[0] * places.size], places, reach=reach)
 
 
-def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
-    """Return an estimate of each term of a fitted structure; those whose interval holds 0 bounded."""
+def estimate(problem: Problem, fitted: Fits) -> tuple[Estimate, ...]:
+    """Return an estimate of each term of a fit, or its bound if its interval contains 0."""
     columns = fitted.columns()
     if "R" in fitted.structure:
         columns.append(("R", RAMP))
     lows, highs = problem.limits(fitted, [column for _, column in columns])
-    found = fitted.maximum
+    found = fitted
     values = [found.beta[0, 0] if name == "R" else found.theta[0, column] for name, column in columns]
     table = {
         name: (float(value), float(low), float(high))
@@ -288,7 +229,7 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
 
 
 def covariance_of(
-    problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]
+    problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of the parameters and their covariance in SI, from the expected information."""
     slopes = {name: own for e in estimates if e.value is not None for name, own in e.slopes().items()}
@@ -298,17 +239,17 @@ def covariance_of(
     matrix = fitted.covariance[np.ix_(places, places)] * np.outer(slope, slope)
     if "R" in slopes:
         names.append("R")
-        variance = float(fitted.maximum.beta_covariance[0, 0, 0]) * problem.deviation("R") ** 2
+        variance = float(fitted.beta_covariance[0, 0, 0]) * problem.deviation("R") ** 2
         matrix = np.pad(matrix, (0, 1))
         matrix[-1, -1] = variance
     return tuple(names), matrix
 
 
-def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, float]:
-    """Return for each symbol by what factor a misfit makes its interval wider, one at least; {} for none."""
+def misfits_of(problem: Problem, fitted: Fits, found: Goodness) -> dict[str, float]:
+    """Return the factors, at least 1, by which a misfit widens each symbol's interval; {} for no misfit."""
     if found.statistic < MISFIT:
         return {}
-    factors = misfit_factors(problem.ordinates, fitted.maximum)
+    factors = misfit_factors(problem.ordinates, fitted)
     largest: dict[str, float] = {}
     for key, column in fitted.variances(fitted.missing).items():
         symbol = symbol_of(key)
@@ -316,9 +257,9 @@ def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, f
     return largest
 
 
-def model_of(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> NoiseModel:
-    """Return the model of the estimated terms; the estimate of a ramp is its size, the model has its sign."""
-    ramp = float(fitted.maximum.beta[0, 0]) * problem.deviation("R")
+def model_of(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> NoiseModel:
+    """Return the model of the estimated terms; its ramp has a sign, the ramp's estimate has none."""
+    ramp = float(fitted.beta[0, 0]) * problem.deviation("R")
     return NoiseModel(
         terms=tuple(
             found.term(ramp if found.symbol == "R" else found.value)

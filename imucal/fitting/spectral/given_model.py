@@ -25,14 +25,16 @@ from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.homogeneity import symbol_of, widened
 from imucal.fitting.noise_fit import Estimate, Goodness
-from imucal.fitting.spectral.band import Band, find_band, flat_band
+from imucal.fitting.spectral.band import Band
+from imucal.fitting.spectral.band_search import find_band, flat_band
 from imucal.fitting.spectral.blocks import joined, ordinates_of
-from imucal.fitting.spectral.bounds import completed, estimate_or_bound, fitted_model, numbered, with_absent
+from imucal.fitting.spectral.bounds import completed, estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.common_terms import Parts, visible
-from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import Structure, derivatives, richest
+from imucal.fitting.spectral.estimates import Problem, misfits_of, model_of
+from imucal.fitting.spectral.likelihood import Fits, derivatives
+from imucal.fitting.spectral.maximum import bounds, misfit
+from imucal.fitting.spectral.models import Structure, richest
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
-from imucal.fitting.spectral.scoring import bounds, misfit
 from imucal.fitting.spectral.selection import choose
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
@@ -51,7 +53,7 @@ class BinFit:
     records: tuple[Ordinates, ...]
     problem: Problem
     band: Band
-    whole: Fitted
+    whole: Fits
     model: NoiseModel
     estimates: tuple[Estimate, ...]
     goodness: Goodness
@@ -79,8 +81,8 @@ def fit_bins(
     )
     choice = choose(seen, [structure], criterion="bic", band=band)
     fitted, own = estimate_or_bound(problem, choice)
-    whole = completed(problem, fitted_model(choice, 0))
-    found = misfit(seen, fitted.maximum)
+    whole = completed(problem, choice.fits)
+    found = misfit(seen, fitted)
     estimates, _ = numbered(with_absent(problem, fitted, own), ())
     owner = np.repeat(np.arange(len(parts)), [one.size.size for one in parts])
     edges = [band.select(every[owner == i]) for i in range(len(parts))]
@@ -171,14 +173,14 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
 
     Each record has its own ramp; regressors of one record are zero in the others.
     """
-    candidate, theta = fit.whole.candidate, fit.whole.maximum.theta
+    models, theta = fit.whole.models, fit.whole.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
     owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
     rows = np.concatenate([np.zeros(count, dtype=np.int64), np.arange(1, len(joint.names))])
     own = np.ones((rows.size, owner.size))
     own[:count] = owner == np.arange(count)[:, np.newaxis]
-    spectra = derivatives(joint, candidate, theta)[: candidate.variances]
-    low, _ = bounds(fit.problem.ordinates, candidate)
+    spectra = derivatives(joint, models, theta)[: models.variances]
+    low, _ = bounds(fit.problem.ordinates, models)
     absent = [column for column in columns if theta[0, column] < low[column] + _RAISED]
     factor = visible(spectra, absent)
     varied = [[one, *(column for column in columns if column != one)] for one in columns]
@@ -188,12 +190,12 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
             cross=joint.cross[rows] * own,
             gram=joint.gram[np.ix_(rows, rows)] * own * own[:, np.newaxis],
         ),
-        regressors=candidate.regressors[0, rows],
+        regressors=models.regressors[0, rows],
         first=np.flatnonzero(np.diff(owner, prepend=-1)),
         varied=(factor[:, np.newaxis] * spectra)[np.array(varied)],
         held=np.zeros((len(columns), owner.size)),
     )
-    return parts, theta[0, : candidate.variances] + np.log(factor)
+    return parts, theta[0, : models.variances] + np.log(factor)
 
 
 #: Largest number of steps of the search for squared coefficients.
@@ -227,25 +229,25 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     errors. Excess kurtosis and a misfit widen them like the fit's limits.
     """
     problem, fitted = found.problem, found.whole
-    ordinates, candidate = problem.ordinates, fitted.candidate
+    ordinates, models = problem.ordinates, fitted.models
     columns = fitted.variances()
     places = list(columns.values())
-    unit = fitted.maximum.theta.copy()
-    unit[:, : candidate.variances] = 0.0
-    slopes = derivatives(ordinates, candidate, unit)
-    power = np.maximum(ordinates.rest(fitted.maximum.beta[0]), 1e-9 * ordinates.power)
-    start = np.exp(fitted.maximum.theta[0, places])
+    unit = fitted.theta.copy()
+    unit[:, : models.variances] = 0.0
+    slopes = derivatives(ordinates, models, unit)
+    power = np.maximum(ordinates.rest(fitted.beta[0]), 1e-9 * ordinates.power)
+    start = np.exp(fitted.theta[0, places])
     peak = _search(slopes[places], ordinates.size, power, start)
     reference = _reference(slopes[places], ordinates.size, peak)
     spectrum = reference @ slopes[places]
     weight = 0.5 * ordinates.size / spectrum**2
     variance = _inverse(slopes[places], weight) @ (slopes[places] @ (weight * power / ordinates.size))
     # The slopes in correlation times and response.
-    first, whole = candidate.variances, slopes[: candidate.variances].sum(axis=0)
+    first, whole = models.variances, slopes[: models.variances].sum(axis=0)
     level = dict(zip(places, reference.tolist(), strict=True))
-    times = np.flatnonzero(candidate.free[0, first : candidate.response]).tolist()
+    times = np.flatnonzero(models.free[0, first : models.response]).tolist()
     times_of = [level[SHAPED + term] * slopes[first + term] for term in times]
-    response = candidate.response + np.arange(int(candidate.poles[0]))
+    response = models.response + np.arange(int(models.poles[0]))
     beside = np.array([*times_of, *(slopes[response] / whole * spectrum)]).reshape(-1, spectrum.size)
     laws = _laws(np.concatenate([slopes[places], beside]), ordinates.size, spectrum, variance)
     result = {}

@@ -1,8 +1,8 @@
 """Vibration and sway: an interval of frequencies with more power than the white noise below and above it.
 
-A low-pass filter can imitate such a hump, and the fit then reports too much white noise. The interval is
-found by repeated fits of power laws to the bins outside it. Bins are excluded as a whole run, because a
-threshold for single bins would keep those that happen to be low.
+A low-pass filter can imitate such a hump, and the fit then reports too much white noise. Repeated fits of
+power laws to the bins outside find the interval. Bins are excluded as a whole run, because a threshold for
+single bins would keep the bins that are low by chance.
 """
 
 from dataclasses import replace
@@ -11,24 +11,25 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
-from imucal.fitting.spectral.likelihood import COLUMN, Structure, candidates_of, derivatives, evaluate
+from imucal.fitting.spectral.likelihood import derivatives, evaluate
+from imucal.fitting.spectral.maximum import fit_blindly
+from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.starts import fit_blindly
 from imucal.frozen import frozen
 
 #: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum
-#: must reach `_SUM`, and the density `_TIMES` times that of the noise.
+#: must reach `_SUM`, and the ratio of its density to the noise must reach `_TIMES`.
 _EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
 #: At least this many ordinates must be below the hump, and this share of all above it.
 _BELOW, _ABOVE = 16.0, 0.05
-#: White noise must be this share of the density in the `_NEXT` bins on both sides, else a filter is more
+#: White noise must be this share of the density in the `_NEXT` bins on both sides: otherwise a filter is more
 #: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
 #: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white
 #: noise behind a filter. Its cells of `_CELL` octaves contain at least `_COUNT` ordinates and may differ by
 #: `_EVEN` in addition to chance.
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
-#: The interval is widened by this factor: the bins next to the run are those that happened to be low.
+#: The interval is widened by this factor: the bins next to the run may belong to it and be low by chance.
 _GUARD = 1.2
 #: Fits, and the fewest bins of one.
 _ROUNDS, _FEWEST = 10, 24
@@ -58,14 +59,14 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
     """
     order = np.argsort(ordinates.fraction, kind="stable")
     fraction, size = ordinates.fraction[order], ordinates.size[order]
-    candidate = candidates_of([structure], ordinates.names)
+    model = models_of([structure], ordinates.names)
     hump: Hump | None = None
     for _ in range(_ROUNDS):
         seen = ordinates[hump.outside(ordinates.fraction)] if hump else ordinates
         if seen.size.size < _FEWEST:
             return None
-        found = fit_blindly(seen, candidate, keep=(1, 2, 4), tolerance=1e-3)
-        spectrum = evaluate(ordinates, candidate, found.theta).spectrum[0]
+        found = fit_blindly(seen, model, keep=(1, 2, 4), tolerance=1e-3)
+        spectrum = evaluate(ordinates, model, found.theta).spectrum[0]
         ratio = (ordinates.rest(found.beta[0]) / ordinates.size / spectrum)[order]
         first, last, total = largest_run((ratio - 1) * np.sqrt(size / 2) - _EXCESS)
         enough_around = size[:first].sum() >= _BELOW and size[last + 1 :].sum() >= _ABOVE * size.sum()
@@ -81,7 +82,7 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
         )
         if previous == hump:
             break
-    white = (derivatives(ordinates, candidate, found.theta)[COLUMN["N"]] / spectrum)[order]
+    white = (derivatives(ordinates, model, found.theta)[COLUMN["N"]] / spectrum)[order]
     beside = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
     if hump is None or hump.times < _TIMES:
         return None

@@ -1,209 +1,53 @@
-"""Structures, such as ("N", "B", "K"), and the likelihood of many of them at once, on binned DCT ordinates.
+"""The likelihood of many models at once, on binned DCT ordinates.
 
-A debiased Whittle likelihood: the ordinates X_k of the DCT-II are taken as independent normal
+A debiased Whittle likelihood: the ordinates X_k of the DCT-II are modelled as independent normal
 with variance S_k, the exact expectation of X_k² for the sampled, finite series:
 
     -log L = 1/2 sum_k [log S_k + (X_k - c_k beta)² / S_k]
 
-exact for white noise plus random walk plus ramp. beta (ramp, temperature …) is the generalised
-least-squares solution. Source: Sykulski et al. (2019), Biometrika 106, "The debiased Whittle
-likelihood", on the DCT instead of the Fourier transform, which removes its leakage.
+It is exact for white noise plus random walk plus ramp. beta (ramp, temperature …) is the generalised
+least-squares solution. The response of the output filter is
 
-Parameters of a candidate stand in one row, the same place for every candidate:
+    |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
 
-    log variances of Q, N, B, K | log variances of g other terms | logs of their times | response a_1 … a_j
-
-with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
+Source: Sykulski et al. (2019), Biometrika 106, "The debiased Whittle likelihood". The DCT instead of the
+Fourier transform removes the leakage.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import fields, replace
-from itertools import product
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.fitting.spectral.ordinates import LAWS, SHAPED, Ordinates
+from imucal.fitting.spectral.models import Models, Structure
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.frozen import frozen_alone
-from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
+from imucal.noise.terms import ALWAYS, TERMS
 
-#: Symbols of a model's terms in the order of `imucal.noise.TERMS`, one that is there twice twice.
-Structure = tuple[str, ...]
-
-#: Shortest correlation time that `auto` takes for a term, in samples; what is
-#: shorter is the sensor's output filter.
-SHORTEST = 10.0
-#: Shortest of a given model.
-SHORTEST_GIVEN = 2.0
-
-#: Symbol of a power-law term -> its column in a row of parameters.
-COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
-
-#: Elements of an array of which a dozen stay in the cache.
+#: Number of elements of an array such that a dozen arrays fit in the cache.
 _CACHED = 16384
-#: Places in a band, lam / top, where a response must be positive whatever the bins are.
+#: Places in a band, lam / top, where a response must be positive, independent of the bins.
 _BETWEEN = np.linspace(0.4, 1.0, 25)
+#: A parameter with less information than this is undetermined.
+_NONE = 1e-8
 
 
 @frozen_alone
-class Candidates:
-    """Which terms each of c candidates has.
+class Fits:
+    """The likelihood of each of c models at one row of parameters, usually its maximum.
 
-    `laws`, shape (c, 4), says whether Q, N, B, K are in it; `shaped`, shape (c, g), which of `kinds` each of
-    its other terms is, -1 for none: those whose shape is no power law, a spectrum with a time in it. `poles`
-    and `zeros`, shape (c,), are the order of the response's denominator and numerator, and `room_poles` the
-    columns kept for it: the greatest of `poles`, or more. `regressors`, shape (c, r), says which of the
-    ordinates' own are in it. Correlation times are `shortest` samples at least.
+    At `theta`, shape (c, p), `objective` is -log L less a constant, shape (c,), infinite if the response is
+    not positive; `score` is its gradient, shape (c, p), and `information` the expected Fisher information,
+    shape (c, p, p). `beta` are the regressors' coefficients, shape (c, r), 0 for those not in a model, and
+    `beta_covariance`, shape (c, r, r), their covariance given the `spectrum` S, shape (c, b).
+
+    `structure`, `missing` and `covariance` refer to the first row.
     """
 
-    laws: BoolArray
-    shaped: IntArray
-    kinds: tuple[type[NoiseTerm], ...]
-    poles: IntArray
-    zeros: IntArray
-    regressors: BoolArray
-    room_poles: int
-    shortest: float
-
-    @property
-    def count(self) -> int:
-        """Number of candidates, c."""
-        return len(self.laws)
-
-    @property
-    def room(self) -> int:
-        """Most terms of other shapes, g."""
-        size: int = self.shaped.shape[1]
-        return size
-
-    @property
-    def variances(self) -> int:
-        """Number of variances, with which a row begins; the times follow."""
-        return SHAPED + self.room
-
-    @property
-    def response(self) -> int:
-        """Where in a row the response begins."""
-        return SHAPED + 2 * self.room
-
-    @property
-    def width(self) -> int:
-        """Number of parameters in a row, p."""
-        return self.response + self.room_poles
-
-    @property
-    def free(self) -> BoolArray:
-        """Which parameters each candidate has, shape (c, p)."""
-        # The last one is that of no term, which stands as -1.
-        timed = np.array([*(len(kind.parameters()) > 1 for kind in self.kinds), False])
-        has_pole = np.arange(self.room_poles) < self.poles[:, None]
-        return np.concatenate([self.laws, self.shaped >= 0, timed[self.shaped], has_pole], axis=1)
-
-    @property
-    def parameters(self) -> IntArray:
-        """Number of parameters of each candidate, regressors included, shape (c,)."""
-        return np.asarray(self.free.sum(axis=1) + self.regressors.sum(axis=1))
-
-    def __getitem__(self, index: IntArray | BoolArray | list[int]) -> "Candidates":
-        """Return some of the candidates; an index may stand more than once."""
-        rows = ("laws", "shaped", "poles", "zeros", "regressors")
-        return replace(self, **{name: getattr(self, name)[index] for name in rows})
-
-
-def shaped_symbols(structure: Iterable[str]) -> list[str]:
-    """Return the symbols of the terms with a spectrum that is no power law."""
-    return [symbol for symbol in structure if symbol not in {*COLUMN, "R"}]
-
-
-def all_structures(max_gm: int, *, method: str = "mle", quantization: bool = True) -> list[Structure]:
-    """Return every sum of the terms that a method fits which has noise in it, each term once or not at all.
-
-    Up to `max_gm` times those that may stand more than once.
-    """
-    choices = [
-        [(symbol,) * count for count in (range(max_gm + 1) if TERMS[symbol].repeatable else (1, 0))]
-        for symbol in _fitted(method)
-        if quantization or symbol != "Q"
-    ]
-    every = (tuple(symbol for part in parts for symbol in part) for parts in product(*choices))
-    return [structure for structure in every if structure not in {(), ("R",)}]
-
-
-def richest(structure: Structure | None, max_gm: int = 1) -> Structure:
-    """Return a structure that holds every candidate; beside a given one, a term of any slow shape."""
-    if structure is None:
-        counts = {symbol: max(max_gm, 1) if TERMS[symbol].repeatable else 1 for symbol in _fitted("mle")}
-        return tuple(symbol for symbol, count in counts.items() for _ in range(count))
-    return in_order((*structure, *{*ALWAYS, GaussMarkov.symbol}.difference(structure)))
-
-
-def _fitted(method: str) -> list[str]:
-    return [symbol for symbol, term in TERMS.items() if method in term.fitted_by]
-
-
-def candidates_of(
-    structures: Sequence[Structure],
-    names: Sequence[str],
-    *,
-    poles: int | Sequence[int] = 0,
-    zeros: int | Sequence[int] = 0,
-    room_shaped: int | None = None,
-    room_poles: int | None = None,
-    shortest: float = SHORTEST_GIVEN,
-) -> Candidates:
-    """Return one candidate for each structure, with all of the ordinates' regressors `names`.
-
-    The ramp ``R`` is in those that have it as a term only. The order of the output filter's response, `poles`
-    and `zeros`, is one for all or one for each. No more columns than needed are kept, or `room_shaped` for
-    terms of other shapes and `room_poles` for the response.
-    """
-    count = len(structures)
-    shaped = [shaped_symbols(structure) for structure in structures]
-    kinds = in_order({symbol for own in shaped for symbol in own})
-    room = max(map(len, shaped), default=0) if room_shaped is None else room_shaped
-    return Candidates(
-        laws=np.array([[s in own for s in COLUMN] for own in structures]).reshape(count, SHAPED),
-        shaped=np.array(
-            [[*map(kinds.index, own), *[-1] * (room - len(own))] for own in shaped], dtype=np.int64
-        ).reshape(count, room),
-        kinds=tuple(TERMS[symbol] for symbol in kinds),
-        poles=np.broadcast_to(np.asarray(poles, dtype=np.int64), count),
-        zeros=np.broadcast_to(np.asarray(zeros, dtype=np.int64), count),
-        regressors=np.array(
-            [[name != "R" or name in structure for name in names] for structure in structures]
-        ).reshape(count, len(names)),
-        room_poles=int(np.max(poles)) if room_poles is None else room_poles,
-        shortest=shortest,
-    )
-
-
-def parameter_columns(structure: Structure, room_shaped: int) -> list[tuple[str, int]]:
-    """Return name and column of each of a structure's parameters but R, such as ("GM1.T", 5).
-
-    One Gauss-Markov term is called ``GM``, several ``GM1``, ``GM2`` …
-    """
-    columns = [(s, COLUMN[s]) for s in structure if s in COLUMN]
-    keys = [key for key, s in zip(term_keys(structure), structure, strict=True) if s not in {*COLUMN, "R"}]
-    for index, (key, symbol) in enumerate(zip(keys, shaped_symbols(structure), strict=True)):
-        places = (SHAPED + index, SHAPED + room_shaped + index)
-        columns += zip(TERMS[symbol].parameter_names(key), places, strict=False)
-    return columns
-
-
-@frozen_alone
-class Evaluation:
-    """The likelihood at one row of parameters for each of the candidates, such as where it is greatest.
-
-    At `theta`, shape (c, p), `objective` is -log L less a constant, shape (c,), infinite where the response
-    is not positive; `score` its gradient, shape (c, p); `information` Fisher's, expected, shape (c, p, p).
-    `beta` are the regressors' coefficients, shape (c, r), 0 for those a candidate does not have,
-    `beta_covariance` their covariance given the `spectrum` S: shapes (c, r, r) and (c, b).
-    """
-
-    candidates: Candidates
+    models: Models
     theta: FloatArray
     objective: FloatArray
     score: FloatArray
@@ -212,21 +56,51 @@ class Evaluation:
     beta_covariance: FloatArray
     spectrum: FloatArray
 
-    def __getitem__(self, index: IntArray | list[int]) -> "Evaluation":
-        """Return some rows; an index may stand more than once."""
-        return Evaluation(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+    def __getitem__(self, index: IntArray | list[int]) -> "Fits":
+        """Return some rows; an index may be repeated."""
+        return Fits(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+    @property
+    def structure(self) -> Structure:
+        """Symbols of the terms."""
+        return self.models[[0]].structures[0]
+
+    @property
+    def missing(self) -> list[str]:
+        """Terms that every fit reports and this model lacks."""
+        return [symbol for symbol in ALWAYS if symbol not in self.structure]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the parameters, shape (p, p), inf for undetermined ones."""
+        return covariance(self.information[0], self.models.free[0])
+
+    def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
+        """Return name and column of each parameter except R, including added power laws (`beside`)."""
+        return self.models.with_laws(beside).columns(self.theta[0])
+
+    def variances(self, beside: Iterable[str] = ()) -> dict[str, int]:
+        """Return the column of each term's variance by its key, of the terms in `columns`."""
+        first = self.models.variances
+        return {name.partition(".")[0]: at for name, at in self.columns(beside) if at < first}
+
+    def unfiltered(self, ordinates: Ordinates) -> FloatArray:
+        """Return the spectrum of the noise before the output filter, shape (b,)."""
+        none = np.zeros(self.models.count, dtype=np.int64)
+        bare = replace(self.models, poles=none, zeros=none)[[0]]
+        return np.asarray(spectra(ordinates, bare, self.theta[[0]])[0][0])
 
 
 def evaluate(
-    ordinates: Ordinates, candidates: Candidates, theta: FloatArray, *, ramp: FloatArray | None = None
-) -> Evaluation:
-    """Return objective, score and information of each candidate at `theta`, shape (c, p).
+    ordinates: Ordinates, models: Models, theta: FloatArray, *, ramp: FloatArray | None = None
+) -> Fits:
+    """Return the likelihood of each model at `theta`, shape (c, p).
 
-    With `ramp`, shape (c,), the first regressor's coefficient is held at it where not NaN.
+    Where `ramp`, shape (c,), is not NaN, it is the fixed coefficient of the first regressor.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        spectrum, slopes = _spectrum(ordinates, candidates, theta)
-        beta, covariance, rest = regress(ordinates, candidates.regressors, spectrum, ramp)
+        spectrum, slopes = spectra(ordinates, models, theta)
+        beta, covariance, rest = regress(ordinates, models.regressors, spectrum, ramp)
         ratio = rest / spectrum
         # einsum, not @: these products are too small for the threads of a linear algebra library.
         objective = 0.5 * (np.einsum("cb,b->c", np.log(spectrum), ordinates.size) + ratio.sum(axis=1))
@@ -235,8 +109,8 @@ def evaluate(
         slopes *= np.sqrt(0.5 * ordinates.size)
         information = np.matmul(slopes, slopes.transpose(0, 2, 1))
     objective[~np.isfinite(objective)] = np.inf
-    return Evaluation(
-        candidates=candidates,
+    return Fits(
+        models=models,
         theta=theta,
         objective=objective,
         score=score,
@@ -247,60 +121,78 @@ def evaluate(
     )
 
 
-def derivatives(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
-    """Return the derivative of one candidate's spectrum in each parameter at `theta`, shape (p, b).
+def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
+    """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
 
-    Those in the logs of the variances are what each term adds, the response included.
+    Undetermined parameters, such as an absent term, have variance inf and are fixed for the others.
     """
-    spectrum, slopes = _spectrum(ordinates, candidate, theta)
+    size = free.size
+    result = np.zeros((size, size))
+    diagonal = np.diag(information)
+    used = np.flatnonzero(free & (diagonal > _NONE))
+    result[np.arange(size), np.arange(size)] = np.inf
+    if used.size:
+        root = np.sqrt(diagonal[used])
+        correlation = information[np.ix_(used, used)] / np.outer(root, root)
+        values, vectors = np.linalg.eigh(correlation)
+        inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
+        result[np.ix_(used, used)] = inverse / np.outer(root, root)
+    return result
+
+
+def derivatives(ordinates: Ordinates, model: Models, theta: FloatArray) -> FloatArray:
+    """Return the derivative of one model's spectrum in each parameter at `theta`, shape (p, b).
+
+    The derivative in the log of a variance is the term's filtered spectrum.
+    """
+    spectrum, slopes = spectra(ordinates, model, theta)
     return np.asarray(slopes[0] * spectrum[0])
 
 
-def _spectrum(
-    ordinates: Ordinates, candidates: Candidates, theta: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def spectra(ordinates: Ordinates, models: Models, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return S, shape (c, b), and its logarithmic derivatives, shape (c, p, b)."""
-    count, bins = candidates.variances, ordinates.size.size
-    slopes = np.zeros((candidates.count, candidates.width, bins))
-    variance = np.where(candidates.laws, np.exp(theta[:, :SHAPED]), 0.0)
+    count, bins = models.variances, ordinates.size.size
+    slopes = np.zeros((models.count, models.width, bins))
+    variance = np.where(models.has[:, :SHAPED], np.exp(theta[:, :SHAPED]), 0.0)
     np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :SHAPED])
-    # The terms of one kind of all candidates, as many at a time as stay in the cache.
+    # All terms of one kind together, in groups that fit in the cache.
     step = max(_CACHED // bins, 1)
-    for index, kind in enumerate(candidates.kinds):
-        rows, terms = np.nonzero(candidates.shaped == index)
+    for symbol in models.kinds:
+        same = np.array([slot == symbol for slot in models.slots[SHAPED:]])
+        rows, terms = np.nonzero(models.has[:, SHAPED:] & same)
         for start in range(0, rows.size, step):
             row, term = rows[start : start + step], terms[start : start + step]
-            shape, slope = kind.dct_shapes(
+            shape, slope = TERMS[symbol].dct_shapes(
                 theta[row, count + term][:, None], ordinates.lam, ordinates.length, ordinates.sign
             )
             level = np.exp(theta[row, SHAPED + term])[:, None]
             slopes[row, SHAPED + term] = level * shape
             slopes[row, count + term] = level * slope
     spectrum = slopes[:, :count].sum(axis=1)
-    slopes[:, : candidates.response] /= spectrum[:, None, :]
-    if candidates.room_poles:
-        _filter(ordinates, candidates, theta, spectrum, slopes)
+    slopes[:, : models.response] /= spectrum[:, None, :]
+    if models.room_poles:
+        _filter(ordinates, models, theta, spectrum, slopes)
     return spectrum, slopes
 
 
 def _filter(
-    ordinates: Ordinates, candidates: Candidates, theta: FloatArray, spectrum: FloatArray, slopes: FloatArray
+    ordinates: Ordinates, models: Models, theta: FloatArray, spectrum: FloatArray, slopes: FloatArray
 ) -> None:
     """Multiply the spectrum by the response and add its slopes, in place."""
-    first = candidates.response
-    rows = np.flatnonzero((candidates.poles > 0) | (candidates.zeros > 0))
+    first = models.response
+    rows = np.flatnonzero((models.poles > 0) | (models.zeros > 0))
     if not rows.size:
         return
     x = ordinates.lam / ordinates.top
-    powers = x ** np.arange(1, candidates.room_poles + 1)[:, None]
-    use = np.arange(candidates.room_poles) < candidates.poles[rows, None]
+    powers = x ** np.arange(1, models.room_poles + 1)[:, None]
+    use = np.arange(models.room_poles) < models.poles[rows, None]
     response = np.where(use, theta[rows, first:], 0.0)
     denominator = 1 + response @ powers
-    # It must be positive also between the bins and up to the very end of the band.
-    between = _BETWEEN ** np.arange(1, candidates.room_poles + 1)[:, None]
+    # It must also be positive between the bins and up to the end of the band.
+    between = _BETWEEN ** np.arange(1, models.room_poles + 1)[:, None]
     negative = np.any(denominator <= 0, axis=1) | np.any(1 + response @ between <= 0, axis=1)
     denominator[negative] = np.nan
-    numerator = np.maximum(1 - ordinates.lam / 4, 1e-12) ** candidates.zeros[rows, None]
+    numerator = np.maximum(1 - ordinates.lam / 4, 1e-12) ** models.zeros[rows, None]
     spectrum[rows] *= numerator / denominator
     slopes[rows, first:] = np.where(use[:, :, None], -powers / denominator[:, None, :], 0.0)
 
@@ -308,9 +200,9 @@ def _filter(
 def regress(
     ordinates: Ordinates, has: BoolArray, spectrum: FloatArray, ramp: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b).
+    """Return beta (c, r), its covariance (c, r, r) and each bin's sum of squares without it (c, b).
 
-    Given the spectra, shape (c, b), by the regressors that each candidate `has`, shape (c, r).
+    `spectrum`, shape (c, b), is given, and `has`, shape (c, r), is the mask of each model's regressors.
     """
     if has.size and has.all():
         return _solved(ordinates, has, spectrum, ramp)
@@ -320,7 +212,7 @@ def regress(
     rows = np.flatnonzero(has.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
-    # Only what some candidate has: where there are many regressors, most steps are with few of them.
+    # Skip regressors that no model has: most steps use only a few.
     columns = np.flatnonzero(has.any(axis=0))
     seen = replace(
         ordinates, gram=ordinates.gram[np.ix_(columns, columns)], cross=ordinates.cross[columns], names=()
@@ -336,7 +228,7 @@ def regress(
 def _solved(
     ordinates: Ordinates, use: BoolArray, spectrum: FloatArray, ramp: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what `regress` does where each regressor is some candidate's; `use`, (c, r), says whose."""
+    """Return the results of `regress` if every regressor is in some model; `use`, (c, r), is the mask."""
     grams, crosses = ordinates.gram, ordinates.cross
     number = use.shape[1]
     unit = np.eye(number)
@@ -356,9 +248,9 @@ def _solved(
     gram[~np.isfinite(gram).all(axis=(1, 2))] = unit
     size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     both = size[:, :, None] * size[:, None, :]
-    # The ridge is far below any error; it only keeps regressors that are alike from being singular.
-    alike = gram / both + _RIDGE * unit
-    inverse = (np.linalg.inv(alike) if number > 1 else 1 / alike) / both
+    # The ridge is far below any error; it keeps collinear regressors from being singular.
+    correlation = gram / both + _RIDGE * unit
+    inverse = (np.linalg.inv(correlation) if number > 1 else 1 / correlation) / both
     solution = np.matmul(inverse, cross[:, :, None])[:, :, 0]
     if ramp is not None:
         solution[held, 0] = value[held]

@@ -1,8 +1,8 @@
-"""Spectral lines: which ordinates to leave out, and what they are.
+"""Spectral lines: detection, exclusion and likely causes.
 
-An ordinate whose square is beyond what chance gives anywhere in the record, against the level of
-its surroundings, belongs to a line (a motor, mains, a clock); it and its neighbours are left out.
-The lowest ordinates are never left out: they carry the random walk and the drift.
+An ordinate whose square exceeds the local level by more than chance belongs to a line (a motor, mains, a
+clock). It is left out together with its neighbours. The lowest ordinates are never left out: they contain the
+random walk and the drift.
 """
 
 from collections.abc import Sequence
@@ -16,23 +16,23 @@ from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.ordinates import cycle_ordinates
 from imucal.frozen import frozen
 
-#: Chance that a record without lines has one found.
+#: False alarm rate per record.
 _CHANCE = 0.01
-#: Ordinates that are never left out: what has up to 24 periods a record is looked for as a cycle. And half
-#: the number of bins that make the local level.
+#: Number of lowest ordinates that are never left out (up to 24 periods per record are a cycle); half the
+#: number of bins for the local level.
 _LOWEST, _NEIGHBOURS = 48, 8
-#: Degrees of freedom of a median per ordinate it is made of: 0.64 for many, 0.5 for single ones.
+#: Degrees of freedom of a median per ordinate: 0.64 for many, 0.5 for single ones.
 _MEDIAN_EFFICIENCY = 0.5
 #: Median of the square of a standard normal.
 _MEDIAN = 0.4549
-#: Ordinates on each side that a line must stand out of, and the least of them as a share of the frequency.
+#: Ordinates on each side that a line must exceed: number, and least share of the frequency.
 _NEAR, _NEAR_SHARE = 64, 1 / 800
-#: Lines that are taken out as sines, at most; ordinates on each side that one is fitted to; and what may be
-#: left of its power.
+#: Largest number of lines subtracted as sines; ordinates on each side for the fit of one; largest share of
+#: its power that may remain.
 _MOST_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
-#: A line's tail is left out until it is this part of the level.
+#: A line's tail is left out down to this share of the level.
 _TAIL = 0.05
-#: Fewest neighbours left out on each side, and most, as a share of the frequency.
+#: Least number of neighbours left out on each side; largest, as a share of the frequency.
 _LEAST, _MOST = 3, 0.02
 
 
@@ -46,7 +46,7 @@ class Sine:
 
     @property
     def amplitude(self) -> float:
-        """Of the sine, in the ordinates' unit."""
+        """Amplitude in the ordinates' unit."""
         return float(np.hypot(self.cosine, self.sine))
 
     def ordinates(self, n: int, count: int) -> FloatArray:
@@ -59,9 +59,9 @@ class Sine:
 def find_lines(
     ordinates: FloatArray, bins: DctBins, *, scale: float, rate_hz: float
 ) -> tuple[BoolArray | None, tuple[Line, ...]]:
-    """Return which ordinates to keep, shape (n-1,), or None for all; and the lines, strongest first.
+    """Return the mask of the ordinates to keep, shape (n-1,), or None for all; and the lines by strength.
 
-    The `ordinates` k = 1 … n-1 are in scaled units of `scale` U each.
+    `ordinates` k = 1 … n-1 are in units of `scale` U.
     """
     size = ordinates.size
     starts = bins.first - 1
@@ -103,17 +103,17 @@ def find_lines(
 
 
 def _limit(sureness: FloatArray, chance: float) -> FloatArray:
-    """Return how far above the local level a square lies with a probability of `chance`."""
-    # The level is estimated too: F has a far heavier tail than chi-squared where few ordinates make it.
+    """Return the ratio of a square to the local level that is exceeded with probability `chance`."""
+    # The level is an estimate: F has a far heavier tail than chi-squared if few ordinates determine it.
     return np.asarray(scipy.special.fdtri(1.0, sureness, 1.0 - chance))
 
 
 def local_level(
     ordinates: FloatArray, kept: BoolArray | None, bins: DctBins, *, chance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean square about each bin, and how many times that a square is by `chance`, (b,) each.
+    """Return the mean square around each bin, and the largest ratio of a square to it, shape (b,) each.
 
-    The chance is that of any ordinate of a record without lines.
+    In a record without lines, any ordinate exceeds this ratio with probability `chance`.
     """
     weight = np.ones(ordinates.size) if kept is None else kept.astype(np.float64)
     total = np.add.reduceat(np.square(ordinates) * weight, bins.first - 1)
@@ -149,10 +149,10 @@ def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatAr
 
 
 def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
-    """Return those found whose surroundings are lower too: an edge or a peak of a filter is no line.
+    """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line.
 
-    The level of 17 bins does not follow a steep filter; that of the nearest ordinates does. Those that
-    lie together stand or fall with the highest of them.
+    The level of 17 bins does not follow a steep filter; the level of the nearest ordinates does. Neighbouring
+    ordinates are kept or removed together, by the highest one.
     """
     apart = np.maximum(_NEAR, _MOST / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
@@ -161,10 +161,10 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
 
 
 def _is_line(square: FloatArray, near: IntArray) -> bool:
-    """Return whether the highest of some ordinates stands out of the nearest, or of those beside them all.
+    """Return whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
 
-    Among the lowest the bins are as narrow as the nearest. A line that wanders is as wide as all of them; a
-    resonance is wider, and on one side of an edge the noise is as high.
+    At low frequencies the bins are as narrow as the neighbourhood. A wandering line is as wide as all found
+    ordinates; a resonance is wider, and at an edge the noise on one side is as high.
     """
     top = int(near[np.argmax(square[near])])
     reach = max(_NEAR, int(_NEAR_SHARE * top))
@@ -179,13 +179,13 @@ def _is_line(square: FloatArray, near: IntArray) -> bool:
 
 
 def _exceeds(square: FloatArray, top: int, others: FloatArray) -> bool:
-    """Return whether an ordinate lies farther above the median of others than chance gives."""
+    """Return whether an ordinate exceeds the median of others by more than chance."""
     limit = _limit(np.array([_MEDIAN_EFFICIENCY * others.size]), _CHANCE / square.size)
     return bool(square[top] > limit[0] * np.median(others) / _MEDIAN)
 
 
 def outside(first: IntArray, stop: IntArray, size: int) -> BoolArray:
-    """Return which places 0 … size-1 are in none of the spans from `first` to before `stop`, (s,) each."""
+    """Return the mask of 0 … size-1 outside all spans from `first` to before `stop`, shape (s,) each."""
     steps = np.zeros(size + 1, dtype=np.int64)
     np.add.at(steps, np.clip(first, 0, size), 1)
     np.add.at(steps, np.clip(stop, 0, size), -1)
@@ -193,16 +193,16 @@ def outside(first: IntArray, stop: IntArray, size: int) -> BoolArray:
 
 
 def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return where each run of places that are not kept begins, and the place after its end."""
+    """Return the first index of each run that is not kept, and the index after its end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], kept, [True]]).astype(np.int8)))
     return edges[::2], edges[1::2]
 
 
 def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
-    """Return the ordinates less the sines whose tails reach farther than may be left out, and these.
+    """Return the ordinates minus the sines whose tails are too wide to be left out, and the sines.
 
-    Each is fitted by least squares to the ordinates about it, where the noise is white enough. A line
-    that is no steady sine, so that hardly anything of it goes, stays.
+    Each sine is fitted by least squares to the ordinates around it, where the noise is nearly white. A line
+    that is not a steady sine is not subtracted.
     """
     found: list[Sine] = []
     for _ in range(_MOST_SINES):
@@ -226,7 +226,7 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
 
 
 def _fitted_sine(ordinates: FloatArray, n: int, top: int) -> Sine:
-    """Return the sine nearest to the ordinates about index `top`."""
+    """Return the least-squares sine of the ordinates around index `top`."""
     first = max(top - _ABOUT, 0)
     seen = ordinates[first : top + _ABOUT + 1]
     theta = np.asarray(np.pi / n * np.arange(first + 1, first + 1 + seen.size), dtype=np.float64)
@@ -253,7 +253,7 @@ def _fitted_sine(ordinates: FloatArray, n: int, top: int) -> Sine:
 def with_sines(
     lines: tuple[Line, ...], sines: Sequence[Sine], *, scale: float, rate_hz: float
 ) -> tuple[Line, ...]:
-    """Return all lines, the strongest first; what was left of a sine is no line of its own."""
+    """Return all lines, the strongest first; the remainder of a sine is not another line."""
     unit = rate_hz / (2 * np.pi)
     whole = [Line(frequency_hz=sine.omega * unit, amplitude=sine.amplitude * scale) for sine in sines]
     places = np.array([line.frequency_hz for line in whole])
@@ -261,15 +261,14 @@ def with_sines(
     return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))
 
 
-#: Mains frequencies, in Hz, how many harmonics are looked for, and how far the grid may be off.
+#: Mains frequencies in Hz, number of harmonics, and largest relative error of the mains frequency.
 _MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
 
 
 def likely_cause(frequency_hz: float, *, rate_hz: float, resolution_hz: float) -> str:
-    """Return what may make a tone of some frequency in samples of some rate, in a few words.
+    """Return a short text about the likely cause of a tone in samples of a given rate.
 
-    Frequencies above half the rate appear folded: |f - k rate|. Only what fits within the
-    resolution is claimed.
+    Frequencies above half the rate appear folded: |f - k rate|. A cause must match within the resolution.
     """
     for mains in _MAINS:
         for harmonic in range(1, _HARMONICS + 1):

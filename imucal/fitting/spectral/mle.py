@@ -1,12 +1,12 @@
 """Maximum likelihood on the spectrum of the samples: the default method.
 
-The likelihood takes an output filter into the fit, and leaves lines and what lies above its band out;
-the Allan curve holds them all. With H the response of the Allan variance, the share of noise in it is
+The fit includes an output filter, and excludes lines and frequencies above its band; the Allan curve
+contains them all. With the response H of the Allan variance, the share of noise in the curve is
 
-    sum H S_model / (sum H S_seen + lines),
+    sum H S_model / (sum H S_seen + lines).
 
-S_seen the model behind its filter, and above the band what was measured there. Errors of the sums over
-bins are in both and cancel.
+S_seen is the model behind its filter, and above the band the measured spectrum. Errors of the sums over
+bins cancel in the ratio.
 """
 
 from dataclasses import replace
@@ -25,23 +25,19 @@ from imucal.fitting.homogeneity import (
     widened,
     widened_covariance,
 )
-from imucal.fitting.noise_fit import MISFIT, Goodness, NoiseFit, Segments
+from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, Segments
 from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
+from imucal.fitting.spectral.band import Band, filter_finding, response_of
+from imucal.fitting.spectral.band_search import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
-from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import (
-    SHORTEST_GIVEN,
-    Structure,
-    all_structures,
-    evaluate,
-    richest,
-)
+from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
+from imucal.fitting.spectral.likelihood import Fits, spectra
+from imucal.fitting.spectral.maximum import misfit
+from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.ordinates import Ordinates, band_top
-from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
@@ -52,7 +48,11 @@ from imucal.recording import AxisSeries
 
 @frozen_alone
 class View:
-    """What part of the spectrum is fitted, and with what beside the noise."""
+    """The part of the spectrum to fit.
+
+    `ordinates` are the bins of the `band`, and `whole` all bins of the `blocks`. `doubtful` are regressors
+    that may be needed in addition.
+    """
 
     blocks: SeriesBlocks
     band: Band
@@ -67,36 +67,26 @@ def fit_mle(
 ) -> NoiseFit:
     """Fit a noise model to finite samples, gaps allowed, by maximum likelihood.
 
-    Their Allan curve is for the picture: the fit does not use it, and a ValueError refuses a curve alone.
-    Samples that are too few or all equal are a DataError. `temperature`, shape (n,), is in degrees Celsius at
-    the samples.
+    The Allan curve is only for the picture; a curve without samples is a ValueError. Samples that are too few
+    or all equal are a DataError. `temperature`, shape (n,), is in degrees Celsius at the samples.
     """
     if series is None:
         msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
         raise ValueError(msg)
-    structure = settings.structure
+    # Transform the samples, find what is not noise, and select the part of the spectrum to fit.
     view = spectral_view(series, settings, temperature)
-    band = view.band
-    problem = Problem(
-        ordinates=view.ordinates,
-        level=settings.level,
-        tau0=series.tau0,
-        widening={"N": heavy_tails(series.samples)},
-    )
-    choice = _choice(problem, band, settings)
-    if structure is None:
-        fitted, own, estimates = hull_estimates(problem, choice)
-        if view.doubtful:
-            # With the doubtful warm-up or cycle taken out too.
-            names = (*view.whole.names, *view.doubtful)
-            other = band.select(bin_blocks(view.blocks.blocks, view.blocks.scale, names))
-            beside = replace(problem, ordinates=other)
-            estimates = either(estimates, hull_estimates(beside, _choice(beside, band, settings))[2])
-    else:
-        fitted, own = estimate_or_bound(problem, choice)
-        estimates = with_absent(problem, fitted, own)
-    found = misfit(view.ordinates, fitted.maximum)
-    response = response_of(fitted, band, series.rate_hz)
+    widening = {"N": heavy_tails(series.samples)}
+    problem = Problem(ordinates=view.ordinates, level=settings.level, tau0=series.tau0, widening=widening)
+    # Maximise the likelihood of every candidate, and sort the candidates by their criterion.
+    choice = _choice(problem, view.band, settings)
+    # Take the limits from the profile of the likelihood, over all models near the best.
+    fitted, own, estimates = _estimates(problem, choice, view, settings)
+    # Compare the spectrum with the model: a misfit makes intervals too narrow.
+    found = misfit(view.ordinates, fitted)
+    misfits = misfits_of(problem, fitted, found)
+    # Name the output filter by its fitted response.
+    response = response_of(fitted, view.band, series.rate_hz)
+    # Take the covariance from the information at the maximum.
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
 
@@ -111,10 +101,11 @@ def fit_mle(
             model=model,
             curve=curve,
             wanted=settings.segments,
-            band=band,
+            band=view.band,
         )
         return segments, find_variance_change(series)
 
+    # Fit the segments of the record: terms that change make intervals too narrow.
     (segments, change), not_compared = try_side_work(
         over_time,
         (None, None),
@@ -122,26 +113,21 @@ def fit_mle(
         code="nonstationary",
         axis=series.name,
     )
-    misfits = misfits_of(problem, fitted, found)
-    estimates = widened(estimates, segments, misfits)
+    # Widen the intervals by both, and number terms of the same kind.
     covariance = widened_covariance(names, covariance, segments, misfits)
-    if band.masked:
-        estimates = tuple(
-            replace(e, alternatives=(*e.alternatives, GaussMarkov.symbol)) if e.key == "N" else e
-            for e in estimates
-        )
-    estimates, names = numbered(estimates, names)
+    estimates, names = numbered(_or_filter(widened(estimates, segments, misfits), view.band), names)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
     findings += line_finding(view.blocks.lines, series)
-    findings += filter_finding(fitted, band, response, rate_hz=series.rate_hz, axis=series.name)
+    findings += filter_finding(fitted, view.band, response, rate_hz=series.rate_hz, axis=series.name)
     findings += _misfit_findings(found, misfits, str(model), series.name)
     findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
-    if structure is None:
+    if settings.structure is None:
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
     nyquist = series.rate_hz / 2
-    coefficients = (fitted.maximum.beta[0] * view.whole.scale).tolist()
+    band_hz = (float(view.ordinates.fraction.min()) * nyquist, view.band.fraction * nyquist)
+    coefficients = (fitted.beta[0] * view.whole.scale).tolist()
     taken_out = dict(zip(view.whole.names[1:], coefficients[1:], strict=True))
     return NoiseFit(
         method="mle",
@@ -152,32 +138,53 @@ def fit_mle(
         estimates=estimates,
         parameters=names,
         covariance=covariance,
-        goodness=replace(
-            found,
-            band_hz=(float(view.ordinates.fraction.min()) * nyquist, band.fraction * nyquist),
-            lines=view.blocks.lines,
-        ),
+        goodness=replace(found, band_hz=band_hz, lines=view.blocks.lines),
         curve=curve,
-        used=_used(curve, band, response.cutoff_hz / nyquist if response else 1.0),
+        used=_used(curve, view.band, response.cutoff_hz / nyquist if response else 1.0),
         response=response,
         candidates=near_candidates(choice),
         criterion=settings.chosen_by,
         findings=tuple(findings),
         settings={
-            "band_fraction": band.fraction,
-            "response_poles": band.poles,
-            "response_zeros": band.zeros,
+            "band_fraction": view.band.fraction,
+            "response_poles": view.band.poles,
+            "response_zeros": view.band.zeros,
             "regressors": [*taken_out],
         },
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
         taken_out=taken_out,
         segments=segments,
-        bins=bins_of(view.whole, view.blocks, tau0=series.tau0, widening=problem.widening["N"]),
+        bins=bins_of(view.whole, view.blocks, tau0=series.tau0, widening=widening["N"]),
     )
 
 
+def _estimates(
+    problem: Problem, choice: RankedModels, view: View, settings: FitSettings
+) -> tuple[Fits, tuple[Estimate, ...], tuple[Estimate, ...]]:
+    """Return the model to draw, its own estimates, and the estimates to report."""
+    if settings.structure is not None:
+        fitted, own = estimate_or_bound(problem, choice)
+        return fitted, own, with_absent(problem, fitted, own)
+    fitted, own, estimates = hull_estimates(problem, choice)
+    if view.doubtful:
+        # A second fit removes the doubtful warm-up or cycle too.
+        names = (*view.whole.names, *view.doubtful)
+        other = view.band.select(bin_blocks(view.blocks.blocks, view.blocks.scale, names))
+        beside = replace(problem, ordinates=other)
+        estimates = either(estimates, hull_estimates(beside, _choice(beside, view.band, settings))[2])
+    return fitted, own, estimates
+
+
+def _or_filter(estimates: tuple[Estimate, ...], band: Band) -> tuple[Estimate, ...]:
+    """Return the estimates; behind a filter that may be a Gauss-Markov term, N has that alternative."""
+    if not band.masked:
+        return estimates
+    markov = GaussMarkov.symbol
+    return tuple(replace(e, alternatives=(*e.alternatives, markov)) if e.key == "N" else e for e in estimates)
+
+
 def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels:
-    """Return the given structure, or those to choose from by their criterion, fitted."""
+    """Return the fit of the given structure, or the fits of all candidates by their criterion."""
     return choose(
         problem.ordinates,
         _structures(settings.structure, settings.max_gm, white=band.poles > 0 or band.hump is not None),
@@ -187,8 +194,8 @@ def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels
     )
 
 
-def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
-    """Return the share of noise in each Allan variance, by the longest block; None where it is all noise.
+def _noise_share(view: View, fitted: Fits, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
+    """Return the share of noise in each Allan variance, from the longest block; None if it is all noise.
 
     A line of amplitude A at f adds A² sin⁴(pi f m tau0) / (m sin(pi f tau0))² to the variance.
     """
@@ -206,19 +213,19 @@ def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) 
     for i, m in enumerate(curve.m.tolist()):
         response = bins.count * power_response(bins, m, ESTIMATORS["overlapping"])[0]
         of_lines = float(np.sum(square * np.sin(half * m) ** 4 / (m * np.sin(half)) ** 2))
-        held = float(response @ seen) + bins.n * of_lines
-        share[i] = float(response @ model) / held if held > 0 else 1.0
+        total = float(response @ seen) + bins.n * of_lines
+        share[i] = float(response @ model) / total if total > 0 else 1.0
     return share
 
 
-def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray]:
-    """Return the model's spectrum in every bin, and that which the curve holds; shape (b,) each."""
+def _spectra(whole: Ordinates, fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray]:
+    """Return the model's spectrum and the spectrum of the curve in every bin, shape (b,) each."""
     model = fitted.unfiltered(whole)
     inside = band.holds(whole)
     part = replace(whole[inside], top=band_top(band.fraction))
     measured = np.where(whole.size > 0, whole.power / np.maximum(whole.size, 1e-12), model)
     seen = np.where(inside, model, measured)
-    seen[inside] = evaluate(part, fitted.candidate, fitted.maximum.theta).spectrum[0]
+    seen[inside] = spectra(part, fitted.models, fitted.theta)[0][0]
     return model, seen
 
 
@@ -245,7 +252,7 @@ def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatA
 
 
 def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> list[Structure]:
-    """Return the candidates. With `white` they have N and no Q: behind a filter and around a hump."""
+    """Return the candidates; behind a filter and around a hump (`white`) all have N and none has Q."""
     if structure is not None:
         return [structure]
     every = all_structures(max_gm, quantization=not white)
@@ -253,7 +260,7 @@ def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> lis
 
 
 def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
-    """Return the points of the curve that average over longer than the filter or the band lets see."""
+    """Return the points of the curve at times longer than those of the filter and of excluded frequencies."""
     return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 

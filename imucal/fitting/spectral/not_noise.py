@@ -1,6 +1,6 @@
-"""Find what is not noise in an axis: lines, steps, cycles, drifts, a filter.
+"""Findings about disturbances of an axis: lines, steps, cycles, drifts, a filter.
 
-A fit by maximum likelihood removes it; `not_noise` reports it if nothing, or only a curve, is fitted.
+A fit by maximum likelihood removes them; `not_noise` reports them if only a curve or nothing is fitted.
 """
 
 from collections.abc import Sequence
@@ -11,35 +11,35 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.band import Band, corner_of, find_band
+from imucal.fitting.spectral.band import Band, corner_of
+from imucal.fitting.spectral.band_search import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
-from imucal.fitting.spectral.disturbances import (
-    Disturbance,
-    disturbance_findings,
-    doubtful_finding,
-    exact_places,
-    find_disturbances,
-)
+from imucal.fitting.spectral.disturbances import Disturbance, exact_places, find_disturbances
 from imucal.fitting.spectral.hump import hump_finding
-from imucal.fitting.spectral.likelihood import richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
+from imucal.fitting.spectral.models import richest
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 from imucal.screening import amount
+from imucal.units import pretty
 
-#: Lines named in a finding.
+#: Largest number of lines listed in a finding.
 _NAMED = 4
-#: Chance that a record without tones is said to hold one.
+#: False alarm rate of tones per record.
 _CHANCE = 1e-4
-#: A line that lifts the Allan variance at its own hump by less than this part is not worth a warning.
+#: Relative increase of the Allan variance at a line's hump below which there is no warning.
 _VISIBLE = 0.1
+#: Time constants after which a warm-up has settled to 5 %.
+_SETTLED = 3.0
+#: Share of the record within which jumps in one direction are one shift.
+_ONE_SHIFT = 0.02
 
 
 def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tuple[Finding, ...]:
-    """Return what is not noise in an axis at rest; nothing of one that is too short for a noise model.
+    """Return findings about disturbances of an axis at rest; () if it is too short for a noise model.
 
     Samples are finite, gaps are allowed; `temperature`, shape (n,), is in degrees Celsius at the samples, or
-    None. Takes about a quarter of the time of `fit_mle`, whose first steps these are.
+    None. These are the first steps of `fit_mle` and take about a quarter of its time.
     """
     try:
         blocks = make_blocks(series, temperature)
@@ -74,7 +74,7 @@ def find_shapes(
 
 
 def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ...]:
-    """Return what a fit says of the lines that it left out, strongest first."""
+    """Return the finding about the lines that a fit leaves out, the strongest first."""
     if not lines:
         return ()
     named = ", ".join(
@@ -88,9 +88,9 @@ def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ..
 
 
 def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> tuple[Finding, ...]:
-    """Return what may make the lines of an axis: a warning where they shape its Allan curve.
+    """Return the finding about possible causes of lines: a warning if they are visible in the Allan curve.
 
-    Where they do not and are `fitted` around, `line_finding` says enough.
+    If they are not and the fit leaves them out (`fitted`), `line_finding` is enough.
     """
     lines, hump = _sure_lines(blocks, series)
     visible = hump > _VISIBLE
@@ -115,11 +115,10 @@ def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> t
 
 
 def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], float]:
-    """Return the lines that chance does not make, and how much they bend the Allan curve at most.
+    """Return the significant lines, and their largest relative increase of the Allan variance.
 
-    That is what a line adds where it adds most, relative to the noise there. A sine's Allan variance
-    A² sin⁴(x)/x², x = pi f tau, peaks at 0.525 A², tau = 0.371 / f, where white noise of the density S of
-    the line's surroundings has S / tau.
+    A sine's Allan variance A² sin⁴(x)/x², x = pi f tau, has its peak 0.525 A² at tau = 0.371 / f. White noise
+    of the density S around the line has the Allan variance S / tau.
     """
     block = max(blocks.blocks, key=lambda block: block.bins.n)
     n, bins = block.bins.n, block.bins
@@ -139,7 +138,7 @@ def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], f
 
 
 def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
-    """Return a note on the output filter or the vibration that shapes the spectrum."""
+    """Return the finding about an output filter or a vibration that shapes the spectrum."""
     nyquist, corner = series.rate_hz / 2, corner_of(band)
     if band.hump:
         return (hump_finding(band.hump, rate_hz=series.rate_hz, axis=series.name, fitted=False),)
@@ -157,3 +156,126 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
         return ()
     advice = "Read N from the flat part below the filter, not from the first points of the curve."
     return (Finding("info", "roll-off", text, advice, axis=series.name),)
+
+
+def disturbance_findings(
+    found: Sequence[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
+) -> tuple[Finding, ...]:
+    """Return a finding for each kind that was found; `scale` is U per scaled unit.
+
+    If they are `fitted` with the noise, the finding explains it.
+    """
+    kinds = {kind: [one for one in found if one.kind == kind] for kind in _WORDS}
+    return tuple(_WORDS[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
+
+
+def _temperature_finding(
+    found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
+) -> Finding:
+    (one,) = found
+    lag = f", with a lag of {one.value * series.tau0:.3g} s" if one.value else ""
+    text = f"The axis follows the temperature ({_amount(one, series, scale)} per degree C{lag})"
+    if fitted:
+        text += "; the fit removes a linear effect"
+        advice = "Use the noise model together with a temperature compensation."
+    else:
+        advice = "Record at a steady temperature, or compensate first; K and B include the thermal drift."
+    level: Level = "info" if fitted else "warning"
+    return Finding(level, "temperature", f"{text}.", advice, axis=series.name)
+
+
+def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, fitted: bool) -> Finding:
+    (one,) = found
+    time = one.value * series.tau0
+    end = "; the fit removes this drift" if fitted else ": a warm-up"
+    settled, length = _SETTLED * time, series.duration_s
+    keep_s = (round(settled, 1), round(length, 1)) if settled < length / 2 else None
+    text = f"The axis settles exponentially, with a time constant of {time:.3g} s{end}."
+    advice = "Leave out the first part of the record, or let the sensor warm up before recording."
+    code = "warm-up-fitted" if fitted else "warm-up"
+    return Finding("warning", code, text, advice, axis=series.name, keep_s=keep_s)
+
+
+def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
+    """Name the jumps in order of time; the longest part without one is worth keeping.
+
+    Jumps in one direction shortly after each other are reported as one gradual shift.
+    """
+    found = sorted(found, key=lambda one: one.value)
+    times = [one.value * series.tau0 for one in found]
+    shifts: list[tuple[float, float, float]] = []
+    for one, time in zip(found, times, strict=True):
+        size = one.size[0] * scale
+        first, before, last = shifts[-1] if shifts else (0.0, 0.0, 0.0)
+        if before * size > 0 and time - last < _ONE_SHIFT * series.duration_s:
+            shifts[-1] = (first, before + size, time)
+        else:
+            shifts.append((time, size, time))
+    jumps = [
+        f"{size:+.3g} {pretty(series.unit)} "
+        + (f"from {first:.1f} to {last:.1f} s" if last > first else f"at {first:.1f} s")
+        for first, size, last in shifts
+    ]
+    several = len(shifts) > 1
+    stays = "" if several else " and stays there"
+    taken_out = f"; the fit removes the jump{'s' * several}" if fitted else ""
+    ends = np.array([0.0, *times, series.duration_s])
+    longest = int(np.argmax(np.diff(ends)))
+    keep_s = (round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1))
+    text = f"The level jumps by {', '.join(jumps)}{stays}{taken_out}."
+    advice = "Fix the IMU so that nothing tilts it, or look for a bias that switches."
+    return Finding("warning", "step", text, advice, axis=series.name, keep_s=keep_s)
+
+
+def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
+    taken_out = "; the fit removes it" if fitted else ""
+    text = f"The axis swings with a period of {_periods(found, series, scale)}{taken_out}."
+    advice = "Look for a heater or cooler that switches, and record at a steady temperature."
+    return Finding("warning", "cycle", text, advice, axis=series.name)
+
+
+#: Kind of disturbance -> function that returns its finding, in order of the report.
+_WORDS = {
+    "temperature": _temperature_finding,
+    "warm-up": _warm_up_finding,
+    "step": _step_finding,
+    "cycle": _cycle_finding,
+}
+
+
+def doubtful_finding(
+    doubtful: Sequence[Disturbance], series: AxisSeries, scale: float
+) -> tuple[Finding, ...]:
+    """Return a finding for doubtful warm-ups or cycles; `scale` is U per scaled unit."""
+    if not doubtful:
+        return ()
+    cycles = [one for one in doubtful if one.kind == "cycle"]
+    shapes = [
+        f"a warm-up with a time constant of about {one.value * series.tau0:.2g} s"
+        for one in doubtful
+        if one.kind == "warm-up"
+    ]
+    code = "warm-up-doubtful" if shapes else "cycle-doubtful"
+    advice = (
+        "Let the sensor warm up, leave out the first part (--skip), or record for longer."
+        if shapes
+        else "Record for longer to see whether it continues."
+    )
+    if cycles:
+        shapes.append(f"a cycle with a period of {_periods(cycles, series, scale)}")
+    text = (
+        f"There may be {' and '.join(shapes)}, or a random walk that looks like it: the record can't "
+        "distinguish them. The limits of N, B and K allow for both."
+    )
+    return (Finding("info", code, text, advice, axis=series.name),)
+
+
+def _periods(found: Sequence[Disturbance], series: AxisSeries, scale: float) -> str:
+    return ", ".join(
+        f"{2 * np.pi / one.value * series.tau0:.4g} s (amplitude {_amount(one, series, scale)})"
+        for one in sorted(found, key=lambda one: -one.amplitude)
+    )
+
+
+def _amount(one: Disturbance, series: AxisSeries, scale: float) -> str:
+    return f"{one.amplitude * scale:.3g} {pretty(series.unit)}"

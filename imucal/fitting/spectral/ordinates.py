@@ -1,10 +1,8 @@
-"""What the likelihood sees of a series: sums of squared DCT ordinates in bins, and regressors.
+"""The data of the likelihood: sums of squared DCT ordinates in bins, and regressors.
 
-A series of several unbroken blocks has the bins of each block one after the other: the blocks'
-likelihoods multiply.
+The bins of several unbroken blocks follow each other: the likelihoods of the blocks multiply.
 
-A regressor is a slow, known shape that is taken out with the fit: a column of generalised least squares,
-so that what it takes out is judged against the noise at the same frequencies. Its name says all about it;
+A regressor is a slow, known shape that the fit removes by generalised least squares. Its name defines it;
 places and times are in samples, from the first sample of the record:
 
     R                    the ramp
@@ -29,11 +27,11 @@ from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = tuple(PowerLaw)
-#: Where in a row of parameters, which begins with their variances, the terms of other shapes begin.
+#: First column of the other terms in a row of parameters, which starts with the variances of the power laws.
 SHAPED = len(LAWS)
-#: Starting values look at no more bins than so many blocks have.
+#: Starting values use at most the number of bins of this many blocks.
 _FEW_BLOCKS = 2
-#: What `Ordinates` hold of each bin, along the last axis.
+#: Fields of `Ordinates` with the bins along the last axis.
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 
@@ -41,15 +39,14 @@ _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 class Ordinates:
     """Binned DCT ordinates, in scaled units: samples divided by `scale`, sampling period 1.
 
-    `scale` is U per scaled unit: a power of two, so that scaling costs no digit. Each bin, shape (b,), has
-    `size` degrees of freedom (ordinates kept, less what a gap has taken), `power`, the sum of their squares,
-    `lam`, the mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k of a bin of
-    one ordinate, else 0. `basis`, shape (4, b), is the expected square per unit variance parameter of each of
-    `LAWS`.
+    `scale` is U per scaled unit: a power of two, so that scaling is exact. Each bin, shape (b,), has `size`
+    degrees of freedom (kept ordinates minus the loss to gaps), `power`, the sum of their squares, `lam`, the
+    mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k for a single ordinate k
+    and 0 for several. `basis`, shape (4, b), is the expected square for a unit variance of each of `LAWS`.
 
-    The regressors `names` are taken out by generalised least squares; ``R`` is the ramp. `cross`, shape (r,
-    b), are sums of ordinate times regressor's ordinate, `gram`, shape (r, r, b), of products of regressors'
-    ordinates. `top` is lam at the upper end of the band, which a response's coefficients refer to.
+    The regressors `names` are removed by generalised least squares; ``R`` is the ramp. `cross`, shape (r, b),
+    are sums of ordinate times regressor's ordinate, and `gram`, shape (r, r, b), sums of products of
+    regressors' ordinates. `top` is lam at the upper end of the band, the unit of a response's coefficients.
     """
 
     scale: float
@@ -66,7 +63,7 @@ class Ordinates:
 
     @property
     def count(self) -> float:
-        """Number of ordinates: the sample size that an information criterion means."""
+        """Number of ordinates: the sample size for an information criterion."""
         return float(self.size.sum())
 
     @property
@@ -85,30 +82,30 @@ class Ordinates:
 
     @classmethod
     def joined(cls, parts: Sequence["Ordinates"]) -> "Ordinates":
-        """Return the bins of all parts, which have scale and regressors in common, one after the other."""
+        """Return the bins of all parts, which share scale and regressors, one after the other."""
         every: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in _BINNED
         }
         return replace(parts[0], **every)
 
     def below(self, fraction: float) -> "Ordinates":
-        """Return the bins up to a fraction of Nyquist that hold any ordinate."""
+        """Return the bins up to a fraction of Nyquist that are not empty."""
         chosen = self[(self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0)]
         return replace(chosen, top=band_top(fraction))
 
     def rest(self, beta: FloatArray) -> FloatArray:
-        """Return the squares that regressors of coefficients `beta`, shape (r,), leave, shape (b,)."""
+        """Return the sums of squares, shape (b,), after removing `beta`, shape (r,), times the regressors."""
         drift: FloatArray = np.einsum("i,ijb,j->b", beta, self.gram, beta) - 2 * beta @ self.cross
         return self.power + drift
 
     def unfiltered(self, response: FloatArray, zeros: int) -> "Ordinates":
-        """Return the ordinates as before an output filter, for starting values: less its |H|² in the mean."""
+        """Return the ordinates divided by the |H|² of an output filter, for starting values."""
         denominator = 1 + (self.lam[:, None] / self.top) ** np.arange(1, response.size + 1) @ response
         inverse = denominator / np.maximum(1 - self.lam / 4, 1e-12) ** zeros
         return replace(self, power=self.power * inverse, cross=self.cross * inverse, gram=self.gram * inverse)
 
     def detrended(self) -> "Ordinates":
-        """Return the ordinates less a roughly fitted ramp, for starting values only."""
+        """Return the ordinates minus a roughly fitted ramp, for starting values."""
         if "R" not in self.names:
             return self
         at = self.names.index("R")
@@ -119,12 +116,12 @@ class Ordinates:
 
 
 def band_top(fraction: float) -> float:
-    """Return lam at the upper end of a band that reaches to a fraction of Nyquist."""
+    """Return lam at a fraction of Nyquist, the upper end of a band."""
     return 4 * float(np.sin(np.pi / 2 * fraction)) ** 2
 
 
 def bin_shapes(bins: DctBins) -> dict[str, Any]:
-    """Return what `Ordinates` hold of bins whatever the samples, by its names."""
+    """Return the fields of `Ordinates` that do not depend on the samples, by name."""
     return {
         "lam": LAWS[0].psd(bins.omega),
         "length": np.full(bins.size, float(bins.n)),
@@ -135,15 +132,15 @@ def bin_shapes(bins: DctBins) -> dict[str, Any]:
 
 @lru_cache(maxsize=16)
 def _basis(bins: DctBins) -> FloatArray:
-    """Return the expected squares; segments, and axes of the same length, have the very same bins."""
+    """Return the expected squares, cached: segments, and axes of equal length, have equal bins."""
     return read_only(np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in LAWS]))
 
 
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
-    """Return fewer bins: the first `singles` of a block as they are, then `merge` into one.
+    """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins.
 
-    Blocks are told apart by where the frequency falls back. Of many blocks, bins next to each other in
-    frequency are merged once more, so that they are no more than those of a few: enough to start from.
+    A new block starts where the frequency decreases. If there are many blocks, bins of similar frequency are
+    merged again, so that their number does not grow with the number of blocks.
     """
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
@@ -161,7 +158,7 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
 
 
 def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
-    """Return one bin in place of the bins from each of `first`, rising, to before the next."""
+    """Return groups of bins as single bins; `first` are the rising indices of their first bins."""
     size = ordinates.size
     total = np.add.reduceat(size, first)
     single = np.diff(first, append=size.size) == 1
@@ -197,7 +194,7 @@ def exponential_ordinates(n: int, count: int, time: float, offset: int) -> Float
     return float(np.exp(-offset / time)) * shape
 
 
-#: Means of the temperature for each ordinate that is asked for, where those are few.
+#: Number of temperature means per requested ordinate, if few are requested.
 _MEANS = 4
 
 
@@ -206,14 +203,13 @@ def regressor_ordinates(
 ) -> FloatArray:
     """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on.
 
-    `temperature`, shape (n,), is that at these samples. Constants are left out, as ordinate 0 is.
+    `temperature`, shape (n,), is given at these samples. Ordinate 0, the constant, is left out.
     """
     kind, value = _parsed(name)
     if kind == "temperature":
         if temperature is None:
             raise ValueError(f"regressor {name!r} needs the temperature of the samples, got none")
-        # Where few are asked for, of means over spans of equal length: the transform of those is the same at
-        # frequencies far below theirs, and quick.
+        # If few are requested, transform means over equal spans: fast, and the same at low frequencies.
         spans = min(n, _MEANS * (count + 1))
         if spans < n:
             total = np.concatenate([[0.0], np.cumsum(temperature - temperature[0])])
@@ -255,7 +251,7 @@ def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | N
 def step_ordinates(n: int, count: int, place: float) -> FloatArray:
     """Return the ordinates k = 1 … count of a step from 0 to 1 at sample `place`.
 
-    -sqrt(2/n) sin(theta place) / (2 sin(theta/2)); nothing of a step that is not inside.
+    -sqrt(2/n) sin(theta place) / (2 sin(theta/2)), or zero if the step is not inside.
     """
     if not 0 < place < n:
         return np.zeros(count)
@@ -269,7 +265,7 @@ def cycle_ordinates(
     """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
 
     With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel:
-    sqrt(2/n)/2 sum over a = omega ± theta of D(a) cos(n a/2 + phase). The three are broadcast together.
+    sqrt(2/n)/2 sum over a = omega ± theta of D(a) cos(n a/2 + phase). The arguments are broadcast together.
     """
     total: FloatArray | float = 0.0
     for angle in (omega + theta, omega - theta):
@@ -281,7 +277,7 @@ def cycle_ordinates(
 
 
 def lagged(samples: FloatArray, lag: float) -> FloatArray:
-    """Return what follows `samples` with a first-order lag, in samples, at rest before the first."""
+    """Return `samples` after a first-order lag, in samples, constant before the first."""
     if not lag > 0:
         return samples
     phi = float(np.exp(-1 / lag))

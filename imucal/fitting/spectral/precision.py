@@ -1,9 +1,9 @@
-"""How well a record of a given length tells each coefficient: the Cramér-Rao bound, by numbers.
+"""Precision of each coefficient that a record of a given length allows: the numerical Cramér-Rao bound.
 
-The squared DCT ordinates of a record are independent, each with the expectation S(theta), so the
-information on variance parameters is half the sum of d ln S d ln S' over all ordinates; bins of
-ordinates make that a sum of some hundred terms for a record of any length. The ramp is a mean,
-whose information is the sum of its squared ordinates over S.
+The squared DCT ordinates of a record are independent with the expectation S(theta), so the
+information on variance parameters is half the sum of d ln S d ln S' over all ordinates. With bins this sum
+has a few hundred terms for a record of any length. The information on the ramp, a mean, is the sum of its
+squared ordinates over S.
 
 Source: Whittle (1953); the limits for N, K, B and R alone are in the tests.
 """
@@ -32,13 +32,12 @@ def relative_deviations(
 ) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
-    Every term of the model is unknown, and the power laws `beside` it may be there too: zero in this noise,
-    but the fit does not know that. The same for every unit. Infinite for a term of coefficient 0, and for a
-    record of fewer samples than parameters.
+    The fit has every term of the model and the added power laws (`beside`), whose coefficients are zero. The
+    result is infinite for a term with coefficient 0, and for a record with fewer samples than parameters.
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
-    # The deviations of the others do not depend on the size of what may be there too.
+    # The size of the added terms has no effect on the deviations of the others.
     terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in beside)]
     if n <= len(names) + len(terms) - len(model.terms) + 1:
         return dict.fromkeys(names, math.inf)
@@ -47,7 +46,7 @@ def relative_deviations(
     parts = [term.dct_slopes(bins.n, bins.first, bins.count, 1 / rate_hz) for term in terms]
     spectrum = sum((own for own, _ in parts[: len(model.terms)]), np.zeros(bins.size))
     slopes = np.vstack([own for _, own in parts])
-    # A ramp alone has no noise beside which others are small.
+    # A ramp alone has no noise to compare with.
     scaled = slopes / np.where(spectrum > 0, spectrum, math.inf) * np.sqrt(count / 2)
     length = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
     moving = np.flatnonzero(length > 0)
@@ -57,7 +56,7 @@ def relative_deviations(
             result[names[place]] = deviation
     for term in model.terms:
         if isinstance(term, RateRamp) and term.value:
-            # Of a ramp per sample: its ordinates are odd, and fall as 1/k².
+            # A ramp has only odd ordinates; they fall as 1/k².
             half = bins.omega / 2
             squares = 2 / bins.n * np.cos(half) ** 2 / (4 * np.sin(half) ** 4)
             odd = np.where(bins.count == 1, bins.first % 2, bins.count / 2)
@@ -67,9 +66,9 @@ def relative_deviations(
 
 
 def _deviations(scaled: FloatArray, length: FloatArray) -> list[float]:
-    """Return the square roots of the diagonal of (scaled scaled')^-1, safe where rows are alike.
+    """Return the square roots of the diagonal of (scaled scaled')^-1, inf if rows are collinear.
 
-    `length` is that of each row.
+    `length` contains the norm of each row.
     """
     if not scaled.size:
         return []

@@ -19,19 +19,19 @@ from imucal.fitting.homogeneity import SURE, bartlett_correction, cochran_q, hom
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
-from imucal.fitting.spectral.bounds import behind_filter
 from imucal.fitting.spectral.common_terms import Parts, visible
-from imucal.fitting.spectral.estimates import Fitted, Problem, quantile, student_quantile
-from imucal.fitting.spectral.likelihood import COLUMN, derivatives
+from imucal.fitting.spectral.estimates import Problem, quantile, student_quantile
+from imucal.fitting.spectral.likelihood import Fits, derivatives
 from imucal.fitting.spectral.lines import left_out, outside
+from imucal.fitting.spectral.maximum import bounds
+from imucal.fitting.spectral.models import COLUMN
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
-from imucal.fitting.spectral.scoring import bounds
 from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import in_order, term_keys
+from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
-#: Fewest samples of a segment, and of a part of it between two long gaps.
+#: Fewest samples of a segment, and of its parts between long gaps.
 _FEWEST, _FEWEST_IN_PART = 2048, 64
 #: Least number of segments for the tests.
 _LEAST = 3
@@ -164,7 +164,7 @@ def fit_segments(
     series: AxisSeries,
     blocks: SeriesBlocks,
     problem: Problem,
-    fitted: Fitted,
+    fitted: Fits,
     *,
     model: NoiseModel,
     curve: AllanCurve,
@@ -176,7 +176,7 @@ def fit_segments(
     `fitted` is the reported model, `model` the same in SI. The averaging time of the floor is its minimum on
     the series' `curve`. `wanted` and `band` as in `segment_ordinates`.
     """
-    names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
+    names, beta = problem.ordinates.names, fitted.beta[0].tolist()
     drift = {name: value for name, value in zip(names, beta, strict=True) if value}
     found = segment_ordinates(series, blocks, drift=drift, wanted=wanted, band=band)
     if found is None:
@@ -196,15 +196,14 @@ def fit_segments(
 class _Tests:
     """The tests of one fit's terms, computed together."""
 
-    def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
+    def __init__(self, problem: Problem, fitted: Fits, segments: SegmentOrdinates) -> None:
         self.problem, self.fitted, self.segments = problem, fitted, segments
         absent = [COLUMN[symbol] for symbol in fitted.missing]
-        structure = in_order((*fitted.structure, *fitted.missing))
-        candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
-        theta = fitted.maximum.theta.copy()
-        low, _ = bounds(problem.ordinates, candidate)
+        models = fitted.models.with_laws(fitted.missing)
+        theta = fitted.theta.copy()
+        low, _ = bounds(problem.ordinates, models)
         theta[:, absent] = low[absent]
-        spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
+        spectra = derivatives(segments.ordinates, models, theta)[: models.variances]
         spectra *= visible(spectra, absent)[:, np.newaxis]
         self.spectra = spectra
         whole = np.delete(spectra, absent, axis=0).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Choice among structures by an information criterion, and which models it can't tell apart."""
+"""Choice among structures by an information criterion, and the models that it can't distinguish."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.settings import CRITERIA
 from imucal.fitting.spectral.band import Band
-from imucal.fitting.spectral.likelihood import SHORTEST_GIVEN, Evaluation, Structure, candidates_of
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import find_starts, maximize
+from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.scoring import maximize
-from imucal.fitting.spectral.starts import find_starts
 from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 
-#: Candidates within this much of the best of the coarse bins are fitted on all bins; behind an output filter,
-#: whose response was found with other terms and bends to theirs only then, within more.
+#: Models this close to the best on coarse bins are fitted on all bins. Behind an output filter the distance
+#: is larger: the response was found with other terms and adapts only in this fit.
 _REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
-#: Most candidates fitted on all bins.
+#: Largest number of models fitted on all bins.
 _MOST_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
 _LISTED_WITHIN = 6.0
@@ -28,16 +28,20 @@ _AS_GOOD = 4.0
 
 @frozen_alone
 class RankedModels:
-    """Fitted candidates, the best first: what each is made of, and where its likelihood is greatest.
+    """The fits of models, sorted by rising information `criterion`, shape (c,).
 
-    One row each, by a rising value of the information `criterion`, shape (c,); `modes` is the objective of
-    the second best maximum of each less its best, shape (c,), inf for none.
+    `modes`, shape (c,), is the objective of each model's second-best maximum less its best, inf if there is
+    only one.
     """
 
-    structures: list[Structure]
-    maximum: Evaluation
+    fits: Fits
     criterion: FloatArray
     modes: FloatArray
+
+    @property
+    def structures(self) -> list[Structure]:
+        """Symbols of each model's terms."""
+        return self.fits.models.structures
 
 
 def choose(
@@ -48,27 +52,27 @@ def choose(
     shortest: float = SHORTEST_GIVEN,
     band: Band | None = None,
 ) -> RankedModels:
-    """Fit every structure and return them by rising criterion.
+    """Fit every structure and return the fits by rising criterion.
 
-    Correlation times are `shortest` samples at least, and `band` has the order of the output filter's
-    response and coefficients to start from.
+    Correlation times are at least `shortest` samples. `band` has the order of the output filter's response
+    and its starting coefficients.
     """
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
-    candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, shortest=shortest)
+    models = models_of(structures, ordinates.names, poles=poles, zeros=zeros, shortest=shortest)
     coarse = coarser(ordinates, singles=48, merge=3)
     response = _positive(band.response, ordinates) if band else np.zeros(0)
-    owner, theta = find_starts(coarse, candidates, keep=(1, 2, 3), quick=True, response=response)
+    owner, theta = find_starts(coarse, models, keep=(1, 2, 3), quick=True, response=response)
     if band:
-        theta[:, candidates.width - poles :] = response
-    # The response was found with the richest model: it stays as it is in the first round.
-    free = candidates.free[owner]
+        theta[:, models.width - poles :] = response
+    # The response was found with the richest model: keep it in the first round.
+    free = models.free[owner]
     if band:
-        free[:, candidates.width - poles :] = False
-    cost = CRITERIA[criterion](ordinates.count) * candidates.parameters.astype(np.float64)
+        free[:, models.width - poles :] = False
+    cost = CRITERIA[criterion](ordinates.count) * models.parameters.astype(np.float64)
     rough = maximize(
-        # Fewer bins yet: the spectra of the candidates are smooth, and the near ones are fitted on all bins.
+        # Fewer bins are enough: the spectra are smooth, and the best models are fitted again on all bins.
         coarser(ordinates, singles=24, merge=8),
-        candidates[owner],
+        models[owner],
         theta,
         free=free,
         tolerance=1e-3,
@@ -81,7 +85,7 @@ def choose(
             "look at the samples for values that are not measurements"
         )
         raise DataError(msg)
-    best = np.full(candidates.count, np.inf)
+    best = np.full(models.count, np.inf)
     np.minimum.at(best, owner, 2 * rough.objective)
     value = best + cost
     order = np.argsort(value, kind="stable")
@@ -89,12 +93,12 @@ def choose(
     near = order[value[order] <= value[order[0]] + reach][:_MOST_REFINED]
     rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
-    fine = maximize(ordinates, candidates[owner[index]], rough.theta[index])
-    return _ranked(structures, fine, owner=owner[index], near=near, cost=cost)
+    fine = maximize(ordinates, models[owner[index]], rough.theta[index])
+    return _ranked(fine, owner=owner[index], near=near, cost=cost)
 
 
 def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
-    """Return the response, found on wider bins, made smaller until it is positive in every bin."""
+    """Return the response, found on wider bins, reduced until it is positive in every bin."""
     powers = (ordinates.lam[:, None] / ordinates.top) ** np.arange(1, response.size + 1)
     for _ in range(60):
         if not response.size or np.min(1 + powers @ response) > 0:
@@ -104,15 +108,13 @@ def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
 
 
 def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:
-    """Return the best of a candidate's maxima, and the second where it is another one."""
+    """Return the row of a model's best maximum, and of the second-best if it differs."""
     order = rows[np.argsort(objective[rows], kind="stable")]
     behind = objective[order] - objective[order[0]]
     return [int(order[0]), *order[(behind > 0.02) & (behind < 10)][:1].tolist()]
 
 
-def _ranked(
-    structures: list[Structure], fine: Evaluation, *, owner: IntArray, near: IntArray, cost: FloatArray
-) -> RankedModels:
+def _ranked(fine: Fits, *, owner: IntArray, near: IntArray, cost: FloatArray) -> RankedModels:
     best, modes = [], []
     for index in near:
         rows = np.flatnonzero(owner == index)
@@ -123,16 +125,11 @@ def _ranked(
     value = 2 * fine.objective[best] + cost[near]
     order = np.argsort(value, kind="stable")
     rows = np.array(best, dtype=np.int64)[order]
-    return RankedModels(
-        structures=[structures[i] for i in near[order]],
-        maximum=fine[rows],
-        criterion=value[order],
-        modes=np.array(modes)[order],
-    )
+    return RankedModels(fits=fine[rows], criterion=value[order], modes=np.array(modes)[order])
 
 
 def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
-    """Return the models within reach of the best, the best first."""
+    """Return the models near the best, the best first."""
     delta = choice.criterion - choice.criterion[0]
     return tuple(
         Candidate(structure=structure_text(structure), delta=float(d))
@@ -142,7 +139,7 @@ def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
 
 
 def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
-    """Say which models do as well, what they differ in, and whether the best has two maxima."""
+    """Return findings about equally good models, and about a second maximum of the best."""
     near = near_candidates(choice)
     findings = []
     if len(near) > 1:
@@ -163,7 +160,7 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
 
 
 def _difference(choice: RankedModels, count: int) -> str:
-    """Return which terms are in some of the near models only, in words."""
+    """Return a text about the terms that are only in some of the near models."""
     sets = [set(structure) for structure in choice.structures[:count]]
     unsure = sorted({s for one in sets for s in one if not all(s in other for other in sets)})
     if not unsure:

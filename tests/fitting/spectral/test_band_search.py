@@ -7,26 +7,25 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import band, starts
 from imucal.fitting.spectral import band as filter_response
-from imucal.fitting.spectral.band import (
-    Band,
-    Order,
+from imucal.fitting.spectral import band_search, maximum
+from imucal.fitting.spectral.band import Band, Order, start_response
+from imucal.fitting.spectral.band_search import (
     _BandSearch,
     _deviation_of_white,
     _enough,
     _simplest,
     _Trial,
     find_band,
-    start_response,
 )
 from imucal.fitting.spectral.hump import Hump
-from imucal.fitting.spectral.likelihood import Evaluation, candidates_of, evaluate
+from imucal.fitting.spectral.likelihood import Fits, evaluate
+from imucal.fitting.spectral.models import models_of
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 
-def _maximum(objective: float, information: FloatArray) -> Evaluation:
+def _maximum(objective: float, information: FloatArray) -> Fits:
     return at_maximum(
         np.zeros((1, SHAPED)),
         objective=np.array([objective]),
@@ -38,7 +37,7 @@ def _maximum(objective: float, information: FloatArray) -> Evaluation:
 
 def _trial(order: Order, objective: float, statistic: float = 0.0) -> _Trial:
     maximum = _maximum(objective, np.zeros((SHAPED, SHAPED)))
-    return _Trial(fraction=1.0, order=order, maximum=maximum, statistic=statistic, deviation=0.1)
+    return _Trial(fraction=1.0, order=order, fit=maximum, statistic=statistic, deviation=0.1)
 
 
 @pytest.mark.parametrize(
@@ -62,10 +61,10 @@ def test_a_sound_description_gains_no_more_than_chance(
 
 def test_the_flat_band_has_the_benefit_of_the_doubt() -> None:
     """A score below 4, and gains of 12 and 15; of 30 and 33 where quantization may bend the spectrum."""
-    assert (band._SOUND_FLAT, band._GAIN_FLAT) == (4.0, (12.0, 15.0))
-    assert (band._GAIN_QUANTIZED, band._QUANTIZED) == ((30.0, 33.0), 0.2)
+    assert (band_search._SOUND_FLAT, band_search._GAIN_FLAT) == (4.0, (12.0, 15.0))
+    assert (band_search._GAIN_QUANTIZED, band_search._QUANTIZED) == ((30.0, 33.0), 0.2)
     trials = [_trial((0, 0), 100.0, 3.9), _trial((1, 0), 100 - 5.9), _trial((2, 0), 100 - 7.4)]
-    assert _enough(trials, band._GAIN_FLAT, band._SOUND_FLAT)
+    assert _enough(trials, band_search._GAIN_FLAT, band_search._SOUND_FLAT)
     assert not _enough(trials)
 
 
@@ -90,8 +89,8 @@ def test_the_simplest_sound_order_comes_with_the_next() -> None:
 
 def test_orders_that_are_tried() -> None:
     """Up to five poles; with as many zeros, one and two poles more."""
-    assert band._ALL_POLES == [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (5, 0)]
-    assert set(band._WITH_ZEROS) - set(band._ALL_POLES) == {
+    assert band_search._ALL_POLES == [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (5, 0)]
+    assert set(band_search._WITH_ZEROS) - set(band_search._ALL_POLES) == {
         *((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (4, 2)),
         *((3, 3), (4, 3), (5, 3), (4, 4), (5, 4)),
     }
@@ -102,7 +101,7 @@ def test_the_deviation_of_white_noise_is_half_that_of_its_logarithm() -> None:
     information = np.diag([1.0, 25.0, 1.0, 1.0])
     white = _maximum(0.0, information)
     assert _deviation_of_white(white) == pytest.approx(0.1)
-    assert _deviation_of_white(replace(white, candidates=candidates_of([("B",)], ()))) == np.inf
+    assert _deviation_of_white(replace(white, models=models_of([("B",)], ()))) == np.inf
 
 
 def test_the_level_at_the_top_is_that_of_the_last_eight_bins() -> None:
@@ -147,14 +146,14 @@ def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> No
     data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
     wild = _shaped(data, (1, 0), np.array([-0.9999]), 1.0)
     theta = start_response(wild, np.zeros((1, 4)), (2, 0), width=4, room=2)
-    candidate = candidates_of([("N",)], data.names, poles=2)
-    assert np.isfinite(evaluate(wild, candidate, theta).objective[0])
+    model = models_of([("N",)], data.names, poles=2)
+    assert np.isfinite(evaluate(wild, model, theta).objective[0])
 
 
 def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
     """Of white noise behind one whose corner is tried, it is that one, with its level."""
     data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
-    low, high, steps = filter_response._CORNERS
+    low, high, steps = filter_response.CORNERS
     corner = np.geomspace(low, high, steps)[12]
     for order in ((2, 0), (3, 0), (2, 2)):
         poles, zeros = order
@@ -172,8 +171,8 @@ def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch
     """By its objective, whichever start it came from."""
     data = ordinates_of(simulated("N=1", 500, 1))
     found = at_maximum(np.arange(12.0).reshape(3, SHAPED), objective=np.array([5.0, 3.0, 4.0]))
-    monkeypatch.setattr(starts, "maximize", lambda *_, **__: found)
-    monkeypatch.setattr(starts, "find_starts", lambda *_, **__: (np.zeros(3, dtype=int), found.theta))
+    monkeypatch.setattr(maximum, "maximize", lambda *_, **__: found)
+    monkeypatch.setattr(maximum, "find_starts", lambda *_, **__: (np.zeros(3, dtype=int), found.theta))
     npt.assert_array_equal(_BandSearch(data, ("N",), 10.0).blind(data), [[4.0, 5.0, 6.0, 7.0]])
 
 
@@ -227,7 +226,7 @@ def _flat_trials(
         *(_trial((k + 1, 0), 100 - g / 2) for k, g in enumerate(gains)),
     ]
     row = np.full((1, SHAPED + 5), 3.0) if theta is None else theta
-    return [replace(trial, maximum=replace(trial.maximum, theta=row)) for trial in trials]
+    return [replace(trial, fit=replace(trial.fit, theta=row)) for trial in trials]
 
 
 def test_a_flat_band_needs_one_look_where_it_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,14 +12,14 @@ from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral import estimates
 from imucal.fitting.spectral.estimates import RAMP as RAMP_COLUMN
 from imucal.fitting.spectral.estimates import (
-    Fitted,
     Problem,
     covariance_of,
     estimate,
     misfits_of,
     model_of,
 )
-from imucal.fitting.spectral.likelihood import Evaluation, candidates_of
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.models import models_of
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 TAU0 = 0.25
@@ -40,18 +40,17 @@ def problem(**widening: float) -> Problem:
     )
 
 
-def fit(theta: FloatArray = THETA, structure: tuple[str, ...] = STRUCTURE, beta: float = RAMP) -> Fitted:
+def fit(theta: FloatArray = THETA, structure: tuple[str, ...] = STRUCTURE, beta: float = RAMP) -> Fits:
     """Return a maximum; the information of parameter i is (i + 1)²."""
     size = theta.size
-    maximum = at_maximum(
+    return at_maximum(
         theta[None],
-        candidates=candidates_of([structure], ["R"]),
+        models=models_of([structure], ["R"]),
         objective=np.zeros(1),
         information=np.diag(np.arange(1.0, size + 1) ** 2)[None],
         beta=np.array([[beta]]),
         beta_covariance=np.array([[[0.25]]]),
     )
-    return Fitted(structure=structure, maximum=maximum)
 
 
 def found(
@@ -60,10 +59,10 @@ def found(
 ) -> dict[str, Estimate]:  # fmt: skip
     """Return the estimates, where every limit lies so far below and above its parameter."""
 
-    def limits(_: object, maximum: Evaluation, columns: FloatArray, **options: object) -> object:
+    def limits(_: object, fits: Fits, columns: FloatArray, **options: object) -> object:
         del options
         rows = np.arange(columns.size)
-        values = np.where(columns == -1, maximum.beta[:, 0], maximum.theta[rows, columns])
+        values = np.where(columns == -1, fits.beta[:, 0], fits.theta[rows, columns])
         return values - below if lowest is None else np.full(values.size, lowest), values + above
 
     monkeypatch.setattr(estimates, "profile_limits", limits)
@@ -75,7 +74,7 @@ def test_a_coefficient_is_the_root_of_its_variance(monkeypatch: pytest.MonkeyPat
     """In SI, by the unit of a deviation per sample: times tau0, its root, 1, and over its root."""
     table = found(monkeypatch)
     assert list(table) == ["Q", "N", "GM1", "GM2", "K", "R"]
-    deviations = {"Q": 2 * TAU0, "N": 3 * TAU0**0.5, "GM1": 5.0, "GM2": 6.0, "K": 4 / TAU0**0.5}
+    deviations = {"Q": 2 * TAU0, "N": 3 * TAU0**0.5, "GM1": 6.0, "GM2": 5.0, "K": 4 / TAU0**0.5}
     for key, deviation in deviations.items():
         item = table[key]
         assert item.value == pytest.approx(UNIT * deviation)
@@ -86,7 +85,7 @@ def test_a_coefficient_is_the_root_of_its_variance(monkeypatch: pytest.MonkeyPat
 
 def test_a_correlation_time_is_in_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its limits are those of its logarithm."""
-    for key, samples in (("GM1", 40.0), ("GM2", 10.0)):
+    for key, samples in (("GM1", 10.0), ("GM2", 40.0)):
         time = found(monkeypatch)[key].correlation_time
         assert time is not None
         expected = samples * TAU0 * np.exp([0.0, -0.2, 0.4])
@@ -172,10 +171,10 @@ def test_the_covariance_is_in_si(monkeypatch: pytest.MonkeyPatch) -> None:
         "Q": 0.5 * (UNIT * 2 * TAU0) / 1,
         "N": 2.0 * 0.5 * (UNIT * 3 * TAU0**0.5) / 2,
         "K": 0.5 * (UNIT * 4 / TAU0**0.5) / 4,
-        "GM1.sigma": 0.5 * (UNIT * 5) / 5,
-        "GM2.sigma": 0.5 * (UNIT * 6) / 6,
-        "GM1.T": 40 * TAU0 / 7,
-        "GM2.T": 10 * TAU0 / 8,
+        "GM1.sigma": 0.5 * (UNIT * 6) / 6,
+        "GM2.sigma": 0.5 * (UNIT * 5) / 5,
+        "GM1.T": 10 * TAU0 / 8,
+        "GM2.T": 40 * TAU0 / 7,
         "R": 0.5 * UNIT / TAU0,
     }
     npt.assert_allclose(matrix, np.diag([roots[name] ** 2 for name in names]), atol=1e-12)
@@ -197,9 +196,9 @@ def test_terms_that_are_bounded_have_no_covariance(monkeypatch: pytest.MonkeyPat
 def test_correlated_parameters_stay_correlated() -> None:
     """The inverse of the information, each row and column with its own derivative."""
     made = fit(np.log(np.array([1.0, 4.0, 1.0, 16.0])), ("N", "K"))
-    information = made.maximum.information.copy()
+    information = made.information.copy()
     information[0, 1, 3] = information[0, 3, 1] = 4.0
-    made = replace(made, maximum=replace(made.maximum, information=information))
+    made = replace(made, information=information)
     n = Estimate(key="N", symbol="N", status="estimated", value=2.0, low=1.0, high=3.0)
     k = Estimate(key="K", symbol="K", status="estimated", value=6.0, low=1.0, high=9.0)
     _, matrix = covariance_of(problem(), made, (n, k))
@@ -207,14 +206,13 @@ def test_correlated_parameters_stay_correlated() -> None:
     npt.assert_allclose(matrix, [[16 / 48, -12 / 48], [-12 / 48, 36 / 48]])
 
 
-def test_gauss_markov_terms_are_sorted_by_their_times() -> None:
-    """Variance, time and information go together; the others, and one term alone, stay."""
-    made = fit().by_time()
-    npt.assert_allclose(np.exp(made.maximum.theta[0]), [4, 9, 1, 16, 36, 25, 10, 40])
-    npt.assert_allclose(np.diag(made.maximum.information[0]), np.array([1, 2, 3, 4, 6, 5, 8, 7]) ** 2.0)
-    assert made.by_time().maximum.theta.tolist() == made.maximum.theta.tolist()
-    alone = fit(THETA[[0, 1, 2, 3, 4, 6]], ("N", "GM"))
-    assert alone.by_time().maximum.theta.tolist() == alone.maximum.theta.tolist()
-    roomy = candidates_of([("N", "GM")], ["R"], room_shaped=2)
-    room = Fitted(structure=("N", "GM"), maximum=replace(fit().maximum, candidates=roomy))
-    assert room.by_time().maximum.theta.tolist() == room.maximum.theta.tolist()
+def test_gauss_markov_terms_are_named_by_rising_times() -> None:
+    """Variance and time go together; the power laws come first, and one term alone has no number."""
+    made = fit()
+    assert made.columns() == [
+        ("Q", 0), ("N", 1), ("K", 3), ("GM1.sigma", 5), ("GM1.T", 7), ("GM2.sigma", 4), ("GM2.T", 6),
+    ]  # fmt: skip
+    assert made.variances(["B"]) == {"Q": 0, "N": 1, "B": 2, "K": 3, "GM1": 5, "GM2": 4}
+    alone = replace(made, models=made.models.without([4], ramp=True))
+    assert alone.structure == ("Q", "N", "GM", "K")
+    assert alone.columns()[3:] == [("GM.sigma", 5), ("GM.T", 7)]

@@ -1,7 +1,5 @@
 """What a fit of the spectrum says, and when it says nothing."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -10,19 +8,16 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Goodness, Line, Response
 from imucal.fitting.spectral.band import Band, Order, filter_finding, response_of
-from imucal.fitting.spectral.estimates import Fitted
-from imucal.fitting.spectral.likelihood import candidates_of, richest
+from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.mle import (
     _misfit_findings,
     _structures,
     _used,
 )
+from imucal.fitting.spectral.models import models_of, richest
 from imucal.fitting.spectral.not_noise import line_finding
 from imucal.recording import AxisSeries
 from tests.fitting.fits import at_maximum
-
-if TYPE_CHECKING:
-    from imucal.fitting.spectral.likelihood import Candidates
 
 SERIES = AxisSeries.from_samples(np.arange(3.0), rate_hz=100.0)
 RATE = 100.0
@@ -116,18 +111,17 @@ def test_the_richest_model_holds_every_candidate() -> None:
     assert set(richest(("Q", "GM", "GM"), 1)) == {"Q", "N", "B", "GM", "K"}
 
 
-def _behind(poles: FloatArray, zeros: int) -> Fitted:
+def _behind(poles: FloatArray, zeros: int) -> Fits:
     """Return a model of white noise behind the response of these coefficients."""
-    candidate: Candidates = candidates_of([("N",)], ("R",), poles=poles.size, zeros=zeros)
-    maximum = at_maximum(
+    models = models_of([("N",)], ("R",), poles=poles.size, zeros=zeros)
+    return at_maximum(
         np.concatenate([np.zeros(4), poles])[None, :],
-        candidates=candidate,
+        models=models,
         objective=np.zeros(1),
-        information=np.zeros((1, candidate.width, candidate.width)),
+        information=np.zeros((1, models.width, models.width)),
         beta=np.zeros((1, 1)),
         beta_covariance=np.zeros((1, 1, 1)),
     )
-    return Fitted(structure=("N",), maximum=maximum)
 
 
 @pytest.mark.parametrize(

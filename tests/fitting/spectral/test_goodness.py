@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from imucal.fitting.robust import heavy_tails
-from imucal.fitting.spectral.likelihood import candidates_of, evaluate
-from imucal.fitting.spectral.scoring import misfit
+from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.maximum import misfit
+from imucal.fitting.spectral.models import models_of
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, ordinates_of, simulated
@@ -14,11 +15,11 @@ from tests.fitting.state_space import distances
 
 def test_score_of_the_truth_is_standard_normal() -> None:
     """Over many records of white noise its mean is 0 and its spread 1."""
-    candidate = candidates_of([("N",)], ("R",))
+    model = models_of([("N",)], ("R",))
     scores = []
     for seed in range(300):
         data = ordinates_of(np.random.default_rng(seed).standard_normal(3000))
-        scores.append(misfit(data, evaluate(data, candidate, np.zeros((1, 4)))).statistic)
+        scores.append(misfit(data, evaluate(data, model, np.zeros((1, 4)))).statistic)
     # Three standard errors of a mean and of a standard deviation; the sum is a little skew.
     assert np.mean(scores) == pytest.approx(0, abs=3 / np.sqrt(300))
     assert np.std(scores) == pytest.approx(1, abs=0.2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fitting.spectral import band
+from imucal.fitting.spectral import band_search
 from tests.fitting.fits import fitted, simulated
 
 #: A consumer gyroscope for half an hour, at a tenth of its rate: B and K are weak beside one another.
@@ -107,7 +107,7 @@ def test_n_in_front_of_a_filter_has_a_rival() -> None:
 
 def test_n_is_always_a_value(monkeypatch: pytest.MonkeyPatch) -> None:
     """If a Gauss-Markov term hides N and no filter explains it, N is the floor below every near model."""
-    monkeypatch.setattr(band, "_MASKING", 2.0)
+    monkeypatch.setattr(band_search, "_MASKING", 2.0)
     for seed in range(3):
         fit = fitted(simulated("N=1e-5 + GM(sigma=1e-3, T=1.5)", N, seed, rate_hz=RATE), rate_hz=RATE)
         n = fit["N"]

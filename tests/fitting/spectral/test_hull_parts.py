@@ -1,4 +1,4 @@
-"""The parts of an interval after the choice: what near models say, which are looked at, what is named."""
+"""The parts of an interval after the choice: the near models, their weights, and the terms named."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,11 +9,12 @@ import pytest
 
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral import bounds
-from imucal.fitting.spectral.estimates import Fitted, Problem
-from imucal.fitting.spectral.likelihood import Structure
+from imucal.fitting.spectral.estimates import Problem
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.models import Structure, models_of
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.noise.terms import ALWAYS
-from tests.fitting.fits import ordinates_of
+from tests.fitting.fits import at_maximum, ordinates_of
 
 PROBLEM = Problem(
     ordinates=ordinates_of(np.random.default_rng(0).standard_normal(100)),
@@ -25,15 +26,10 @@ PROBLEM = Problem(
 
 def _ranked(structures: list[Structure], criterion: list[float], fit: list[float]) -> RankedModels:
     """Return models by criterion; `fit` is twice the sum of objective and number of parameters."""
-    parameters = np.array([len(structure) for structure in structures])
-    models = SimpleNamespace(
-        structures=structures,
-        criterion=np.array(criterion),
-        maximum=SimpleNamespace(
-            candidates=SimpleNamespace(parameters=parameters), objective=np.array(fit) / 2 - parameters
-        ),
-    )
-    return cast("RankedModels", models)
+    models = models_of(structures, ("R",))
+    objective = np.array(fit) / 2 - models.parameters
+    fits = at_maximum(np.zeros((models.count, models.width)), models=models, objective=objective)
+    return RankedModels(fits=fits, criterion=np.array(criterion), modes=np.full(models.count, np.inf))
 
 
 def _estimate(key: str, low: float, value: float, high: float, time: Interval | None = None) -> Estimate:
@@ -48,27 +44,27 @@ def _estimate(key: str, low: float, value: float, high: float, time: Interval | 
     )
 
 
-def _opinion(say: float, *terms: Estimate) -> bounds.Opinion:
-    return bounds.Opinion(say=say, terms={e.key: e for e in terms}, fitted=cast("Fitted", None))
+def _opinion(weight: float, *terms: Estimate) -> bounds.Opinion:
+    return bounds.Opinion(weight=weight, terms={e.key: e for e in terms}, fitted=cast("Fits", None))
 
 
 @pytest.mark.parametrize(
-    ("distance", "say", "level"),
+    ("distance", "weight", "level"),
     [(0.0, 1.0, 0.9545), (6.0, 1.0, 0.9545), (7.5, 0.5, 0.6827), (8.0, 1 / 3, 0.4950), (8.999, 0.0, 0.0)],
 )
-def test_a_model_has_less_to_say_the_farther_it_is(
-    monkeypatch: pytest.MonkeyPatch, distance: float, say: float, level: float
+def test_a_model_has_less_weight_the_farther_it_is(
+    monkeypatch: pytest.MonkeyPatch, distance: float, weight: float, level: float
 ) -> None:
     """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
     levels = []
 
-    def estimates_of(problem: Problem, _: Fitted) -> tuple[Estimate, ...]:
+    def estimates_of(problem: Problem, _: Fits) -> tuple[Estimate, ...]:
         levels.append(problem.level)
         return (_estimate("K", 1.0, 2.0, 3.0),)
 
     monkeypatch.setattr(bounds, "estimate", estimates_of)
-    found = bounds._opinion(PROBLEM, distance, cast("Fitted", None))
-    assert found.say == pytest.approx(say, abs=1e-3)
+    found = bounds._opinion(PROBLEM, distance, cast("Fits", None))
+    assert found.weight == pytest.approx(weight, abs=1e-3)
     assert levels == pytest.approx([level], abs=1e-3)
     assert not found.slow
 
@@ -79,7 +75,6 @@ def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[
     def model(structure: Structure) -> SimpleNamespace:
         return SimpleNamespace(structure=structure, missing=[s for s in ALWAYS if s not in structure])
 
-    monkeypatch.setattr(bounds, "fitted_model", lambda made, index: model(made.structures[index]))
     monkeypatch.setattr(bounds, "add_term", lambda _, fitted, symbol: model((*fitted.structure, symbol)))
     found = bounds._completed(PROBLEM, choice)
     return [(distance, " ".join(model.structure)) for distance, model in found]
@@ -143,24 +138,24 @@ def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
 def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
     """By the highest limit of all, though the chosen model shows it."""
     own = _estimate("B", 2.0, 3.0, 4.0)
-    for say in (1.0, 0.1):
-        found = bounds._hull(own, [(1.0, own), (say, Estimate.bounded("B", "B", 5.0))])
+    for weight in (1.0, 0.1):
+        found = bounds._hull(own, [(1.0, own), (weight, Estimate.bounded("B", "B", 5.0))])
         assert found == Estimate.bounded("B", "B", 5.0)
 
 
-@pytest.mark.parametrize(("say", "low"), [(0.25, 1.5), (0.75, 0.5), (0.99, None), (1.0, None)])
-def test_a_walk_is_bounded_by_a_model_with_full_say_only(say: float, low: float | None) -> None:
-    """One that is farther draws its lower limit towards zero, as much as it has to say."""
+@pytest.mark.parametrize(("weight", "low"), [(0.25, 1.5), (0.75, 0.5), (0.99, None), (1.0, None)])
+def test_a_walk_is_bounded_by_a_model_of_full_weight_only(weight: float, low: float | None) -> None:
+    """One that is farther draws its lower limit towards zero, as much as its weight."""
     own, zero = _estimate("K", 2.0, 3.0, 4.0), Estimate.bounded("K", "K", 5.0)
-    found = bounds._hull(own, [(1.0, own), (say, zero)])
+    found = bounds._hull(own, [(1.0, own), (weight, zero)])
     assert found == (Estimate.bounded("K", "K", 5.0) if low is None else _estimate("K", low, 3.0, 5.0))
-    assert _opinion(say, zero).vetoes("K") == (say == 1.0)
-    assert _opinion(say, replace(zero, key="B")).vetoes("B")
+    assert _opinion(weight, zero).vetoes("K") == (weight == 1.0)
+    assert _opinion(weight, replace(zero, key="B")).vetoes("B")
 
 
 @pytest.mark.parametrize(("low", "shown"), [(0.079, False), (0.081, True)])
 def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> None:
-    """Less than a fiftieth of the upper one: ``34 [0, 77]`` would say that K is there and that it is not."""
+    """Less than a fiftieth of the upper one: ``34 [0, 77]`` would mean that K is there and that it is not."""
     own = _estimate("K", low, 2.0, 4.0)
     assert (bounds._hull(own, [(1.0, own)]).value is not None) == shown
 
@@ -179,15 +174,15 @@ def test_the_drawn_model_gains_what_is_shown_and_keeps_what_it_lost(
 ) -> None:
     """What is printed adds up to the line; a Gauss-Markov term that was dropped does not come back."""
 
-    def add(_: Problem, model: Fitted, symbol: str) -> Fitted:
-        return cast("Fitted", SimpleNamespace(structure=(*model.structure, symbol)))
+    def add(_: Problem, model: Fits, symbol: str) -> Fits:
+        return cast("Fits", SimpleNamespace(structure=(*model.structure, symbol)))
 
-    def estimates_of(_: Problem, model: Fitted) -> tuple[Estimate, ...]:
+    def estimates_of(_: Problem, model: Fits) -> tuple[Estimate, ...]:
         return tuple(_estimate(symbol, 1.0, 2.0, 3.0) for symbol in model.structure)
 
     monkeypatch.setattr(bounds, "add_term", add)
     monkeypatch.setattr(bounds, "estimate", estimates_of)
-    fitted = cast("Fitted", SimpleNamespace(structure=("N", "GM")))
+    fitted = cast("Fits", SimpleNamespace(structure=("N", "GM")))
     own = (_estimate("N", 4.0, 5.0, 6.0), _estimate("GM", 1.0, 2.0, 3.0), Estimate.bounded("GM2", "GM", 5.0))
     richer, estimates = bounds._richer(PROBLEM, fitted, shown, own)
     assert richer.structure == ("N", "GM", *added)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imucal.fitting.spectral.likelihood import all_structures
+from imucal.fitting.spectral.models import all_structures
 from imucal.fitting.spectral.selection import choose
 from tests.fitting.fits import estimated, fitted, ordinates_of, simulated
 

@@ -8,10 +8,11 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import starts
-from imucal.fitting.spectral.likelihood import Candidates, candidates_of, evaluate
+from imucal.fitting.spectral import maximum
+from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.maximum import _combinations, _mix, find_starts, time_grid
+from imucal.fitting.spectral.models import Models, models_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.starts import _combinations, _mix, find_starts, time_grid
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
 
@@ -21,9 +22,9 @@ def ordinates(n: int = 600, text: str = "N=1 + B=0.3 + K=0.05", seed: int = 1) -
     return ordinates_of(NoiseModel.parse(text).simulate(n, rate_hz=1.0, rng=rng))
 
 
-def rich() -> tuple[Candidates, FloatArray]:
+def rich() -> tuple[Models, FloatArray]:
     """Three candidates of different make, and parameters that are no maximum."""
-    candidates = candidates_of(
+    candidates = models_of(
         [("Q", "N", "B", "GM", "GM", "K", "R"), ("N", "GM", "K"), ("N", "B", "R")],
         ("R",),
         poles=[2, 0, 1],
@@ -70,7 +71,7 @@ def test_information_is_the_expected_curvature() -> None:
         cross=np.zeros((0, data.size.size)),
         gram=np.zeros((0, 0, data.size.size)),
     )
-    plain = candidates_of([("N", "GM", "K")], (), room_shaped=2, room_poles=2)
+    plain = replace(row, regressors=np.zeros((1, 0), dtype=bool), names=())
     information = evaluate(expected, plain, theta[[1]]).information[0]
     step = 1e-5
     for column in np.flatnonzero(plain.free[0]):
@@ -97,7 +98,7 @@ def test_is_the_exact_likelihood_of_white_noise_and_random_walk(walk: float) -> 
     """Differences of -log L are those of the dense normal density, to rounding."""
     samples = NoiseModel.parse("N=1 + K=0.2").simulate(100, rate_hz=1.0, rng=np.random.default_rng(2))
     data = ordinates_of(samples)
-    candidate = candidates_of([("N", "K")], data.names)
+    candidate = models_of([("N", "K")], data.names)
 
     def fast(white: float, walk: float) -> float:
         theta = np.array([[0.0, np.log(white), 0.0, np.log(walk) if walk else -700.0]])
@@ -112,7 +113,7 @@ def test_ramp_is_the_generalised_least_squares_solution() -> None:
     """Beta of white noise is the slope of an ordinary straight-line fit."""
     samples = np.random.default_rng(4).standard_normal(90) + 0.02 * np.arange(90)
     data = ordinates_of(samples)
-    candidate = candidates_of([("N", "R")], data.names)
+    candidate = models_of([("N", "R")], data.names)
     found = evaluate(data, candidate, np.zeros((1, 4)))
     assert found.beta[0, 0] == pytest.approx(np.polyfit(np.arange(90), samples, 1)[0], rel=1e-9)
     centred = np.arange(90) - 44.5
@@ -122,7 +123,7 @@ def test_ramp_is_the_generalised_least_squares_solution() -> None:
 def test_a_held_ramp_costs_what_it_should() -> None:
     """Held at its solution the ramp changes nothing; held one standard error away it costs 1/2."""
     data = ordinates(text="N=1 + R=0.01")
-    candidate = candidates_of([("N", "R")], data.names)
+    candidate = models_of([("N", "R")], data.names)
     free = evaluate(data, candidate, np.zeros((1, 4)))
     deviation = np.sqrt(free.beta_covariance[0, 0, 0])
     held = evaluate(data, candidate, np.zeros((1, 4)), ramp=free.beta[:, 0] + deviation)
@@ -132,7 +133,7 @@ def test_a_held_ramp_costs_what_it_should() -> None:
 def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
     """The objective is infinite, so that no search goes there."""
     data = ordinates()
-    candidate = candidates_of([("N",)], data.names, poles=1)
+    candidate = models_of([("N",)], data.names, poles=1)
     theta = np.array([[0.0, 0.0, 0.0, 0.0, -1.5]])
     assert evaluate(data, candidate, theta).objective[0] == np.inf
 
@@ -140,8 +141,9 @@ def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
 def test_columns_that_a_candidate_does_not_use_change_nothing() -> None:
     """One pole and one Gauss-Markov term in wider rooms, whatever stands in the others' columns."""
     data = ordinates()
-    own = candidates_of([("N", "GM")], data.names, poles=1)
-    roomy = candidates_of([("N", "GM")], data.names, poles=1, room_shaped=2, room_poles=3)
+    own = models_of([("N", "GM")], data.names, poles=1)
+    pair = models_of([("N", "GM"), ("N", "GM", "GM")], data.names, poles=1, room_poles=3)
+    roomy = pair[[0]]
     narrow = np.array([[0.0, 0.3, 0.0, 0.0, -1.0, 2.0, 0.7]])
     wide = np.array([[5.0, 0.3, 5.0, 5.0, -1.0, 9.0, 2.0, 4.0, 0.7, 3.0, 2.0]])
     one, other = evaluate(data, own, narrow), evaluate(data, roomy, wide)
@@ -253,9 +255,9 @@ def test_the_best_starts_are_those_of_all_rounds(monkeypatch: pytest.MonkeyPatch
     """A candidate's best few after the first rounds hold its best after all."""
     text = "N=1 + GM(sigma=0.3, T=20) + GM(sigma=0.2, T=900) + K=3e-4"
     data = coarser(ordinates(n=40_000, text=text, seed=8123), singles=48, merge=3)
-    candidates = candidates_of([("N", "GM", "K"), ("N", "GM", "GM"), ("N", "B", "GM", "GM", "R")], data.names)
+    candidates = models_of([("N", "GM", "K"), ("N", "GM", "GM"), ("N", "B", "GM", "GM", "R")], data.names)
     owner, theta = find_starts(data, candidates, keep=(1, 2, 3), quick=quick)
-    monkeypatch.setattr(starts, "_THOROUGH", ((25, 10**6, 1.0) if quick else (50, 10**6, 0.5),))
+    monkeypatch.setattr(maximum, "_THOROUGH", ((25, 10**6, 1.0) if quick else (50, 10**6, 0.5),))
     every_owner, every_theta = find_starts(data, candidates, keep=(1, 2, 3))
     assert owner.tolist() == every_owner.tolist()
     npt.assert_allclose(theta, every_theta, rtol=1e-9)

@@ -6,8 +6,8 @@ import pytest
 from scipy.fft import dct
 
 from imucal.allan.dct import dct_bins
-from imucal.fitting.spectral import blocks
-from imucal.fitting.spectral.blocks import _conjugate, _groups, _Pairs, _precision, complete
+from imucal.fitting.spectral import gaps
+from imucal.fitting.spectral.gaps import _conjugate, _groups, _Pairs, _precision, complete
 
 
 def test_conjugate_gradients_solve_the_system() -> None:
@@ -52,17 +52,17 @@ def test_the_precision_of_missing_samples_is_its_definition(
     direct: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The missing block of C' diag(w) C, by sums of cosines as by transforms; also at both ends."""
-    monkeypatch.setattr(blocks, "_DIRECT", direct)
-    n, gaps = 400, np.array([0, 1, 57, 58, 59, 200, 399])
+    monkeypatch.setattr(gaps, "_DIRECT", direct)
+    n, missing = 400, np.array([0, 1, 57, 58, 59, 200, 399])
     groups = _groups(dct_bins(n))
     weight = np.random.default_rng(1310).uniform(0.1, 5.0, groups.size)
     each = np.append(0.0, np.repeat(weight, np.diff(groups, append=n - 1)))
     transform = dct(np.eye(n), axis=0, norm="ortho")
-    block = (transform.T @ (each[:, np.newaxis] * transform))[np.ix_(gaps, gaps)]
-    pairs = _Pairs.of(gaps, n, groups)
+    block = (transform.T @ (each[:, np.newaxis] * transform))[np.ix_(missing, missing)]
+    pairs = _Pairs.of(missing, n, groups)
     assert (pairs is None) == (direct == 0)
-    apply = _precision(gaps, pairs, weight, groups, n)
-    found = np.stack([apply(unit) for unit in np.eye(gaps.size)], axis=1)
+    apply = _precision(missing, pairs, weight, groups, n)
+    found = np.stack([apply(unit) for unit in np.eye(missing.size)], axis=1)
     npt.assert_allclose(found, block, atol=1e-13 * np.abs(block).max())
 
 
@@ -75,7 +75,7 @@ def test_few_and_many_missing_samples_are_completed_alike(monkeypatch: pytest.Mo
         seen[part] = False
     found = []
     for direct in (0.0, 1e9):
-        monkeypatch.setattr(blocks, "_DIRECT", direct)
+        monkeypatch.setattr(gaps, "_DIRECT", direct)
         found.append(complete(samples.copy(), seen, dct_bins(5000)))
     for one, other in zip(*found, strict=True):
         npt.assert_allclose(one, other, atol=1e-12 * np.abs(other).max())

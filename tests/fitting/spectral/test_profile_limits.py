@@ -10,25 +10,26 @@ import pytest
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.spectral import estimates
 from imucal.fitting.spectral.estimates import RAMP, _ProfileSearch, profile_limits, quantile
-from imucal.fitting.spectral.likelihood import Candidates, Evaluation, candidates_of
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import bounds
+from imucal.fitting.spectral.models import Models, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import bounds
 from tests.fitting.fits import at_maximum, ordinates_of, simulated
 
 #: Columns of the variances of N and of a Gauss-Markov term, and of its time.
 N, SIGMA, TIME = 1, 4, 5
 DATA = ordinates_of(simulated("N=1", 3000, 1))
-CANDIDATES = candidates_of([("N", "GM", "R")], DATA.names)
+MODELS = models_of([("N", "GM", "R")], DATA.names)
 CENTRE = np.array([0.0, 0.2, 0.0, 0.0, 0.4, np.log(50.0)])
 BETA, PEAK = 0.3, 7.0
 
 
-def maximum(information: FloatArray | None = None) -> Evaluation:
+def maximum(information: FloatArray | None = None) -> Fits:
     """Return the place of the greatest likelihood."""
     width = CENTRE.size
     return at_maximum(
         CENTRE[None].copy(),
-        candidates=CANDIDATES,
+        models=MODELS,
         objective=np.array([PEAK]),
         information=(np.eye(width) if information is None else information)[None],
         beta=np.array([[BETA]]),
@@ -42,16 +43,16 @@ def known(monkeypatch: pytest.MonkeyPatch, deviation: float) -> list[BoolArray]:
 
     def drop(
         ordinates: Ordinates,
-        candidates: Candidates,
+        models: Models,
         theta: FloatArray,
         *,
         free: BoolArray,
         ramp: FloatArray,
         **options: Any,  # noqa: ANN401
-    ) -> Evaluation:
+    ) -> Fits:
         del ordinates, options
         seen.append(free)
-        assert candidates.count == len(theta) == len(free) == ramp.size
+        assert models.count == len(theta) == len(free) == ramp.size
         away = [np.exp(theta[:, c] / 2) - np.exp(CENTRE[c] / 2) for c in (N, SIGMA)]
         away += [theta[:, TIME] - CENTRE[TIME], np.where(np.isnan(ramp), 0.0, ramp - BETA)]
         objective = PEAK + sum(0.5 * (part / deviation) ** 2 for part in away)
@@ -89,7 +90,7 @@ def test_limits_lie_where_the_drop_reaches_the_quantile(
     npt.assert_allclose([low[2], high[2]], CENTRE[TIME] + np.array([-1, 1]) * 0.1 * z, atol=0.0011 * z)
     npt.assert_allclose([low[3], high[3]], BETA + np.array([-1, 1]) * 0.1 * z, atol=0.0011 * z)
     # The one that is profiled is held; nothing is held for a ramp, which is a regressor.
-    free = CANDIDATES.free[0]
+    free = MODELS.free[0]
     for row, profiled in enumerate((N, SIGMA, TIME, None) * 2):
         expected = free.copy()
         if profiled is not None:
@@ -116,7 +117,7 @@ def test_where_a_search_begins_and_what_bounds_it() -> None:
     """At the estimate, in u; a variance and a ramp have no upper bound, a ramp no lower."""
     found = search([N, TIME, RAMP])
     npt.assert_allclose(found.centre, [np.exp(0.1), CENTRE[TIME], BETA])
-    low, high = bounds(DATA, CANDIDATES)
+    low, high = bounds(DATA, MODELS)
     npt.assert_allclose(found.low, [np.exp(low[N] / 2), low[TIME], -np.inf])
     npt.assert_allclose(found.high, [np.inf, high[TIME], np.inf])
     npt.assert_allclose(found.from_u(np.arange(3), np.array([2.0, 2.0, 2.0])), [2 * np.log(2.0), 2.0, 2.0])

@@ -6,17 +6,17 @@ from scipy import optimize
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.given_model import BinFit, fit_bins, record_tests
-from imucal.fitting.spectral.likelihood import evaluate, parameter_columns
+from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.ordinates import SHAPED
-from imucal.fitting.spectral.scoring import bounds
 from tests.fleet.records import bins_from, simulated
 
 
 def _least(fit: BinFit, shared: int | None) -> float:
     """Return the least -log L of all records, with one variance for all in the column `shared`."""
-    columns = [c for _, c in parameter_columns(fit.whole.structure, 0) if c < SHAPED]
-    low = [bounds(one, fit.whole.candidate)[0][columns] for one in fit.records]
-    begin = fit.whole.maximum.theta[0]
+    columns = [c for _, c in fit.whole.columns() if c < SHAPED]
+    low = [bounds(one, fit.whole.models)[0][columns] for one in fit.records]
+    begin = fit.whole.theta[0]
     own = [column for column in columns if column != shared]
 
     def objective(values: FloatArray) -> tuple[float, FloatArray]:
@@ -27,7 +27,7 @@ def _least(fit: BinFit, shared: int | None) -> float:
             theta[own] = values[place]
             if shared is not None:
                 theta[shared] = values[0]
-            found = evaluate(one, fit.whole.candidate, theta[None])
+            found = evaluate(one, fit.whole.models, theta[None])
             total += float(found.objective[0])
             slope[place] += found.score[0, own]
             slope[0] += 0.0 if shared is None else found.score[0, shared]
@@ -60,6 +60,6 @@ def test_the_statistic_is_that_of_a_general_minimiser(case: int) -> None:
     fit = fit_bins(every, ("N", "B", "K"), level=0.95)
     tests = {test.key: test for test in record_tests(fit)}
     free = _least(fit, None)
-    for name, column in parameter_columns(fit.whole.structure, 0):
+    for name, column in fit.whole.columns():
         drop = 2 * (_least(fit, column) - free) / fit.problem.widening.get(name, 1.0) ** 2
         assert tests[name].statistic == pytest.approx(max(drop, 0.0), rel=1e-5, abs=1e-4)

@@ -7,24 +7,24 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.fitting.spectral.likelihood import candidates_of, evaluate
-from imucal.fitting.spectral.scoring import (
+from imucal.fitting.spectral.likelihood import covariance, evaluate
+from imucal.fitting.spectral.maximum import (
     _step,
     bounds,
-    covariance,
     given_up,
     maximize,
     misfit,
     misfit_factors,
 )
+from imucal.fitting.spectral.models import models_of
 from tests.fitting.fits import ordinates_of, simulated
 
 
 def test_bounds_of_a_time_and_of_a_variance() -> None:
     """From the shortest to twice the record; a variance to exp(-18) of the lowest bin it could show in."""
     data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
-    candidates = candidates_of([("N", "GM")], data.names, poles=1, shortest=7.0)
-    low, high = bounds(data, candidates)
+    models = models_of([("N", "GM")], data.names, poles=1, shortest=7.0)
+    low, high = bounds(data, models)
     assert np.exp(low[5]) == pytest.approx(7.0)
     assert np.exp(high[5]) == pytest.approx(1000.0)
     assert np.isposinf(high[[0, 1, 2, 3, 4, 6]]).all()
@@ -39,37 +39,37 @@ def test_bounds_of_a_time_and_of_a_variance() -> None:
 def test_a_step_is_no_longer_than_one_and_a_half() -> None:
     """In log units; of a response, relative to 1 + its size. A parameter at its bound stays there."""
     data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
-    candidates = candidates_of([("N", "K")], data.names, poles=1)
-    low, high = bounds(data, candidates)
+    models = models_of([("N", "K")], data.names, poles=1)
+    low, high = bounds(data, models)
     theta = np.array([[0.0, -12.0, 0.0, -14.0, 0.0]])
-    state = evaluate(data, candidates, theta)
+    state = evaluate(data, models, theta)
     rows, damping = np.array([0]), np.array([1e-9])
     score = np.array([[0.0, -1e9, 0.0, 1e9, -1e9]])
     state.score[:] = score
-    moved = _step(state, rows, candidates.free, damping, limits=(low, high)) - theta
+    moved = _step(state, rows, models.free, damping, limits=(low, high)) - theta
     assert np.abs(moved).max() == pytest.approx(1.5)
     assert moved[0, 0] == moved[0, 2] == 0.0
     theta[0, 4] = 3.0
     state.information[:] = np.eye(5)
-    moved = _step(state, rows, candidates.free, damping, limits=(low, high)) - theta
+    moved = _step(state, rows, models.free, damping, limits=(low, high)) - theta
     npt.assert_allclose(moved, [[0.0, 1.5, 0.0, -1.5, 6.0]])
     at_bound = np.where(np.isfinite(low), low, theta)
     bounded = replace(state, theta=at_bound)
-    moved = _step(bounded, rows, candidates.free, damping, limits=(low, high)) - at_bound
+    moved = _step(bounded, rows, models.free, damping, limits=(low, high)) - at_bound
     npt.assert_allclose(moved, [[0.0, 1.5, 0.0, 0.0, 6.0]])
 
 
 def test_a_search_ends_at_rest() -> None:
     """One step is too few from far away; a parameter that is held does not move."""
     data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
-    candidates = candidates_of([("N", "K")], data.names)
+    models = models_of([("N", "K")], data.names)
     start = np.array([[0.0, -9.0, 0.0, 3.0]])
-    assert np.abs(maximize(data, candidates, start, iterations=1).score).max() > 1.0
-    found = maximize(data, candidates, start)
+    assert np.abs(maximize(data, models, start, iterations=1).score).max() > 1.0
+    found = maximize(data, models, start)
     assert np.abs(found.score).max() < 1e-3
-    npt.assert_array_equal(found.score, evaluate(data, candidates, found.theta).score)
+    npt.assert_array_equal(found.score, evaluate(data, models, found.theta).score)
     held = np.array([[False, True, False, False]])
-    partly = maximize(data, candidates, start, free=held)
+    partly = maximize(data, models, start, free=held)
     assert partly.theta[0, 3] == 3.0
     assert partly.objective[0] > found.objective[0]
 
@@ -86,9 +86,9 @@ def test_the_covariance_holds_what_the_data_do_not_tell() -> None:
 def test_the_misfit_is_its_definition() -> None:
     """Groups of eight degrees of freedom; a loop over them gives the same score."""
     data = ordinates_of(simulated("N=1 + K=0.05", 400, 2) + 0.01 * np.arange(400))
-    candidate = candidates_of([("N", "R")], data.names)
+    model = models_of([("N", "R")], data.names)
     theta = np.zeros((1, 4))
-    beta = evaluate(data, candidate, theta).beta[0, 0]
+    beta = evaluate(data, model, theta).beta[0, 0]
     ratio = data.power - 2 * beta * data.cross[0] + beta**2 * data.gram[0, 0]
     groups: dict[int, list[float]] = {}
     before = 0.0
@@ -98,7 +98,7 @@ def test_the_misfit_is_its_definition() -> None:
         before += size
     squares = [(value - size) ** 2 / (2 * size) for size, value in groups.values()]
     spread = np.sqrt(sum(2 + 12 / size for size, _ in groups.values()))
-    found = misfit(data, evaluate(data, candidate, theta))
+    found = misfit(data, evaluate(data, model, theta))
     assert found.chi2_per_bin == pytest.approx(np.mean(squares), rel=1e-12)
     assert found.statistic == pytest.approx((sum(squares) - len(squares)) / spread, rel=1e-9)
     assert found.p_value == pytest.approx(NormalDist().cdf(-found.statistic), rel=1e-9)
@@ -117,10 +117,10 @@ def test_a_race_changes_nothing_for_the_best() -> None:
     """They end where they end without it, to the digit; the others higher than they would."""
     data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 3))
     structures = [("N",), ("N", "K"), ("N", "B", "K"), ("K",), ("Q", "N")]
-    candidates = candidates_of(structures, data.names, shortest=7.0)
+    models = models_of(structures, data.names, shortest=7.0)
     start = np.tile(np.log(data.power.sum() / data.count / data.basis.mean(axis=1)), (5, 1))
-    plain = maximize(data, candidates, start)
-    raced = maximize(data, candidates, start, handicap=np.zeros(5))
+    plain = maximize(data, models, start)
+    raced = maximize(data, models, start, handicap=np.zeros(5))
     near = plain.objective < plain.objective.min() + 12.5
     assert 0 < near.sum() < 5
     npt.assert_array_equal(raced.theta[near], plain.theta[near])
@@ -130,26 +130,26 @@ def test_a_race_changes_nothing_for_the_best() -> None:
 def test_the_factor_of_the_only_term_is_the_root_of_the_mean_squared_residual() -> None:
     """White noise lies in all groups alike; the model says too little where a walk is beside it."""
     data = ordinates_of(simulated("N=1 + K=0.05", 400, 2))
-    candidate = candidates_of([("N",)], data.names)
+    model = models_of([("N",)], data.names)
     theta = np.zeros((1, 4))
     size, squares = [], []
     for group in np.unique((np.cumsum(data.size) - data.size / 2) // 8):
         own = (np.cumsum(data.size) - data.size / 2) // 8 == group
         size.append(data.size[own].sum())
         squares.append((data.power[own].sum() - size[-1]) ** 2 / (2 * size[-1]))
-    factors = misfit_factors(data, evaluate(data, candidate, theta))
+    factors = misfit_factors(data, evaluate(data, model, theta))
     assert factors[1] == pytest.approx(np.sqrt(np.average(squares, weights=size)), rel=1e-9)
 
 
 def test_a_misfit_counts_for_the_terms_that_lie_there() -> None:
     """A hump at high frequency makes N less sure and leaves K as it is."""
     data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 3))
-    candidate = candidates_of([("N", "K")], data.names)
+    model = models_of([("N", "K")], data.names)
     theta = np.array([[0.0, 0.0, 0.0, 2 * np.log(0.05)]])
-    plain = misfit_factors(data, evaluate(data, candidate, theta))
+    plain = misfit_factors(data, evaluate(data, model, theta))
     upper = np.cumsum(data.size) > 0.5 * data.size.sum()
     hump = replace(data, power=np.where(upper, 1.5 * data.power, data.power))
-    found = misfit_factors(hump, evaluate(hump, candidate, theta))
+    found = misfit_factors(hump, evaluate(hump, model, theta))
     assert 0.8 < plain[1] < 1.2
     assert found[1] > 3.0
     assert found[3] == pytest.approx(plain[3], rel=0.01)
@@ -158,6 +158,6 @@ def test_a_misfit_counts_for_the_terms_that_lie_there() -> None:
 def test_an_absent_law_has_the_factor_of_where_it_would_lie() -> None:
     """Whatever its size: a walk that is too much for white noise alone would be at the lowest ordinates."""
     data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 4))
-    found = evaluate(data, candidates_of([("N",)], data.names), np.zeros((1, 4)))
+    found = evaluate(data, models_of([("N",)], data.names), np.zeros((1, 4)))
     factors = misfit_factors(data, found)
     assert factors[3] > 10 * factors[1]

@@ -10,15 +10,10 @@ from scipy import signal
 from imucal.fitting import CRITERIA, FitSettings, fit
 from imucal.fitting.spectral import selection
 from imucal.fitting.spectral.band import Band
-from imucal.fitting.spectral.likelihood import (
-    Evaluation,
-    Structure,
-    all_structures,
-    candidates_of,
-    parameter_columns,
-)
+from imucal.fitting.spectral.likelihood import Fits
+from imucal.fitting.spectral.maximum import maximize
 from imucal.fitting.spectral.mle import spectral_view
-from imucal.fitting.spectral.scoring import maximize
+from imucal.fitting.spectral.models import Structure, all_structures, models_of
 from imucal.fitting.spectral.selection import (
     RankedModels,
     _distinct,
@@ -64,9 +59,9 @@ def test_finds_the_best_structure_behind_a_filter(poles: int, corner: float) -> 
         data, band = view.ordinates, view.band
         structures = [s for s in all_structures(1, quantization=False) if "N" in s]
         choice = choose(data, structures, criterion="bic", band=band, shortest=10.0)
-        own = candidates_of([tuple(truth)], data.names, poles=band.poles, zeros=band.zeros, shortest=10.0)
+        own = models_of([tuple(truth)], data.names, poles=band.poles, zeros=band.zeros, shortest=10.0)
         start = np.zeros((1, own.width))
-        for symbol, column in parameter_columns(tuple(truth), 0):
+        for symbol, column in own.columns(start[0]):
             start[0, column] = 2 * np.log(truth[symbol] / data.scale)
         start[0, own.response :] = band.response
         best = maximize(data, own, start).objective[0]
@@ -99,14 +94,15 @@ def test_a_lower_price_never_chooses_fewer_parameters() -> None:
 
 def test_parameter_names() -> None:
     """One Gauss-Markov term is GM, several are numbered; the columns are those of the candidates."""
-    assert parameter_columns(("N", "GM", "K"), 2) == [("N", 1), ("K", 3), ("GM.sigma", 4), ("GM.T", 6)]
-    names = [name for name, _ in parameter_columns(("N", "GM", "GM"), 2)]
+    models = models_of([("N", "GM", "K"), ("N", "GM", "GM")], ())
+    assert models.columns(np.zeros(8)) == [("N", 1), ("K", 3), ("GM.sigma", 4), ("GM.T", 6)]
+    names = [name for name, _ in models[[1]].columns(np.zeros(8))]
     assert names == ["N", "GM1.sigma", "GM1.T", "GM2.sigma", "GM2.T"]
 
 
 def test_candidates_count_their_parameters() -> None:
     """A variance is one, a Gauss-Markov term two, a ramp one, a response its poles."""
-    candidates = candidates_of([("N",), ("N", "GM", "GM", "R")], ("R",), poles=[0, 2])
+    candidates = models_of([("N",), ("N", "GM", "GM", "R")], ("R",), poles=[0, 2])
     assert candidates.parameters.tolist() == [1, 8]
 
 
@@ -153,11 +149,12 @@ def test_a_curve_alone_is_not_enough_for_maximum_likelihood() -> None:
         fit(curve)
 
 
-def _maximum(objective: Sequence[float]) -> Evaluation:
-    """Return maxima of which only the objective means something; theta counts the rows."""
+def _maximum(objective: Sequence[float], structures: list[Structure]) -> Fits:
+    """Return fits of some structures with known objectives; theta counts the rows."""
     rows = len(objective)
     return at_maximum(
         np.arange(rows, dtype=np.float64)[:, None],
+        models=models_of(structures, ()),
         objective=np.array(objective, dtype=np.float64),
         information=np.zeros((rows, 1, 1)),
         beta=np.zeros((rows, 0)),
@@ -168,8 +165,7 @@ def _maximum(objective: Sequence[float]) -> Evaluation:
 def _models(structures: list[Structure], criterion: list[float], second: float = np.inf) -> RankedModels:
     """Return ranked models whose best has a second maximum `second` below the first."""
     return RankedModels(
-        structures=structures,
-        maximum=_maximum([0.0] * len(structures)),
+        fits=_maximum([0.0] * len(structures), structures),
         criterion=np.array(criterion),
         modes=np.array([second, *[np.inf] * (len(structures) - 1)]),
     )
@@ -238,15 +234,14 @@ def test_candidates_are_ranked_by_their_best_maximum_and_its_price() -> None:
     """Of two candidates with two maxima each: the best of each, its price, and how far the second is."""
     structures: list[Structure] = [("N",), ("B",), ("N", "K")]
     ranked = _ranked(
-        structures,
-        _maximum([7.0, 6.0, 5.0, 5.5, 5.01]),
+        _maximum([7.0, 6.0, 5.0, 5.5, 5.01], [structures[i] for i in (0, 0, 2, 2, 2)]),
         owner=np.array([0, 0, 2, 2, 2]),
         near=np.array([0, 2]),
         cost=np.array([1.0, 0.0, 5.0]),
     )
     assert ranked.structures == [("N",), ("N", "K")]
     assert ranked.criterion.tolist() == [13.0, 15.0]
-    assert ranked.maximum.theta[:, 0].tolist() == [1.0, 2.0]
+    assert ranked.fits.theta[:, 0].tolist() == [1.0, 2.0]
     assert ranked.modes.tolist() == [1.0, 0.5]
 
 
@@ -257,7 +252,7 @@ def test_a_response_that_was_found_stays_in_the_first_round(
     """Every start has its coefficients, held; they are free only after that. Without one all are free."""
     rounds: list[dict[str, Any]] = []
 
-    def watched(*args: Any, **named: Any) -> Evaluation:  # noqa: ANN401 - passed on as they are
+    def watched(*args: Any, **named: Any) -> Fits:  # noqa: ANN401 - passed on as they are
         rounds.append({"candidates": args[1], "theta": args[2].copy(), "free": named.get("free")})
         return maximize(*args, **named)
 

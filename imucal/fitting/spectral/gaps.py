@@ -1,0 +1,231 @@
+"""Completion of missing samples by expectation-maximisation, without a model.
+
+For a smooth spectrum S, the missing samples given the observed ones are normal, and their precision is the
+missing block of C' diag(1/S) C (C the DCT). Conjugate gradients give their mean, a random draw their
+covariance, and
+
+    E[X_k² | observed] = (mean X_k)² + var X_k
+
+replaces X_k². The variance's share of it is information lost to the gaps. The variance is averaged over
+neighbouring frequencies, because the scatter of one draw resembles a misfit.
+
+Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23;
+lost information: Louis (1982), JRSS B 44.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from imucal.allan.dct import DctBins, dct2, idct2
+from imucal.arrays import BoolArray, FloatArray, IntArray
+
+#: Largest number of rounds; largest expected change of the spectrum in a next round. Each change is the
+#: previous one times the share of information lost to the gaps.
+_ROUNDS, _MOVED = 40, 3e-4
+#: Ratio of the frequencies over which the variance of missing samples is averaged.
+_NEAR = 1.5
+_STEPS = 40
+_CLOSE = 1e-3
+#: Largest number of missing samples, and of sines per sample, for direct sums: above, transforms are faster.
+_FEW, _DIRECT = 1000, 30
+#: Seed of the random draws, fixed so that fits are reproducible.
+_SEED = 20_24
+
+
+def complete(
+    samples: FloatArray, seen: BoolArray, bins: DctBins
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return expected ordinates, their variances, the lost information, and a draw of the missing samples.
+
+    `samples`, shape (n,), are overwritten; only `seen` ones, shape (n,), count. The results are ordinates and
+    variances, shapes (n-1,); the share of each bin's information lost to the gaps, shape (b,); and the
+    missing samples in order, their expectation and an error drawn with it, shape (g,).
+    """
+    n = samples.size
+    gaps = np.flatnonzero(~seen)
+    samples[gaps] = _between(samples, gaps)
+    mean = float(samples.mean())
+    samples -= mean
+    groups = _groups(bins)
+    pairs = _Pairs.of(gaps, n, groups)
+    # Ordinates 0 … n-1; long arrays are overwritten or deleted early to save memory.
+    mean_of, count = dct2(samples), np.diff(groups, append=n - 1)
+    variance, spectrum = np.zeros(groups.size), np.zeros(groups.size)
+    for number in range(_ROUNDS):
+        previous, spectrum = spectrum, _means(mean_of[1:], groups) + variance
+        if number and np.all(np.abs(spectrum - previous) * variance < _MOVED * previous * spectrum):
+            break
+        # Reuse the transform of the samples; the draw is made in the transform's domain.
+        right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
+        del mean_of
+        draw = np.empty(n)
+        np.random.default_rng(_SEED).standard_normal(out=draw[1:])
+        drawn = idct2(_weighed(draw, 1 / np.sqrt(spectrum), groups))[gaps]
+        del draw
+        apply = _precision(gaps, pairs, 1 / spectrum, groups, n)
+        # The median over the upper half of the ordinates.
+        ends = np.maximum(np.append(groups, n - 1), (n - 1) // 2)
+        unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
+        samples[gaps] -= _conjugate(apply, right, unit)
+        error = _conjugate(apply, drawn, unit)
+        variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
+        mean_of = dct2(samples)
+    # From neighbouring groups too: if a group's own power set its weight, groups of large power would count
+    # for more, and the level would be too high.
+    share = variance / (_smooth(_means(mean_of[1:], groups), groups, count) + variance)
+    loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
+    return mean_of[1:], np.repeat(variance, count), np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
+
+
+def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
+    """Return the means of a variance over neighbouring groups, shape of `groups`.
+
+    The scatter of a single random draw would add to the scatter of the ordinates.
+    """
+    middle = groups + 0.5 * count
+    first, stop = (
+        np.searchsorted(middle, middle / _NEAR),
+        np.searchsorted(middle, middle * _NEAR, side="right"),
+    )
+    total = np.concatenate([np.zeros((2, 1)), np.cumsum([variance * count, count], axis=1)], axis=1)
+    weighted, number = total[:, stop] - total[:, first]
+    return np.asarray(weighted / number)
+
+
+def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
+    """Return straight lines over each gap, shape (g,); constants at the ends of the record.
+
+    A line joins the means of up to as many samples on either side as are missing: a single neighbour's noise
+    over a whole gap would add far too much power at low frequencies.
+    """
+    begins = np.diff(gaps, prepend=-2) > 1
+    gap = np.cumsum(begins) - 1
+    first, after = gaps[begins], gaps[np.append(begins[1:], True)[: gaps.size]] + 1
+    size = after - first
+    low = np.maximum(first - size, np.append(0, after[:-1]))
+    high = np.minimum(after + size, np.append(first[1:], samples.size))
+    ends = np.stack([low, first, after, high])
+    ends[:2, first == 0], ends[2:, after == samples.size] = (
+        ends[2:, first == 0],
+        ends[:2, after == samples.size],
+    )
+    left, right = (
+        np.add.reduceat(np.append(samples, 0.0), sides.T.ravel())[::2] / np.diff(sides, axis=0)[0]
+        for sides in (ends[:2], ends[2:])
+    )
+    fraction = (gaps - first[gap] + 1) / (size + 1)[gap]
+    return np.asarray(left[gap] + fraction * (right - left)[gap])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Distances between missing samples: `lag`, shape (l,), and its indices of |i-j| and i+j+1, (g, g)."""
+
+    lag: IntArray
+    apart: IntArray
+    beyond: IntArray
+
+    @classmethod
+    def of(cls, gaps: IntArray, n: int, groups: IntArray) -> "_Pairs | None":
+        """Return the distances, or None if there are so many that transforms are faster."""
+        if gaps.size > _FEW:
+            return None
+        apart, beyond = np.abs(gaps[:, np.newaxis] - gaps), gaps[:, np.newaxis] + gaps + 1
+        lag, which = np.unique(np.stack([apart, beyond]), return_inverse=True)
+        if lag.size * groups.size > _DIRECT * n:
+            return None
+        which = which.reshape(2, *apart.shape)
+        return cls(lag, which[0], which[1])
+
+
+def _precision(
+    gaps: IntArray, pairs: _Pairs | None, weight: FloatArray, groups: IntArray, n: int
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the product with the missing block of C' diag(w) C, w the weight of each group, as a function.
+
+    Its element i, j is r(i-j) + r(i+j+1) with r(l) = sum over k of w_k cos(pi k l / n) / n.
+    """
+    if pairs is not None:
+        of_lag = _cosine_sums(pairs.lag, weight, groups, n)
+        matrix = of_lag[pairs.apart] + of_lag[pairs.beyond]
+        return lambda values: np.asarray(matrix @ values)
+
+    def by_transforms(values: FloatArray) -> FloatArray:
+        return np.asarray(idct2(_weighed(dct2(_padded(values, gaps, n)), weight, groups))[gaps])
+
+    return by_transforms
+
+
+def _cosine_sums(lag: IntArray, weight: FloatArray, groups: IntArray, n: int) -> FloatArray:
+    """Return the sum over k = 1 … n-1 of w_k cos(pi k l / n) / n at each lag, shape (l,).
+
+    The sum over equal weights from a to b - 1 is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
+    """
+    edge = np.append(groups, n - 1) + 0.5
+    fall = -np.diff(weight, prepend=0.0, append=0.0)
+    sums = np.full(lag.size, float(weight @ np.diff(edge)))
+    # Lags 0 and 2n are equivalent, and their sine is zero.
+    for at in np.flatnonzero(lag % (2 * n)).tolist():
+        angle = np.pi * int(lag[at]) / n
+        sums[at] = float(fall @ np.sin(edge * angle)) / (2 * np.sin(angle / 2))
+    return sums / n
+
+
+def _padded(values: FloatArray, gaps: IntArray, n: int) -> FloatArray:
+    """Return values at missing places and 0 elsewhere, shape (n,)."""
+    padded = np.zeros(n)
+    padded[gaps] = values
+    return padded
+
+
+def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> FloatArray:
+    """Multiply ordinates 0 … n-1 in place by their group's weight, ordinate 0 by 0; return them."""
+    ordinates[0] = 0.0
+    for (start, stop), factor in zip(_spans(ordinates.size - 1, groups), weight.tolist(), strict=True):
+        ordinates[start + 1 : stop + 1] *= factor
+    return ordinates
+
+
+def _means(ordinates: FloatArray, groups: IntArray) -> FloatArray:
+    """Return the mean square in each group, positive, shape of `groups`."""
+    means = [
+        float(np.mean(np.square(ordinates[start:stop]))) for start, stop in _spans(ordinates.size, groups)
+    ]
+    return np.maximum(means, 1e-300)
+
+
+def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
+    """Return the half-open index range of each group."""
+    return list(pairwise([*groups.tolist(), n]))
+
+
+def _groups(bins: DctBins) -> IntArray:
+    """Return the first index of each group of neighbouring bins of 16 ordinates or more."""
+    starts = bins.first - 1
+    chosen = [0]
+    for start in starts[1:].tolist():
+        if start - chosen[-1] >= 16 and bins.n - 1 - start >= 16:
+            chosen.append(start)
+    return np.array(chosen, dtype=np.int64)
+
+
+def _conjugate(apply: Callable[[FloatArray], FloatArray], right: FloatArray, unit: float) -> FloatArray:
+    """Solve ``apply(x) = right`` by conjugate gradients, to a small fraction of the samples' noise."""
+    x = np.zeros(right.size)
+    rest = right.copy()
+    direction = rest.copy()
+    size = rest @ rest
+    goal = _CLOSE**2 * max(float(size), right.size / unit)
+    for _ in range(_STEPS):
+        if size <= goal:
+            break
+        image = apply(direction)
+        step = size / (direction @ image)
+        x += step * direction
+        rest -= step * image
+        previous, size = size, rest @ rest
+        direction = rest + size / previous * direction
+    return x
