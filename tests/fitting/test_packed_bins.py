@@ -24,12 +24,12 @@ def _packed(fit: NoiseFit) -> NoiseFit:
     return replace(fit, bins=unpack(pack(fit.bins)))
 
 
-def _same_fit(bins: Bins, model: tuple[str, ...] = ("N", "B", "K")) -> None:
+def _same_fit(bins: Bins, model: tuple[str, ...] = ("N", "B", "K"), rtol: float = 1e-6) -> None:
     one, other = (fit_bins([each], model, level=0.95) for each in (bins, unpack(pack(bins))))
     for ours, theirs in zip(other.estimates, one.estimates, strict=True):
         assert ours.status == theirs.status
         for name in ("value", "low", "high"):
-            npt.assert_allclose(getattr(ours, name) or 0.0, getattr(theirs, name) or 0.0, rtol=1e-6)
+            npt.assert_allclose(getattr(ours, name) or 0.0, getattr(theirs, name) or 0.0, rtol=rtol)
 
 
 @pytest.mark.parametrize("model", ["N + B + K", "N + K + R"])
@@ -53,12 +53,10 @@ def test_an_axis_takes_seven_kilobytes(n: int, most: int) -> None:
 
 
 def test_a_drift_far_above_the_noise_does_not_swamp_it() -> None:
-    """The ramp's square is 1e8 of the noise in the lowest ordinate.
-
-    Double precision limits this record: in other ones the last digit of the power moves a limit by 2e-6.
-    """
-    samples = simulated("N=1e-3 + K=1e-4", 5000, 373) + 1e2 * np.linspace(0, 1, 5000)
-    _same_fit(bins_from(samples), ("N", "K", "R"))
+    """The ramp's square is 1e8 of the noise in the lowest ordinate, so double precision limits the fit."""
+    for seed in range(73, 78):
+        samples = simulated("N=1e-3 + K=1e-4", 5000, seed) + 1e2 * np.linspace(0, 1, 5000)
+        _same_fit(bins_from(samples), ("N", "K", "R"), rtol=2e-5)
 
 
 def test_what_a_fit_took_out_and_gaps_are_kept() -> None:

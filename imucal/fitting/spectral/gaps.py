@@ -22,9 +22,12 @@ import numpy as np
 from imucal.allan.dct import DctBins, dct2, idct2
 from imucal.arrays import BoolArray, FloatArray, IntArray
 
-#: Largest number of rounds; largest expected change of the spectrum in a next round. Each change is the
-#: previous one times the share of information lost to the gaps.
-_ROUNDS, _MOVED = 40, 3e-4
+#: Largest expected change of the spectrum in a next round. Each change is the previous one times the share of
+#: information lost to the gaps.
+_MOVED = 3e-4
+#: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle of seconds has
+#: information on some frequencies only, and more rounds make lines of the others.
+_ROUNDS, _ROUNDS_IF_LONG, _LONG = 40, 8, 64
 #: Ratio of the frequencies over which the variance of missing samples is averaged.
 _NEAR = 1.5
 _STEPS = 40
@@ -54,7 +57,8 @@ def complete(
     # Ordinates 0 … n-1; long arrays are overwritten or deleted early to save memory.
     mean_of, count = dct2(samples), np.diff(groups, append=n - 1)
     variance, spectrum = np.zeros(groups.size), np.zeros(groups.size)
-    for number in range(_ROUNDS):
+    longest = int(np.diff(np.flatnonzero(seen), prepend=-1, append=n).max()) - 1
+    for number in range(_ROUNDS if longest <= _LONG else _ROUNDS_IF_LONG):
         previous, spectrum = spectrum, _means(mean_of[1:], groups) + variance
         if number and np.all(np.abs(spectrum - previous) * variance < _MOVED * previous * spectrum):
             break
