@@ -1,44 +1,27 @@
-"""Columns of Parquet, HDF5, MATLAB, NPZ and NPY files; small files may unpack to very large ones.
+"""Columns of Parquet, HDF5, MATLAB, NPZ and NPY files, which packages read whole.
 
-Packages read Parquet, HDF5 and MATLAB files in a child process, so every result can be pickled; see
-`imucal.readers.isolation`. The sizes in the headers of an NPZ file are added before unpacking: if the total
-is too large, arrays go to temporary files. If only first values are wanted, the rest is not unpacked. The
-unpacked size of a MATLAB file is counted without storing the data.
+All but NPY files, which are mapped, are read in a child process with limited memory, because small files may
+unpack to very large ones; see `imucal.readers.isolation`.
 
 An array of three columns is ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; in other arrays the position
 of a column has no meaning.
-
-Source: MathWorks, MAT-File Format (version 5): a header of 128 bytes, then elements of a tag of 8 bytes (type
-and size) and their data; those of type 15 are zlib streams.
 """
 
 import math
-import struct
-import zipfile
-import zlib
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import field, replace
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import release
-from imucal.frozen import frozen
+from imucal.frozen import frozen, frozen_alone
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.isolation import isolated, require
-from imucal.readers.store import allocated
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
-from imucal.resources import MEMORY, column_limit, memory_limit
 
 #: Most columns of a list or a matrix.
 _WIDEST = 64
-
-#: Rows examined to choose columns.
-_HEAD = 400
 
 #: Fields of a MATLAB object in the package's arrays: its name, its system, its class, its numbers.
 _OBJECT = ("s0", "s1", "s2", "arr")
@@ -46,78 +29,86 @@ _OBJECT = ("s0", "s1", "s2", "arr")
 #: Deepest nesting of MATLAB structures that is read.
 _DEEP = 8
 
+#: First bytes -> format.
+_FORMATS = {
+    b"PAR1": "Parquet",
+    b"\x93NUMPY": "NPY",
+    b"PK": "NPZ",
+    b"MATLAB 5.0": "MAT",
+    b"MATLAB 7.3": "HDF5",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+}
 
-@frozen
+#: Most arrays listed in a message.
+_SHOWN = 12
+
+#: Class of a MATLAB object -> MATLAB command that writes it as text.
+_IN_MATLAB = {
+    "table": "writetable({0}, '{0}.csv')",
+    "timetable": "writetimetable({0}, '{0}.csv')",
+    "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
+}
+
+#: Names of a scalar with the sampling rate in Hz.
+_RATES = frozenset(
+    {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
+)
+
+#: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
+_NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
+
+
+@frozen_alone
 class TypedColumn:
-    """A column with the name and unit used by the rules for names; some cells are empty if it `has_gaps`.
-
-    `values` reads all values, shape (size,); `head` contains the first values.
-    """
+    """A column, shape (n,), with the name and unit used by the rules for names."""
 
     name: str
-    size: int
-    values: Callable[[], NDArray[Any]] = field(repr=False)
-    head: NDArray[Any] = field(repr=False)
+    values: NDArray[Any]
     unit: str | None = None
-    has_gaps: bool = False
-
-    @property
-    def cells(self) -> list[str]:
-        """The first values as the cells of a text table; NaN is an empty cell."""
-        values = self.head
-        if values.dtype.kind == "M":
-            return [str(value) for value in values.astype("datetime64[ns]").astype(np.int64).tolist()]
-        return ["" if value is None or value != value else str(value) for value in values.tolist()]  # noqa: PLR0124 - NaN
-
-
-def parquet_columns(path: Path) -> list[TypedColumn]:
-    """Return the columns of a Parquet file with their first values; structures and lists are split."""
-    import polars as pl
-
-    # Decode only the columns needed, because others may have an unknown encoding.
-    scan = pl.scan_parquet(path)
-    rows = int(scan.select(pl.len()).collect().item())
-    columns = []
-    for name, dtype in scan.collect_schema().items():
-        whole = pl.col(name)
-        parts = {name: whole}
-        if isinstance(dtype, pl.Struct):
-            parts = {f"{name}.{field.name}": whole.struct.field(field.name) for field in dtype.fields}
-        elif isinstance(dtype, pl.Array):
-            parts = {f"{name}[{i}]": whole.arr.get(i) for i in range(min(dtype.shape[0], _WIDEST))}
-        elif isinstance(dtype, pl.List):
-            widest = scan.head(_HEAD).select(whole.list.len().max()).collect().item() or 0
-            parts = {f"{name}[{i}]": whole.list.get(i, null_on_oob=True) for i in range(min(widest, _WIDEST))}
-        for label, part in parts.items():
-            head = scan.head(_HEAD).select(part.alias("v")).collect()["v"]
-            columns.append(
-                TypedColumn(
-                    name=label,
-                    size=rows,
-                    values=partial(_parquet_values, path, part),
-                    head=head.to_numpy(),
-                    unit="ns" if isinstance(head.dtype, pl.Datetime) else None,
-                    has_gaps=head.null_count() > 0,
-                )
-            )
-    return columns
-
-
-def _parquet_values(path: Path, part: Any) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
-    """Return all values of a column of a Parquet file, or of a part, given by a polars expression."""
-    import polars as pl
-
-    return np.asarray(pl.scan_parquet(path).select(part.alias("v")).collect()["v"].to_numpy())
 
 
 class Arrays(NamedTuple):
-    """The numeric arrays in a file, with dotted names in structures, and MATLAB's objects: name -> class.
+    """The numeric arrays in a file, with dotted names in structures, and objects: name -> class.
 
-    Only MATLAB can read the numbers of an object, such as a ``table``.
+    Only MATLAB can read the numbers of its objects, such as a ``table``.
     """
 
     arrays: dict[str, NDArray[Any]]
     objects: dict[str, str]
+
+
+def parquet_arrays(path: Path) -> Arrays:
+    """Return the columns of a Parquet file; structures and lists are split."""
+    import polars as pl
+
+    found: dict[str, pl.Series] = {}
+    for series in pl.read_parquet(path):
+        name, dtype = series.name, series.dtype
+        if isinstance(dtype, pl.Struct):
+            found |= {f"{name}.{field.name}": series.struct.field(field.name) for field in dtype.fields}
+        elif isinstance(dtype, pl.Array):
+            found |= {f"{name}[{i}]": series.arr.get(i) for i in range(min(dtype.shape[0], _WIDEST))}
+        elif isinstance(dtype, pl.List):
+            width = int(series.list.len().max() or 0)  # type: ignore[arg-type] # the length of a list
+            columns = range(min(width, _WIDEST))
+            found |= {f"{name}[{i}]": series.list.get(i, null_on_oob=True) for i in columns}
+        else:
+            found[name] = series
+    return Arrays({name: series.to_numpy() for name, series in found.items()}, {})
+
+
+def npz_arrays(path: Path) -> Arrays:
+    """Return the arrays of an NPZ file by name, and those of Python objects, which are not loaded."""
+    found = Arrays({}, {})
+    with np.load(path, allow_pickle=False) as content:
+        for name in content.files:
+            try:
+                found.arrays[name] = content[name]
+            except ValueError as error:
+                if "Object arrays" not in str(error):
+                    raise
+                found.objects[name] = "object"
+    return found
 
 
 def mat_arrays(path: Path) -> Arrays:
@@ -149,11 +140,8 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
         found.arrays[name] = array
 
 
-def hdf5_arrays(path: Path, limit: int) -> Arrays:
-    """Return the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3.
-
-    Raises ValueError if they take more than `limit` bytes.
-    """
+def hdf5_arrays(path: Path) -> Arrays:
+    """Return the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3."""
     import h5py
 
     found = Arrays({}, {})
@@ -161,7 +149,6 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
         nodes: dict[str, Any] = {"": file}
         file.visititems(nodes.__setitem__)
         matlab = any("MATLAB_class" in node.attrs for node in file.values())
-        sets = {}
         for name, node in nodes.items():
             kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
             if name.startswith(("#refs#", "#subsystem#")) or kind in {"char", "cell"}:
@@ -169,17 +156,9 @@ def hdf5_arrays(path: Path, limit: int) -> Arrays:
             if "MATLAB_object_decode" in node.attrs:
                 found.objects[name.replace("/", ".")] = kind
             elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
-                sets[name.replace("/", ".")] = node
+                # MATLAB stores matrices transposed.
+                found.arrays[name.replace("/", ".")] = node[()].T if matlab else node[()]
             found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
-        took, most = sum(node.size * node.dtype.itemsize for node in sets.values()) / 1e6, limit / 1e6
-        if took > most:
-            msg = (
-                f"its arrays need {took:.4g} MB, because it is read as a whole; expected at most "
-                f"{most:.4g} MB"
-            )
-            raise ValueError(msg)
-        # MATLAB stores matrices transposed.
-        found.arrays.update((name, node[()].T if matlab else node[()]) for name, node in sets.items())
     return found
 
 
@@ -187,148 +166,6 @@ def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDAr
     """Return the attributes with one number, such as a sampling rate, by their paths."""
     numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
     return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
-
-
-#: Most pieces of memory for the first values; an array with more has no samples.
-_MOST_PIECES = 4096
-_SUFFIX = ".npy"
-#: Bytes unpacked at once.
-_PIECE = 1 << 20
-
-
-class _Header(NamedTuple):
-    """The header of a member, and the size of the header in bytes."""
-
-    info: zipfile.ZipInfo
-    shape: tuple[int, ...]
-    fortran: bool
-    dtype: np.dtype[Any]
-    start: int
-
-    @property
-    def size(self) -> int:
-        return math.prod(self.shape) * self.dtype.itemsize
-
-    @property
-    def head(self) -> list[slice]:
-        """Slices of the first values along the longest axis."""
-        lengths = self.shape[::-1] if self.fortran else self.shape
-        at = int(np.argmax(lengths)) if lengths else 0
-        outer, inner = math.prod(lengths[:at]), math.prod(lengths[at + 1 :])
-        if not self.size or outer > _MOST_PIECES:
-            return []
-        piece = inner * (lengths[at] if lengths else 1)
-        return [slice(at * piece, at * piece + min(_HEAD * inner, piece)) for at in range(outer)]
-
-
-def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an NPZ file by name.
-
-    If they take more than `limit` bytes, they are in temporary files. If they take more than `heads_above`
-    bytes, only their first values are read; the others are zero and take no memory. Raises ValueError if a
-    member is damaged, claims more bytes than the file contains, or is not an array of plain values.
-    """
-    with zipfile.ZipFile(path) as archive:
-        headers = [_header(archive, info) for info in archive.infolist() if info.filename.endswith(_SUFFIX)]
-        size = sum(header.size for header in headers)
-        heads = heads_above is not None and size > heads_above
-        arrays = {}
-        for header in headers:
-            n, most = math.prod(header.shape), 0 if size > limit else header.size
-            # The system does not allocate zeros that are never written.
-            flat = np.zeros(n, dtype=header.dtype) if heads else allocated(n, header.dtype, most)
-            with archive.open(header.info) as member:
-                for part in header.head if heads else [slice(0, n)]:
-                    member.seek(header.start + part.start * header.dtype.itemsize)
-                    target = flat[part].view(np.uint8)
-                    for start in range(0, target.size, _PIECE):
-                        piece = target[start : start + _PIECE]
-                        got = cast("zipfile.ZipExtFile", member).readinto(piece.data)
-                        if got < piece.size:
-                            raise ValueError(f"an array ends after {start + got} of {target.size} bytes")
-                        release(target)
-            name = header.info.filename.removesuffix(_SUFFIX)
-            arrays[name] = flat.reshape(header.shape, order="F" if header.fortran else "C")
-    return arrays
-
-
-def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
-    """Read the header of a member; raises ValueError if it claims more than the member can contain."""
-    with archive.open(info) as member:
-        first = np.lib.format.read_magic(member) == (1, 0)
-        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(member)
-        header = _Header(info, tuple(shape), bool(fortran), np.dtype(dtype), member.tell())
-    held = info.file_size - header.start
-    wrong = f"{info.filename} declares {header.size} bytes and contains {held}" if header.size > held else ""
-    if header.dtype.hasobject:
-        wrong = OBJECTS_IN_NPZ.said(str(archive.filename))
-    if wrong:
-        raise ValueError(wrong)
-    return header
-
-
-#: The type of an element of a MATLAB file that is a zlib stream.
-_COMPRESSED = 15
-#: No zlib stream grows by more than this factor. Source: zlib, "Maximum compression factor".
-MOST_GROWTH = 1032
-
-
-def unpacks_to_more(path: Path, limit: int) -> bool:
-    """Return whether a file unpacks to more than `limit` bytes, up to the first damage."""
-    size = path.stat().st_size
-    if size * MOST_GROWTH <= limit:
-        return False
-    total = 0
-    with path.open("rb") as file:
-        file.seek(124)
-        order = ">" if file.read(4)[2:] == b"MI" else "<"
-        while len(tag := file.read(8)) == 8 and total <= limit:
-            kind, length = struct.unpack(f"{order}II", tag)
-            start, end = file.tell(), min(file.tell() + length, size)
-            if kind != _COMPRESSED:
-                total += end - start
-            machine = zlib.decompressobj()
-            with suppress(zlib.error):
-                while kind == _COMPRESSED and total <= limit and not machine.eof:
-                    packed = machine.unconsumed_tail or file.read(min(_PIECE >> 6, end - file.tell()))
-                    if not packed:
-                        break
-                    total += len(machine.decompress(packed, _PIECE))
-            file.seek(end)
-    return total > limit
-
-
-#: First bytes -> format.
-_FORMATS = {
-    b"PAR1": "Parquet",
-    b"\x93NUMPY": "NPY",
-    b"PK": "NPZ",
-    b"MATLAB 5.0": "MAT",
-    b"MATLAB 7.3": "HDF5",
-    b"\x89HDF\r\n\x1a\n": "HDF5",
-}
-
-#: Most arrays listed in a message.
-_SHOWN = 12
-
-#: Copies of the arrays of a MAT or an HDF5 file in memory during reading.
-_COPIES = 4
-
-#: Class of a MATLAB object -> MATLAB command that writes it as text.
-_IN_MATLAB = {
-    "table": "writetable({0}, '{0}.csv')",
-    "timetable": "writetimetable({0}, '{0}.csv')",
-    "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
-}
-
-#: Names of a scalar with the sampling rate in Hz.
-_RATES = frozenset(
-    {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
-)
-
-#: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
-_NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
 @frozen
@@ -346,43 +183,29 @@ class TableFile:
     way: str = ""
 
 
-def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
-    """Return the columns of a file; raises ReadError if it can't be read or has another format.
+_READERS = {"Parquet": parquet_arrays, "HDF5": hdf5_arrays, "MAT": mat_arrays, "NPZ": npz_arrays}
 
-    More than `limit` bytes (None: `imucal.resources.column_limit`) go to a temporary file. If a file that is
-    unpacked when opened has more than `heads_above` bytes, only the heads of its columns are valid.
-    """
+
+def open_table(path: Path) -> TableFile:
+    """Return the columns of a file; raises ReadError if it can't be read or has another format."""
     head = first_bytes(path, 16)
     kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
     if not kind and path.suffix.lower() != ".mat":
         raise refused(path, f"first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT")
-    if kind == "Parquet":
-        columns = isolated(path, parquet_columns, "Parquet")(path)
-        each = (replace(column, values=isolated(path, column.values, "Parquet")) for column in columns)
-        return TableFile(format="parquet", columns=tuple(each))
-    # Packages read these files completely, and the arrays are copied between processes.
-    share = memory_limit() // _COPIES
+    kind = kind or "MAT"
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
-        return _of_arrays("hdf5", *isolated(path, hdf5_arrays, "HDF5")(path, share))
-    if kind in {"MAT", ""}:
-        if unpacks_to_more(path, share):
-            text = (
-                f"its arrays unpack to more than {share / 1e6:.4g} MB, and a MAT file is read as a whole; "
-                "expected at most a quarter of the memory for one step; save them as NPZ or CSV, or set "
-                f"{MEMORY} to four times their size"
-            )
-            raise refused(path, text)
-        return _of_arrays("mat", *isolated(path, mat_arrays, "MAT")(path))
     try:
-        if kind == "NPZ":
-            most = column_limit() if limit is None else limit
-            return _of_arrays("npz", npz_arrays(path, limit=most, heads_above=heads_above))
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:
-        text = str(error) or type(error).__name__
-        raise refused(path, f"not a readable {kind} file: {text}") from error
-    return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(f"array {array.shape}",))
+        if kind == "NPY":
+            arrays = Arrays({"": np.load(path, mmap_mode="r", allow_pickle=False)}, {})
+        else:
+            # The child process may have another working directory.
+            arrays = isolated(path, _READERS[kind], kind)(path.absolute())
+    except ValueError as error:
+        raise refused(path, f"not a readable NPY file: {error}") from error
+    if kind == "NPZ" and arrays.objects:
+        raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.said(str(path))}")
+    return _of_arrays(kind.lower(), *arrays)
 
 
 def _of_arrays(
@@ -446,12 +269,6 @@ def _label(name: str, at: tuple[int, ...], width: int) -> str:
 
 
 def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:
-    head = array[:_HEAD]
-    return TypedColumn(
-        name=name,
-        size=array.size,
-        values=lambda: array,
-        head=head,
-        unit="ns" if array.dtype.kind == "M" else unit,
-        has_gaps=array.dtype.kind == "f" and bool(np.isnan(head).any()),
-    )
+    if array.dtype.kind not in "mM":
+        return TypedColumn(name=name, values=array, unit=unit)
+    return TypedColumn(name=name, values=array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), unit="ns")

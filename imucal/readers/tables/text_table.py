@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
@@ -361,7 +362,11 @@ def read_table(
         text = "the table has no rows of its sensors; expected a row per sample"
         raise refused(source.name, text, DataError)
     findings += plan.findings
-    return assemble(source.name, "csv", options, [plan], sensors, findings=findings, rate_hz=layout.rate_hz)
+    work = RecordingBuilder(
+        path=source.name, format="csv", options=options, rate_hz=layout.rate_hz, findings=findings
+    )
+    assemble(work, [plan], sensors)
+    return work.build(topics=plan.topics)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
