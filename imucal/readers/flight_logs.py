@@ -30,8 +30,7 @@ from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.isolation import isolated, require
 from imucal.readers.message_logs import OpenLog, describe_topics, read_log
-from imucal.readers.messages.held import held_topic
-from imucal.readers.messages.topics import Column, Topic
+from imucal.readers.messages.topics import Column, Topic, held_topic
 from imucal.readers.messages.trees import TIME
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.dialects import Dialect

@@ -16,7 +16,7 @@ from imucal.readers.messages import Topic, choose, decode, find_topics, plan_of
 from imucal.readers.messages.loader import Decoding
 from imucal.readers.messages.surroundings import first_frames, read_temperature, temperature_beside
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.tabular import assemble
+from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.recording import Recording, Sensor
 
 #: Codes of findings that say a log is damaged.
@@ -158,14 +158,7 @@ def read_log(log: OpenLog, options: ReadOptions) -> Recording:
     work.findings += log.findings
     work.decisions += [("topic", f"{one.topic.name}: {one.how}") for one in choices if not one.topic.file]
     work.decisions += first_frames(containers, [choice.topic for choice in choices])
-    sensors = []
-    for job, decoding in zip(jobs, decodings, strict=True):
-        work.findings += _loss_findings(decoding.losses, decoding.missing)
-        _require_messages(work, path, job.topic, decoding)
-        sensors += sensor_columns(work, job, decoding.columns)
-    found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
-    # What one topic lacks another may contain.
-    work.findings += [one for job in jobs for one in job.plan.findings if one.axis not in found]
+    sensors = _sensors(work, jobs, decodings)
     where = f"{path}: {jobs[0].topic.where}" if len(jobs) == 1 and not jobs[0].topic.file else ""
     with _naming(path):
         assemble(work, [job.plan for job in jobs], sensors, where=where)
@@ -179,6 +172,21 @@ def read_log(log: OpenLog, options: ReadOptions) -> Recording:
     )
 
 
+def _sensors(
+    work: RecordingBuilder, jobs: Sequence[Job], decodings: Sequence[Decoding]
+) -> list[SensorColumns]:
+    """Return the columns of all sensors, with findings about losses and missing sensors."""
+    sensors: list[SensorColumns] = []
+    for job, decoding in zip(jobs, decodings, strict=True):
+        work.findings += _loss_findings(decoding.losses, decoding.missing)
+        _require_messages(work, job.topic, decoding)
+        sensors += sensor_columns(work, job, decoding.columns)
+    # What one topic lacks another may contain.
+    found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
+    work.findings += [one for job in jobs for one in job.plan.findings if one.axis not in found]
+    return sensors
+
+
 def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequence[Decoding]:
     """Return the columns of each job."""
     if not log.containers:
@@ -187,12 +195,12 @@ def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequenc
     return decode(log.containers, streams, limit=options.memory_limit, progress=options.progress)
 
 
-def _require_messages(work: RecordingBuilder, path: Path, topic: Topic, decoding: Decoding) -> None:
+def _require_messages(work: RecordingBuilder, topic: Topic, decoding: Decoding) -> None:
     """Refuse a topic without a message that can be read, with the first reason."""
     if not decoding.columns[0].size:
         seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
         why = next(iter(seen), "the log has none")
-        raise refused(path, f"no message of topic {topic.name} could be read: {why}")
+        raise refused(work.path, f"no message of topic {topic.name} could be read: {why}")
 
 
 def _add_temperature(

@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray, blocks
+from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -23,6 +24,7 @@ from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.plan import SensorPlan, TablePlan
 from imucal.readers.tables.stamps import Numbers, TimeChoice
 from imucal.readers.tables.tabular import SensorColumns
+from imucal.recording import Sensor
 from imucal.resources import column_limit
 
 #: Name of the time in the messages.
@@ -92,85 +94,104 @@ def _of_other_rows(topic: Topic) -> ChoiceError:
     return ChoiceError(msg)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Values:
+    """The columns that were read of a topic, by their indices; the log times if there are any."""
+
+    topic: Topic
+    columns: Mapping[int, NDArray[Any]]
+    log: Sequence[IntArray]
+
+    def axes(self, sensor: SensorPlan, limit: int) -> list[FloatArray]:
+        """Return the samples of a sensor: copies of columns in memory, as samples are scaled in place."""
+        rows = [self.columns[index] for index in sensor.triad.indices]
+        if not self.topic.held:
+            return [np.asarray(row, np.float64) for row in rows]
+        return join_rows([[row] for row in rows], limit=limit)
+
+    def times(self, time: TimeChoice | None) -> Sequence[Numbers]:
+        """Return the columns of a time as whole numbers or floats; texts in ns."""
+        if time is None or time is LOG:
+            return [] if time is None else self.log
+        found: list[Numbers] = []
+        for column in map(self.columns.__getitem__, time.indices):
+            if time.kind == "text":
+                kind = text_kind(cells_of(column[:HELD_ROWS]))
+                found.append(parse_texts(list(map(str, column)), kind, by_day=time.by_day))
+            elif column.dtype.kind in "iu":
+                found.append(column.astype(np.int64, copy=False))
+            else:
+                found.append(column.astype(np.float64, copy=False))
+        return found
+
+    def source(self, time: TimeChoice | None) -> str:
+        """Return the name of a time as the source of a clock; empty for a file's own columns."""
+        if self.topic.held:
+            return "" if self.topic.file or time is None else f"{time.name} of {self.topic.name}"
+        return LOG_TIME if time is LOG else HEADER
+
+    def rows(self, rows: tuple[int, str]) -> BoolArray:
+        """Return which rows have a tag in a column."""
+        column, tag = self.columns[rows[0]], rows[1]
+        if column.dtype.kind in "iuf" and is_number(tag):
+            return np.asarray(column == float(tag), np.bool_)
+        return np.array([str(value) == tag for value in column], np.bool_)
+
+
 def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[SensorColumns]:
     """Return the columns of each sensor; a block of messages begins with the log times.
 
     A finding reports a sensor whose samples never change.
     """
-    topic, plan, first = job.topic, job.plan, job.plan.sensors[0]
+    topic, plan = job.topic, job.plan
     log = [] if topic.held else [block[0]]
-    values = dict(zip(job.indices, block[len(log) :], strict=True))
+    values = _Values(topic, dict(zip(job.indices, block[len(log) :], strict=True)), log)
     if log:
-        stamps = values[first.time.indices[0]] if first.time and first.time.indices else log[0]
+        time = plan.sensors[0].time
+        stamps = values.columns[time.indices[0]] if time and time.indices else log[0]
         work.findings += in_time_order(stamps, log[0], block[1:], work.room)
-    axes = {sensor.triad.sensor: _axes(topic, sensor, values, work.options) for sensor in plan.sensors}
-    heat = None if plan.temperature is None else np.asarray(values[plan.temperature], np.float64)
-    found = []
-    for sensor in plan.sensors:
-        triad = sensor.triad
-        if not topic.file and is_constant(axes[triad.sensor]):
-            value = ", ".join(f"{row[0]:g}" for row in axes[triad.sensor])
-            text = f"The {triad.sensor} of {topic.where} is always ({value}): no data."
-            work.findings.append(Finding("warning", "no-data", text, axis=triad.sensor.short))
-            continue
-        columns = SensorColumns(
-            plan=sensor,
-            axes=axes[triad.sensor],
-            time=_times(sensor.time, values, log),
-            log_time=_times(sensor.log_time, values, log),
-            temperature=heat if heat is not None and heat.any() else None,
-            sparse=topic.sparse,
-            table="" if topic.file else topic.where,
-            source=_source(topic, sensor.time),
-            # A sensor alone may well give the same values twice.
-            compared=None if topic.held else [row for rows in axes.values() for row in rows if len(axes) > 1],
-        )
-        found.append(columns if triad.rows is None else columns.rows(_rows(values, triad.rows), work.room))
-    return found
-
-
-def _axes(
-    topic: Topic, sensor: SensorPlan, values: Mapping[int, NDArray[Any]], options: ReadOptions
-) -> list[FloatArray]:
-    """Return the samples of a sensor; copies of columns in memory, because samples are scaled in place."""
-    rows = [values[index] for index in sensor.triad.indices]
-    if not topic.held:
-        return [np.asarray(row, np.float64) for row in rows]
     # Half of the limit is for each of two sensors.
-    return join_rows([[row] for row in rows], limit=(options.memory_limit or column_limit()) // 2)
+    limit = (work.options.memory_limit or column_limit()) // 2
+    axes = {sensor.triad.sensor: values.axes(sensor, limit) for sensor in plan.sensors}
+    constant = [] if topic.file else [sensor for sensor, rows in axes.items() if is_constant(rows)]
+    work.findings += [_without_data(topic, sensor, axes[sensor]) for sensor in constant]
+    living = [sensor for sensor in plan.sensors if sensor.triad.sensor not in constant]
+    return [_columns(work, job, values, sensor, axes) for sensor in living]
 
 
-def _times(
-    time: TimeChoice | None, values: Mapping[int, NDArray[Any]], log: Sequence[IntArray]
-) -> Sequence[Numbers]:
-    """Return the columns of a time as whole numbers or floats; texts in ns."""
-    if time is LOG:
-        return log
-    found: list[Numbers] = []
-    for column in (values[index] for index in (time.indices if time else ())):
-        if time and time.kind == "text":
-            kind = text_kind(cells_of(column[:HELD_ROWS]))
-            found.append(parse_texts(list(map(str, column)), kind, by_day=time.by_day))
-        elif column.dtype.kind in "iu":
-            found.append(column.astype(np.int64, copy=False))
-        else:
-            found.append(column.astype(np.float64, copy=False))
-    return found
+def _columns(
+    work: RecordingBuilder,
+    job: Job,
+    values: _Values,
+    sensor: SensorPlan,
+    axes: Mapping[Sensor, list[FloatArray]],
+) -> SensorColumns:
+    """Return the columns of one sensor of a topic in its rows."""
+    topic, heat = job.topic, None
+    if job.plan.temperature is not None:
+        heat = np.asarray(values.columns[job.plan.temperature], np.float64)
+    # A sensor alone may well give the same values twice.
+    compared = list(chain.from_iterable(axes.values())) if len(axes) > 1 else []
+    columns = SensorColumns(
+        plan=sensor,
+        axes=axes[sensor.triad.sensor],
+        time=values.times(sensor.time),
+        log_time=values.times(sensor.log_time),
+        temperature=heat if heat is not None and heat.any() else None,
+        sparse=topic.sparse,
+        table="" if topic.file else topic.where,
+        source=values.source(sensor.time),
+        compared=None if topic.held else compared,
+    )
+    rows = sensor.triad.rows
+    return columns if rows is None else columns.rows(values.rows(rows), work.room)
 
 
-def _source(topic: Topic, time: TimeChoice | None) -> str:
-    """Return the name of a topic's time as the source of a clock; empty for a file's own columns."""
-    if topic.held:
-        return "" if topic.file or time is None else f"{time.name} of {topic.name}"
-    return LOG_TIME if time is LOG else HEADER
-
-
-def _rows(values: Mapping[int, NDArray[Any]], rows: tuple[int, str]) -> NDArray[np.bool_]:
-    """Return which rows have a tag in their column."""
-    index, tag = rows
-    if values[index].dtype.kind in "iuf" and is_number(tag):
-        return np.asarray(values[index] == float(tag), np.bool_)
-    return np.array([str(value) == tag for value in values[index]], np.bool_)
+def _without_data(topic: Topic, sensor: Sensor, rows: Sequence[FloatArray]) -> Finding:
+    """Return the finding of a sensor whose samples never change."""
+    value = ", ".join(f"{row[0]:g}" for row in rows)
+    text = f"The {sensor} of {topic.where} is always ({value}): no data."
+    return Finding("warning", "no-data", text, axis=sensor.short)
 
 
 def steps_back(times: IntArray) -> int:

@@ -36,6 +36,9 @@ def choose(
     """
     if options.topics:
         return _named(path, topics, options, live)
+    if len(topics) == 1 and topics[0].file:
+        # The choice of columns explains what is missing.
+        return [Choice(topics[0], tuple(Sensor), "the only table")]
     carrying = [topic for topic in topics if topic.sensors and topic.count != 0]
     fitting = [topic for topic in carrying if not topic.plain]
     if len(fitting) == 1:
@@ -52,9 +55,6 @@ def choose(
 
 def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choice:
     """Return the only topic with numbers, whose columns must be named; ChoiceError if there is none."""
-    if len(topics) == 1 and topics[0].file:
-        # The choice of columns explains what is missing.
-        return Choice(topics[0], tuple(Sensor), "the only table")
     if options.columns is not None:
         lines = [f"  {topic.name} ({topic.type}): {topic.reason}; found {columns(topic)}" for topic in topics]
         listed = "\n".join(lines[:_MOST]) or "  no topics"

@@ -38,7 +38,7 @@ _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
 _WIDEST = 9
 #: Messages whose numbers are examined, and chunks read for them: more if a few contain fewer messages.
 _HEAD, _LOOKS = 100, (1, 32)
-#: Rows examined of a table in memory.
+#: Rows of a table in memory that are examined.
 HELD_ROWS = 400
 #: Packages whose vectors may be anything: they are read only if the user names the topic.
 _PLAIN = ("geometry_msgs/", "nav_msgs/")
@@ -161,6 +161,39 @@ def cells_of(values: NDArray[Any]) -> list[str]:
     return ["" if cell is None or cell != cell else str(cell) for cell in cells] or ["0"]  # noqa: PLR0124 - NaN
 
 
+def held_topic(
+    name: str,
+    kind: str,
+    columns: Mapping[Column, NDArray[Any]],
+    options: ReadOptions,
+    **more: Any,  # noqa: ANN401 - fields of `Topic`
+) -> Topic:
+    """Return a topic with its sensors; its first column of stamps, in ns, gives its duration."""
+    arrays = tuple(columns.values())
+    stamps = next((values for column, values in columns.items() if column.type == TIME), arrays[0][:0])
+    first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (None, None)
+    channel = Channel(
+        key=0, topic=name, type=kind, encoding="", count=arrays[0].size, first_ns=first, last_ns=last
+    )
+    topic = Topic(
+        name=name,
+        type=kind,
+        channels=((0, channel),),
+        leaves=tuple(Leaf(column.name, column.type) for column in columns),
+        columns=tuple(columns),
+        held=arrays,
+        **more,
+    )
+    try:
+        plan, _ = plan_of((), topic, options)
+    except ColumnsError as error:
+        # The choice of columns lists those of a file.
+        return topic if topic.file or options.columns is None else replace(topic, reason=error.problem)
+    except ChoiceError:
+        return topic
+    return replace(topic, sensors=tuple(sensor.triad.sensor for sensor in plan.sensors))
+
+
 def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[Topic]:
     """Return all topics of a log, in the order of its first file."""
     given = read_definitions(options.message_definitions)
@@ -245,7 +278,10 @@ def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
     """Return a topic with its columns, and the sensors that the user or their names choose."""
     # The numbers of columns are the same with and without a columns text.
     columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
-    topic = replace(topic, columns=tuple(columns), wanted=wanted_from(topic.name, options))
+    topic = replace(topic, columns=tuple(columns))
+    if len(options.topics) == 2 and topic.name in options.topics:
+        # The first of two topics is the gyroscope, if nothing else decides.
+        topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
     if options.columns is None:
         return _by_name(topic, named=topic.name in options.topics)
     try:
@@ -253,13 +289,6 @@ def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
     except ColumnsError as error:
         return replace(topic, reason=error.problem)
     return replace(topic, sensors=tuple(triad.sensor for triad in triads))
-
-
-def wanted_from(topic: str, options: ReadOptions) -> Sensor | None:
-    """Return the sensor of a topic, if nothing else decides: the user names the gyroscope's first."""
-    if len(options.topics) != 2 or topic not in options.topics:
-        return None
-    return tuple(Sensor)[options.topics.index(topic)]
 
 
 def _by_name(topic: Topic, *, named: bool) -> Topic:
@@ -284,10 +313,10 @@ def _by_name(topic: Topic, *, named: bool) -> Topic:
 
 
 def _word(topic: Topic) -> str:
-    """Return the sensor in the name of a topic or its type, or the one that the user wants; else empty."""
+    """Return the sensor that the user, the name of a topic, or its type tells; empty if there is none."""
     last = plain_type(topic.type).rpartition("/")[2]
-    told = (parse_column(f"{name}.x", 0).sensor for name in (topic.name, last))
-    return str(next(filter(None, (*told, topic.wanted)), ""))
+    told = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
+    return str(next(filter(None, told), ""))
 
 
 def is_command(topic: str) -> bool:

@@ -114,8 +114,7 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         raise refused(work.path, text, ChoiceError)
     source = columns.source or f"column {plan.time.name}"
     stamps, log = stamps_of(work, plan.time, columns.time, plan.triad.sensor), _log_stamps(work, columns)
-    if stamps is None and log is not None:
-        stamps, source = log, LOG_TIME
+    stamps, source = (log, LOG_TIME) if stamps is None else (stamps, source)
     if stamps is None:
         return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     reading = clock_from_stamps(
@@ -127,11 +126,15 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         repeated=_sent_twice(work, stamps, columns),
         room=work.room,
     )
-    if log is not None and reading.clock.source == source:
-        reading = replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
+    reading = reading if log is None or reading.clock.source != source else _compared(reading, stamps, log)
     work.decide("time", reading.clock.source if columns.source else f"{source}, {plan.time.words}")
     _compare_rates(work, reading.clock.rate_hz)
     return reading
+
+
+def _compared(reading: ClockReading, stamps: IntArray, log: IntArray) -> ClockReading:
+    """Return a clock with findings about its stamps and the times of recording."""
+    return replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
 
 
 def _say(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
@@ -313,26 +316,8 @@ def assemble(
     for what, how in chain.from_iterable(plan.decisions for plan in plans):
         work.decide(what, how)
     kept = [_of_sensor(work, columns) for columns in sensors]
-    # Two sensors of one table share the clock where they share the time and the rows.
-    keys = [(one.table, one.plan.time, one.plan.triad.rows, one.rows_left, one.axes[0].size) for one in kept]
-    clocks: dict[tuple[Any, ...], ClockReading] = {}
     lacking: list[ChoiceError] = []
-    for columns, key in zip(kept, keys, strict=True):
-        triad, n = columns.plan.triad, columns.axes[0].size
-        if not n:
-            names = f"the columns of the {triad.sensor} ({', '.join(triad.headers)})"
-            raise refused(work.path, f"{names} have no samples; expected a row per sample", DataError)
-        if key not in clocks:
-            try:
-                clocks[key] = table_clock(work, columns)
-            except ChoiceError as error:
-                # The units are asked for in the same breath.
-                lacking.append(error)
-                clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""))
-            axis = triad.sensor.short if columns.table and len({*keys}) > keys.count(key) == 1 else None
-            work.findings += [replace(finding, axis=axis) for finding in clocks[key].findings]
-        release(*columns.axes, *columns.time, *columns.log_time)
-    both = [(columns, clocks[key]) for columns, key in zip(kept, keys, strict=True)]
+    both = list(zip(kept, _clocks(work, kept, lacking), strict=True))
     try:
         work.add(
             [
@@ -356,6 +341,34 @@ def assemble(
         if columns.temperature is not None:
             _add_temperature(work, columns.temperature, reading)
             break
+
+
+def _clocks(
+    work: RecordingBuilder, sensors: Sequence[SensorColumns], lacking: list[ChoiceError]
+) -> list[ClockReading]:
+    """Return the clock of each sensor; what is not clear is added to `lacking`, and asked for with the units.
+
+    Two sensors of one table share the clock where they share the time and the rows.
+    """
+    keys = [
+        (one.table, one.plan.time, one.plan.triad.rows, one.rows_left, one.axes[0].size) for one in sensors
+    ]
+    clocks: dict[tuple[Any, ...], ClockReading] = {}
+    for columns, key in zip(sensors, keys, strict=True):
+        triad, n = columns.plan.triad, columns.axes[0].size
+        if not n:
+            names = f"the columns of the {triad.sensor} ({', '.join(triad.headers)})"
+            raise refused(work.path, f"{names} have no samples; expected a row per sample", DataError)
+        if key not in clocks:
+            try:
+                clocks[key] = table_clock(work, columns)
+            except ChoiceError as error:
+                lacking.append(error)
+                clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""))
+            axis = triad.sensor.short if columns.table and len({*keys}) > keys.count(key) == 1 else None
+            work.findings += [replace(finding, axis=axis) for finding in clocks[key].findings]
+        release(*columns.axes, *columns.time, *columns.log_time)
+    return [clocks[key] for key in keys]
 
 
 def with_more(

@@ -12,8 +12,7 @@ from imucal.errors import ImucalError
 from imucal.readers.contents import LogContents
 from imucal.readers.files import refused
 from imucal.readers.message_logs import OpenLog, read_log
-from imucal.readers.messages.held import HELD_ROWS, held_topic
-from imucal.readers.messages.topics import Column, Topic
+from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.foreign_files import TableFile, TypedColumn, open_table
@@ -68,8 +67,18 @@ def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
     """Return the columns of each length that have a sensor as a topic; if there are none, the widest.
 
     The indices in a columns text, and in the error that proposes one, are those of the widest table, or the
-    longest of the widest. Raises ReadError if there are no columns of samples.
+    longest of the widest.
     """
+    groups = _groups(path, table)
+    topics = []
+    if len(groups) > 1 and options.columns is None:
+        topics = [_topic(path, group, table, options, f"{group[0].values.size} rows") for group in groups]
+    widest = max(groups, key=lambda group: (len(group), group[0].values.size))
+    return [one for one in topics if one.sensors] or [_topic(path, widest, table, options, path.name)]
+
+
+def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
+    """Return the columns by their lengths; a ReadError where there are none of samples."""
     lengths = dict.fromkeys(column.values.size for column in table.columns if column.values.size > 1)
     if not lengths:
         found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
@@ -78,13 +87,7 @@ def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
             "per sample and up to 64 columns; save only those columns"
         )
         raise refused(path, why)
-    groups = [[column for column in table.columns if column.values.size == n] for n in lengths]
-    widest = max(groups, key=lambda group: (len(group), group[0].values.size))
-    if len(groups) > 1 and options.columns is None:
-        topics = [_topic(path, group, table, options, f"{group[0].values.size} rows") for group in groups]
-        if carrying := [topic for topic in topics if topic.sensors]:
-            return carrying
-    return [_topic(path, widest, table, options, path.name)]
+    return [[column for column in table.columns if column.values.size == n] for n in lengths]
 
 
 def _topic(path: Path, group: list[TypedColumn], table: TableFile, options: ReadOptions, name: str) -> Topic:
