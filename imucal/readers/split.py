@@ -17,7 +17,7 @@ from imucal.readers.formats import detect, load
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import converter_step, median_size, sample_rows
 from imucal.readers.store import join_rows
-from imucal.readers.tables import read_many
+from imucal.readers.tables.text_table import read_many
 from imucal.recording import AxisSeries, Recording, Sensor, Temperature, span_ns
 from imucal.resources import column_limit
 
