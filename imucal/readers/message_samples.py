@@ -107,7 +107,11 @@ class _Values:
         rows = [self.columns[index] for index in sensor.triad.indices]
         if not self.topic.held:
             return [np.asarray(row, np.float64) for row in rows]
-        return join_rows([[row] for row in rows], limit=limit)
+        try:
+            return join_rows([[row] for row in rows], limit=limit)
+        except ValueError as error:
+            msg = f"{self.topic.where}: the columns of the {sensor.triad.sensor} are not numbers: {error}"
+            raise ChoiceError(msg) from error
 
     def times(self, time: TimeChoice | None) -> Sequence[Numbers]:
         """Return the columns of a time as whole numbers or floats; texts in ns."""

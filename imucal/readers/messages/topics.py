@@ -338,8 +338,9 @@ def plan_of(
     plan = make_plan(topic.table(heads), replace(options, time=time), name=name, shape=topic.shapes)
     alive = []
     for triad in (sensor.triad for sensor in plan.sensors):
-        rows = [heads[index] for index in triad.indices]
-        alive += [triad.sensor] if rows[0].size < 2 or not is_constant(rows) else []
+        # Columns in memory may be text.
+        rows = [heads[index] for index in triad.indices if heads[index].dtype.kind in "biuf"]
+        alive += [triad.sensor] if not rows or rows[0].size < 2 or not is_constant(rows) else []
     return plan if topic.held else _in_units_of_type(plan), frozenset(alive)
 
 

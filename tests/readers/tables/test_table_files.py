@@ -214,3 +214,19 @@ def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
     path = save(tmp_path / "log.npz", other=np.zeros(90), more=np.zeros((70, 2)))
     with pytest.raises(ChoiceError, match=r"found columns: 0 more"):
         typed_table.read(path, ReadOptions(rate_hz=10.0))
+
+
+def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
+    """Other texts in the columns of a sensor are refused."""
+    values = np.random.default_rng(1).normal(size=50)
+    columns = {
+        "t_ns": np.arange(50) * 10_000_000,
+        **{name: list(map(str, values)) for name in ("gx", "gy", "gz")},
+    }
+    path = tmp_path / "log.parquet"
+    pl.DataFrame(columns).write_parquet(path)
+    found = typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
+    np.testing.assert_array_equal(found.series[0].samples, values)
+    pl.DataFrame(columns | {"gy": ["wrong"] * 50}).write_parquet(path)
+    with pytest.raises(ChoiceError, match=r"the columns of the gyroscope are not numbers: .*'wrong'"):
+        typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
