@@ -157,7 +157,10 @@ def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[Senso
     # Half of the limit is for each of two sensors.
     limit = (work.options.memory_limit or column_limit()) // 2
     axes = {sensor.triad.sensor: values.axes(sensor, limit) for sensor in plan.sensors}
-    constant = [] if topic.file else [sensor for sensor, rows in axes.items() if is_constant(rows)]
+    # A table's constant sensor is a finding of the screening, and one sample is no evidence.
+    constant = [
+        one for one, rows in axes.items() if rows[0].size > 1 and is_constant(rows) and not topic.file
+    ]
     work.findings += [_without_data(topic, sensor, axes[sensor]) for sensor in constant]
     living = [sensor for sensor in plan.sensors if sensor.triad.sensor not in constant]
     return [_columns(work, job, values, sensor, axes) for sensor in living]

@@ -20,13 +20,13 @@ EUROC = (
 )
 
 
-def part(first: int, last: int, *, later_s: float = 0.0, scale: float = 1.0) -> Samples:
-    """Return some of the samples, perhaps at another time or in another unit."""
+def part(first: int, last: int, *, later_s: float = 0.0) -> Samples:
+    """Return some of the samples, perhaps at another time."""
     chosen, shift = slice(first, last), round(later_s * 1e9)
     return Samples(
         stamps=TRUTH.stamps[chosen] + shift,
         log=TRUTH.log[chosen] + shift,
-        gyro=TRUTH.gyro[chosen] * scale,
+        gyro=TRUTH.gyro[chosen],
         accel=TRUTH.accel[chosen],
     )
 

@@ -1,7 +1,7 @@
 """Sets of text tables, one for each sensor, as the apps of phones write them: each file is a topic."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -43,15 +43,19 @@ def chosen_files(path: Path, files: Mapping[str, FileHead], options: ReadOptions
     if any(sensor_of_name(_stem(topic)) for topic in topics):
         # A file of several sensors next to one for each repeats their samples.
         topics = [topic if sensor_of_name(_stem(topic)) else replace(topic, plain=True) for topic in topics]
-    for sensor, names in _PREFERRED.items():
-        found = [
-            topic for topic in topics if sensor in topic.sensors and topic.count != 0 and not topic.plain
-        ]
-        exact = ([topic for topic in found if _stem(topic) == name] for name in names)
-        best = next((one[0] for one in exact if len(one) == 1), None) if len(found) > 1 else None
-        others = [topic for topic in found if best is not None and topic is not best]
-        topics = [replace(topic, plain=True) if topic in others else topic for topic in topics]
+    for sensor in Sensor:
+        passed_over = _worse(topics, sensor)
+        topics = [replace(topic, plain=True) if topic in passed_over else topic for topic in topics]
     return choose(path, topics, options, lambda topic: frozenset(topic.sensors))
+
+
+def _worse(topics: Sequence[Topic], sensor: Sensor) -> list[Topic]:
+    """Return the files of a sensor next to the one with the best name; none if no name is known."""
+    full = [topic for topic in topics if sensor in topic.sensors and topic.count != 0]
+    for name in _PREFERRED[sensor]:
+        if len(exact := [topic for topic in full if _stem(topic) == name]) == 1:
+            return [topic for topic in full if topic is not exact[0]]
+    return []
 
 
 def _stem(topic: Topic) -> str:

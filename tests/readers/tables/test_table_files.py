@@ -13,7 +13,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.messages.topics import cells_of
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
-from imucal.readers.tables.foreign_files import Arrays, _flatten, _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.typed_table import Arrays, _flatten, _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array

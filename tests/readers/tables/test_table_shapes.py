@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from imucal.readers.tables.dialects import _is_kitti, _is_ros2
-from imucal.readers.tables.foreign_files import _of_array
 from imucal.readers.tables.layout import BLANKS, TextLayout
+from imucal.readers.tables.typed_table import _of_array
 
 #: A row of KITTI: position, three angles, and five whole numbers at the end.
 OXTS = ["49.0", "8.4", "110.0", "0.1", "0.2", "0.3", *["1.5"] * 19, "4", "10", "4", "4", "0"]
