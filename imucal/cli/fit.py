@@ -74,7 +74,7 @@ def command(
     """Fit a noise model to every axis of LOG and write a report.
 
     LOG is a CSV or other text, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, NPY,
-    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin, .tlog) file, its URL (https://, s3://,
+    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin) file, its URL (https://, s3://,
     gs://, az://), or - for text on standard input. Several LOGs are joined to one recording if
     each continues the one before (splits of a bag, rotated tables), or with --join.
 

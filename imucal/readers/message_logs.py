@@ -11,11 +11,12 @@ from imucal.readers.builder import RecordingBuilder
 from imucal.readers.containers.container import Container, Loss, OpenFiles
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.files import refused
-from imucal.readers.message_samples import add_topic, job_of
+from imucal.readers.message_samples import Job, job_of, sensor_columns
 from imucal.readers.messages import Topic, choose, decode, find_topics, plan_of
 from imucal.readers.messages.loader import Decoding
 from imucal.readers.messages.surroundings import first_frames, read_temperature, temperature_beside
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.recording import Recording, Sensor
 
 #: Codes of findings that say a log is damaged.
@@ -39,12 +40,26 @@ class MessageReader:
         """
         containers, form = self.open_files(path, options.progress)
         with _closing(containers):
-            return _read(containers, path, options, form)
+            return read_log(_opened(containers, path, options, form), options)
 
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
         """Return the topics of a log, by its index."""
         containers, form = self.open_files(path, options.progress)
         return describe_logs(containers, path, options, form=form)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenLog:
+    """A log that the user named `path`: its format, its topics, and the files that contain their messages."""
+
+    path: Path
+    form: str
+    topics: Sequence[Topic]
+    findings: Sequence[Finding] = ()
+    #: None if the topics are in memory.
+    containers: Sequence[Container] = ()
+    #: The sampling rate in the log, in Hz, if there is one.
+    rate_hz: float | None = None
 
 
 @contextmanager
@@ -71,21 +86,32 @@ def describe_logs(
 ) -> LogContents:
     """Return the topics of the files of one log, which the user named `path`, and close them."""
     with _closing(containers):
-        with _naming(path):
-            topics = find_topics(containers, options)
-        contents = [_contents(containers, topic, options) for topic in topics]
+        log = _opened(containers, path, options, form)
+        contents = describe_topics(log, options)
     starts = [c.start_ns for c in containers if c.start_ns is not None]
     ends = [c.end_ns for c in containers if c.end_ns is not None]
     return LogContents(
         path=str(path),
         format=form,
         size_bytes=sum(container.size for container in containers),
-        topics=tuple(contents),
+        topics=contents,
         start_ns=min(starts, default=None),
         duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
         compression=", ".join(sorted({container.compression for container in containers})),
-        findings=tuple(finding for container in containers for finding in container.findings),
+        findings=tuple(log.findings),
     )
+
+
+def _opened(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> OpenLog:
+    with _naming(path):
+        topics = find_topics(containers, options)
+    findings = [finding for container in containers for finding in container.findings]
+    return OpenLog(path, form, topics, findings, containers)
+
+
+def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, ...]:
+    """Return the contents of all topics of a log."""
+    return tuple(_contents(log.containers, topic, options) for topic in log.topics)
 
 
 def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
@@ -121,36 +147,60 @@ def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -
         return frozenset(topic.sensors)
 
 
-def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
+def read_log(log: OpenLog, options: ReadOptions) -> Recording:
+    """Read the IMU topics of an open log."""
+    path, containers = log.path, log.containers
     with _naming(path):
-        topics = find_topics(containers, options)
-        choices = choose(path, topics, options, lambda topic: _live(containers, topic, options))
+        choices = choose(path, log.topics, options, lambda topic: _live(containers, topic, options))
         jobs = [job_of(containers, choice, options) for choice in choices]
-        streams = [job.topic.stream(job.columns) for job in jobs]
-    decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
-    work = RecordingBuilder(path=str(path), format=form, options=options)
-    work.findings += [finding for container in containers for finding in container.findings]
-    work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
+        decodings = _decoded(log, jobs, options)
+    work = RecordingBuilder(path=str(path), format=log.form, options=options, rate_hz=log.rate_hz)
+    work.findings += log.findings
+    work.decisions += [("topic", f"{one.topic.name}: {one.how}") for one in choices if not one.topic.file]
     work.decisions += first_frames(containers, [choice.topic for choice in choices])
-    for job, decoding in zip(jobs, decodings, strict=True):
-        work.findings += _loss_findings(decoding.losses, decoding.missing)
-        _require_messages(work, path, job.topic, decoding)
-        with _naming(path):
-            add_topic(work, job, decoding.columns, alone=len(jobs) == 1)
-    _add_temperature(work, containers, topics, jobs[0].topic)
+    sensors = _sensors(work, jobs, decodings)
+    where = f"{path}: {jobs[0].topic.where}" if len(jobs) == 1 and not jobs[0].topic.file else ""
+    with _naming(path):
+        assemble(work, [job.plan for job in jobs], sensors, where=where)
+    _add_temperature(work, containers, log.topics, jobs[0].topic)
     _require_samples(work, path, options)
+    if jobs[0].topic.file:
+        return work.build(topics=[name for job in jobs for name in job.plan.topics])
     return work.build(
         topics=[choice.topic.name for choice in choices],
         message_types=[choice.topic.type for choice in choices],
     )
 
 
-def _require_messages(work: RecordingBuilder, path: Path, topic: Topic, decoding: Decoding) -> None:
+def _sensors(
+    work: RecordingBuilder, jobs: Sequence[Job], decodings: Sequence[Decoding]
+) -> list[SensorColumns]:
+    """Return the columns of all sensors, with findings about losses and missing sensors."""
+    sensors: list[SensorColumns] = []
+    for job, decoding in zip(jobs, decodings, strict=True):
+        work.findings += _loss_findings(decoding.losses, decoding.missing)
+        _require_messages(work, job.topic, decoding)
+        sensors += sensor_columns(work, job, decoding.columns)
+    # What one topic lacks another may contain.
+    found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
+    work.findings += [one for job in jobs for one in job.plan.findings if one.axis not in found]
+    return sensors
+
+
+def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequence[Decoding]:
+    """Return the columns of each job."""
+    if not log.containers:
+        return [Decoding([job.topic.held[index] for index in job.indices], [], None) for job in jobs]
+    streams = [job.topic.stream(job.columns) for job in jobs]
+    return decode(log.containers, streams, limit=options.memory_limit, progress=options.progress)
+
+
+def _require_messages(work: RecordingBuilder, topic: Topic, decoding: Decoding) -> None:
     """Refuse a topic without a message that can be read, with the first reason."""
     if not decoding.columns[0].size:
         seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
         why = next(iter(seen), "the log has none")
-        raise refused(path, f"no message of topic {topic.name} could be read: {why}")
+        raise refused(work.path, f"no message of topic {topic.name} could be read: {why}")
 
 
 def _add_temperature(

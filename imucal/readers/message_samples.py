@@ -1,189 +1,204 @@
-"""Decoded columns of a topic -> sensors of a recording: their rows, their order and their clock."""
+"""Columns of a topic -> the columns of its sensors, in time order."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, release
+from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, repeats
+from imucal.readers.clocks import LOG_TIME
 from imucal.readers.containers import Container
 from imucal.readers.messages import Choice, Column, Topic, plan_of
+from imucal.readers.messages.topics import HELD_ROWS, cells_of
 from imucal.readers.messages.trees import TIME
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.scales import Unscaled
-from imucal.readers.store import Block, Room, count, is_constant
+from imucal.readers.store import Block, Room, is_constant, join_rows
+from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.plan import SensorPlan, TablePlan
-from imucal.readers.tables.stamps import TimeChoice
-from imucal.readers.tables.tabular import add_temperature, stamps_of
+from imucal.readers.tables.stamps import Numbers, TimeChoice
+from imucal.readers.tables.tabular import SensorColumns
 from imucal.recording import Sensor
+from imucal.resources import column_limit
 
 #: Name of the time in the messages.
 HEADER = "header stamp"
+#: The time of recording; it is no column of the topic.
+LOG = TimeChoice(kind="ns", indices=(), name=LOG_TIME)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """What to read of a topic: the plan of its sensors, their time, and the columns to decode."""
+    """What to read of a topic: the plan of its sensors, and the indices of the columns."""
 
     topic: Topic
     plan: TablePlan
-    #: None for the log time.
-    time: TimeChoice | None
-    columns: Sequence[Column]
-
-    def of(self, block: Block, indices: Sequence[int]) -> list[NDArray[Any]]:
-        """Return columns of the table in a block of decoded ones, which begins with the log time."""
-        return [block[1 + self.columns.index(self.topic.columns[index])] for index in indices]
-
-    def times(self, block: Block) -> list[NDArray[Any]]:
-        """Return the columns of the time."""
-        return self.of(block, self.time.indices) if self.time else []
-
-    def axes(self, block: Block) -> dict[Sensor, list[FloatArray]]:
-        """Return the samples of each sensor."""
-        triads = [sensor.triad for sensor in self.plan.sensors]
-        return {
-            triad.sensor: [np.asarray(axis, np.float64) for axis in self.of(block, triad.indices)]
-            for triad in triads
-        }
+    indices: tuple[int, ...]
 
     @property
-    def has_stamp(self) -> bool:
-        """Whether the time is a stamp of seconds and nanoseconds, which was decoded as ns."""
-        return self.time is not None and self.topic.columns[self.time.indices[0]].type == TIME
+    def columns(self) -> list[Column]:
+        """The columns to decode."""
+        return [self.topic.columns[index] for index in self.indices]
 
 
 def job_of(containers: Sequence[Container], choice: Choice, options: ReadOptions) -> Job:
     """Return what to read of a chosen topic; raises ChoiceError if it is not clear."""
     topic = choice.topic
     plan, _ = plan_of(containers, topic, options)
-    sensors = tuple(sensor for sensor in plan.sensors if sensor.triad.sensor in choice.sensors)
-    # The log time is better than a count of samples, or their steps.
-    time = sensors[0].time
-    time = None if time is None or time.kind in {"counter", "steps"} else time
-    indices = [*(time.indices if time else ())]
-    for sensor in sensors:
-        indices += [*sensor.triad.indices, *_row_columns(topic, sensors, sensor)]
+    chosen = [sensor for sensor in plan.sensors if sensor.triad.sensor in choice.sensors]
+    if not topic.held:
+        chosen = [_with_times(topic, chosen[0], sensor, options) for sensor in chosen]
+    chosen = [replace(sensor, time=_in_ns(topic, sensor.time)) for sensor in chosen]
+    indices: list[int] = []
+    for sensor in chosen:
+        indices += [*(sensor.time.indices if sensor.time else ()), *sensor.triad.indices]
+        indices += [*(sensor.log_time.indices if sensor.log_time else ()), *_row_column(topic, sensor)]
     indices += [] if plan.temperature is None else [plan.temperature]
-    columns = [topic.columns[index] for index in dict.fromkeys(indices)]
-    job = Job(topic, replace(plan, sensors=sensors), time, columns)
-    if options.time_unit is not None and (time is None or job.has_stamp):
-        msg = (
-            f"the time unit {options.time_unit} does not apply: time stamps are seconds and nanoseconds; "
-            "omit it, or name a time of one number in a columns text"
-        )
-        raise ChoiceError(msg)
-    return job
+    # The columns of messages of a known type are no decision.
+    decisions = plan.decisions if topic.file or plan.dialect is None else ()
+    plan = replace(plan, sensors=tuple(chosen), decisions=decisions)
+    return Job(topic, plan, tuple(dict.fromkeys(indices)))
 
 
-def _row_columns(topic: Topic, sensors: Sequence[SensorPlan], sensor: SensorPlan) -> list[int]:
-    """Return the column that selects the messages of a sensor, if there is one."""
+def _with_times(topic: Topic, first: SensorPlan, sensor: SensorPlan, options: ReadOptions) -> SensorPlan:
+    """Return the plan of a sensor in messages, with the time of the first one; else the log time."""
+    if sensor.triad.rows != first.triad.rows:
+        raise _of_other_rows(topic)
+    # The log time is better than a count of samples, or their steps.
+    own = first.time is not None and first.time.kind not in {"counter", "steps"} and options.time != "log"
+    return replace(sensor, time=first.time if own else LOG, log_time=LOG)
+
+
+def _in_ns(topic: Topic, time: TimeChoice | None) -> TimeChoice | None:
+    """Return a time; stamps of seconds and nanoseconds are complete."""
+    stamp = time is not None and time.indices and topic.columns[time.indices[0]].type == TIME
+    return replace(time, kind="ns") if time is not None and stamp else time
+
+
+def _row_column(topic: Topic, sensor: SensorPlan) -> list[int]:
+    """Return the column that selects the rows of a sensor, if there is one."""
     rows = sensor.triad.rows
-    if rows is None and sensors[0].triad.rows is None:
-        return []
-    if rows is None or rows[0] < 0 or rows != sensors[0].triad.rows or not is_number(rows[1]):
-        msg = f"topic {topic.name}: messages are selected by one number for both sensors, such as @id:1"
-        raise ChoiceError(msg)
-    return [rows[0]]
+    if rows is not None and (rows[0] < 0 or not (topic.held or is_number(rows[1]))):
+        raise _of_other_rows(topic)
+    return [] if rows is None else [rows[0]]
 
 
-def add_topic(work: RecordingBuilder, job: Job, block: Block, *, alone: bool) -> None:
-    """Add the sensors of one topic; `alone` if it is the only one."""
-    plan, sensors = job.plan, job.plan.sensors
-    block = _chosen_rows(work, job, block)
-    log, times = block[0], _times(work, job, block)
-    heat = job.of(block, [] if plan.temperature is None else [plan.temperature])
-    work.findings += in_time_order(times, log, block[1:], work.room)
-    axes = job.axes(block)
-    reading = _clock(work, job, times, log, axes)
-    label = sensors[0].triad.sensor.short if not alone and len(sensors) == 1 else None
-    work.findings += [replace(finding, axis=label) for finding in reading.findings]
-    if reading.clock.source == HEADER:
-        work.findings += compare_clocks(times, log)
-    release(times, *block)
-    work.decisions.append(("time", reading.clock.source))
-    work.decisions += plan.decisions if plan.dialect is None else ()
-    work.findings += plan.findings if alone else ()
-    for sensor in sensors:
-        work.findings += _without_data(job.topic, sensor.triad.sensor, axes)
-    unscaled = [
-        Unscaled(
-            sensor=sensor.triad.sensor,
-            rows=axes[sensor.triad.sensor],
-            clock=reading.clock,
-            order=reading.order,
-            axes=sensor.triad.axes,
-            stated=sensor.stated,
-        )
-        for sensor in sensors
-        if not is_constant(axes[sensor.triad.sensor])
+def _of_other_rows(topic: Topic) -> ChoiceError:
+    msg = f"{topic.where}: messages are selected by one number for both sensors, such as @id:1"
+    return ChoiceError(msg)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Values:
+    """The columns that were read of a topic, by their indices; the log times if there are any."""
+
+    topic: Topic
+    columns: Mapping[int, NDArray[Any]]
+    log: Sequence[IntArray]
+
+    def axes(self, sensor: SensorPlan, limit: int) -> list[FloatArray]:
+        """Return the samples of a sensor: copies of columns in memory, as samples are scaled in place."""
+        rows = [self.columns[index] for index in sensor.triad.indices]
+        if not self.topic.held:
+            return [np.asarray(row, np.float64) for row in rows]
+        try:
+            return join_rows([[row] for row in rows], limit=limit)
+        except ValueError as error:
+            msg = f"{self.topic.where}: the columns of the {sensor.triad.sensor} are not numbers: {error}"
+            raise ChoiceError(msg) from error
+
+    def times(self, time: TimeChoice | None) -> Sequence[Numbers]:
+        """Return the columns of a time as whole numbers or floats; texts in ns."""
+        if time is None or time is LOG:
+            return [] if time is None else self.log
+        found: list[Numbers] = []
+        for column in map(self.columns.__getitem__, time.indices):
+            if time.kind == "text":
+                kind = text_kind(cells_of(column[:HELD_ROWS]))
+                found.append(parse_texts(list(map(str, column)), kind, by_day=time.by_day))
+            elif column.dtype.kind in "iu":
+                found.append(column.astype(np.int64, copy=False))
+            else:
+                found.append(column.astype(np.float64, copy=False))
+        return found
+
+    def source(self, time: TimeChoice | None) -> str:
+        """Return the name of a time as the source of a clock; empty for a file's own columns."""
+        if self.topic.held:
+            return "" if self.topic.file or time is None else f"{time.name} of {self.topic.name}"
+        return LOG_TIME if time is LOG else HEADER
+
+    def rows(self, rows: tuple[int, str]) -> BoolArray:
+        """Return which rows have a tag in a column."""
+        column, tag = self.columns[rows[0]], rows[1]
+        if column.dtype.kind in "iuf" and is_number(tag):
+            return np.asarray(column == float(tag), np.bool_)
+        return np.array([str(value) == tag for value in column], np.bool_)
+
+
+def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[SensorColumns]:
+    """Return the columns of each sensor; a block of messages begins with the log times.
+
+    A finding reports a sensor whose samples never change.
+    """
+    topic, plan = job.topic, job.plan
+    log = [] if topic.held else [block[0]]
+    values = _Values(topic, dict(zip(job.indices, block[len(log) :], strict=True)), log)
+    if log:
+        time = plan.sensors[0].time
+        stamps = values.columns[time.indices[0]] if time and time.indices else log[0]
+        work.findings += in_time_order(stamps, log[0], block[1:], work.room)
+    # Half of the limit is for each of two sensors.
+    limit = (work.options.memory_limit or column_limit()) // 2
+    axes = {sensor.triad.sensor: values.axes(sensor, limit) for sensor in plan.sensors}
+    # A table's constant sensor is a finding of the screening, and one sample is no evidence.
+    constant = [
+        one for one, rows in axes.items() if rows[0].size > 1 and is_constant(rows) and not topic.file
     ]
-    work.add(unscaled, where=f"{work.path}: topic {job.topic.name}")
-    if heat and heat[0].any():
-        add_temperature(work, heat[0], reading)
+    work.findings += [_without_data(topic, sensor, axes[sensor]) for sensor in constant]
+    living = [sensor for sensor in plan.sensors if sensor.triad.sensor not in constant]
+    return [_columns(work, job, values, sensor, axes) for sensor in living]
 
 
-def _without_data(
-    topic: Topic, sensor: Sensor, axes: Mapping[Sensor, Sequence[FloatArray]]
-) -> Iterator[Finding]:
-    """Yield the finding of a sensor whose samples never change."""
-    if is_constant(axes[sensor]):
-        value = ", ".join(f"{row[0]:g}" for row in axes[sensor])
-        text = f"The {sensor} of topic {topic.name} is always ({value}): no data."
-        yield Finding("warning", "no-data", text, axis=sensor.short)
-
-
-def _chosen_rows(work: RecordingBuilder, job: Job, block: Block) -> Block:
-    """Return the messages that a columns text selects and that have a finite time."""
-    keep: BoolArray | None = None
-    rows = job.plan.sensors[0].triad.rows
-    if rows is not None:
-        keep = job.of(block, [rows[0]])[0] == float(rows[1])
-    for column in job.times(block):
-        finite = np.isfinite(column) if column.dtype.kind == "f" else None
-        if finite is not None and not finite.all():
-            text = f"{count(~finite)} messages have no finite time; they were dropped."
-            work.findings.append(Finding("warning", "bad-rows", text))
-            keep = finite if keep is None else keep & finite
-    return block if keep is None else [work.room.chosen(column, keep) for column in block]
-
-
-def _times(work: RecordingBuilder, job: Job, block: Block) -> IntArray:
-    """Return the times of messages in ns: their stamps, or the log times."""
-    columns = job.times(block)
-    if job.time is None or job.has_stamp:
-        return columns[0] if columns else block[0]
-    stamps = stamps_of(work, job.time, columns, job.plan.sensors[0].triad.sensor)
-    return block[0] if stamps is None else stamps
-
-
-def _clock(
+def _columns(
     work: RecordingBuilder,
     job: Job,
-    stamps: IntArray,
-    log: IntArray,
-    axes: Mapping[Sensor, Sequence[FloatArray]],
-) -> ClockReading:
-    """Return the clock of a topic's samples: by their stamps, or by the log time where that is wanted."""
-    by_log = work.options.time == "log"
+    values: _Values,
+    sensor: SensorPlan,
+    axes: Mapping[Sensor, list[FloatArray]],
+) -> SensorColumns:
+    """Return the columns of one sensor of a topic in its rows."""
+    topic, heat = job.topic, None
+    if job.plan.temperature is not None:
+        heat = np.asarray(values.columns[job.plan.temperature], np.float64)
     # A sensor alone may well give the same values twice.
-    rows = [row for rows in axes.values() for row in rows] if len(axes) > 1 else []
-    return clock_from_stamps(
-        log if by_log else stamps,
-        source=LOG_TIME if by_log or job.time is None else HEADER,
-        where=f"{work.path}: topic {job.topic.name}",
-        log_ns=log,
-        rate_hz=work.options.rate_hz,
-        repeated=repeats(stamps, rows, work.room) if rows else None,
-        room=work.room,
+    compared = list(chain.from_iterable(axes.values())) if len(axes) > 1 else []
+    columns = SensorColumns(
+        plan=sensor,
+        axes=axes[sensor.triad.sensor],
+        time=values.times(sensor.time),
+        log_time=values.times(sensor.log_time),
+        temperature=heat if heat is not None and heat.any() else None,
+        sparse=topic.sparse,
+        table="" if topic.file else topic.where,
+        source=values.source(sensor.time),
+        compared=None if topic.held else compared,
     )
+    rows = sensor.triad.rows
+    return columns if rows is None else columns.rows(values.rows(rows), work.room)
+
+
+def _without_data(topic: Topic, sensor: Sensor, rows: Sequence[FloatArray]) -> Finding:
+    """Return the finding of a sensor whose samples never change."""
+    value = ", ".join(f"{row[0]:g}" for row in rows)
+    text = f"The {sensor} of {topic.where} is always ({value}): no data."
+    return Finding("warning", "no-data", text, axis=sensor.short)
 
 
 def steps_back(times: IntArray) -> int:

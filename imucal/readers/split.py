@@ -6,32 +6,21 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-
-from imucal.arrays import FloatArray
 from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import detect, load
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.scales import converter_step, median_size, sample_rows
 from imucal.readers.store import join_rows
-from imucal.readers.tables import read_many
-from imucal.recording import AxisSeries, Recording, Sensor, Temperature, span_ns
+from imucal.readers.tables.text_table import read_many
+from imucal.recording import AxisSeries, Recording, Temperature, span_ns
 from imucal.resources import column_limit
 
 #: A part goes on within this time of the end of the one before, in s.
 _PAUSE = 10.0
 #: Stamps of two parts may run over each other by so many samples, or by this time in s.
 _SAMPLES_OVER, _TIME_OVER = 10, 0.1
-#: Usual magnitudes of the accelerations, and steps, of one sensor agree within these factors.
-_SAME_GRAVITY, _SAME_STEP = 1.2, 1.02
-#: Less than this, in m/s^2, is no gravity.
-_NO_GRAVITY = 1.0
-#: Factors between the units of rates: deg/s and rad/s, thousandths; noise agrees with one within this.
-_UNIT_FACTORS, _LIKE_UNIT = (np.degrees(1.0), 1e3, 1e3 * np.degrees(1.0)), 1.25
-
 #: Endings of a name, and the number that rotation puts behind them.
 _ENDINGS = re.compile(
     r"(?:\.(?:csv|tsv|txt|log|dat|mcap|db3|bag|active|ulg|parquet|npz|npy|mat|gz|bz2|xz|lz4|zst|zstd))+"
@@ -54,12 +43,11 @@ _COMMON = ("frame", "layout", "gyroscope unit", "accelerometer unit")
 def why_not_one(paths: Sequence[Path], parts: Sequence[Recording]) -> str:
     """Return why recordings, in the order of their times, are not parts of one; empty where they are.
 
-    They are where their names differ in numbers alone, topic, frame and scale are the same, and each goes
+    They are where their names differ in numbers alone, topic, frame and units are the same, and each goes
     on where the one before ends.
     """
     names = [path.name for path in paths]
-    alike = overlap(names, parts) or _differences(parts) or _scales(names, parts)
-    return alike or _names(names) or _pauses(names, parts)
+    return overlap(names, parts) or _differences(parts) or _names(names) or _pauses(names, parts)
 
 
 def overlap(names: Sequence[str], parts: Sequence[Recording]) -> str:
@@ -85,53 +73,6 @@ def _differences(parts: Sequence[Recording]) -> str:
         if len(answers) > 1:
             return f"their {question}s differ ({' and '.join(answers)})"
     return ""
-
-
-def _scales(names: Sequence[str], parts: Sequence[Recording]) -> str:
-    """Return how the scales of two recordings differ, as their samples show it: steps, gravity, noise."""
-    for i, part in enumerate(parts[1:], start=1):
-        for sensor in Sensor:
-            first, other = _rows(parts[0], sensor), _rows(part, sensor)
-            if not first.size or not other.size:
-                continue
-            found, one, two = "", converter_step(first), converter_step(other)
-            if one and two and _apart(one, two) > _SAME_STEP:
-                found = f"steps of {one:.4g} and {two:.4g} {sensor.unit}"
-            elif first.shape[1] == other.shape[1]:
-                found = (_gravity_differs if sensor is Sensor.ACCELEROMETER else _noise_differs)(first, other)
-            if found:
-                return f"the {sensor}s of {names[0]} and {names[i]} differ in scale: {found}"
-    return ""
-
-
-def _rows(part: Recording, sensor: Sensor) -> FloatArray:
-    axes = [series.samples for series in part.series if series.sensor is sensor]
-    return sample_rows(axes) if axes else np.empty((0, 3))
-
-
-def _gravity_differs(first: FloatArray, other: FloatArray) -> str:
-    """Return how the usual magnitudes of three axes differ; turning the sensor leaves them alone."""
-    one, two = median_size(first), median_size(other)
-    if first.shape[1] < 3 or max(one, two) < _NO_GRAVITY or _apart(one, two) < _SAME_GRAVITY:
-        return ""
-    return f"median magnitudes of {one:.4g} and {two:.4g} {Sensor.ACCELEROMETER.unit}"
-
-
-def _noise_differs(first: FloatArray, other: FloatArray) -> str:
-    """Return that the noise of all axes differs by the factor of two units; motion does not so on each."""
-    if min(first.shape[0], other.shape[0]) < 2:
-        return ""
-    noises = [np.median(np.abs(np.diff(rows, axis=0)), axis=0) for rows in (first, other)]
-    ratios = [_apart(float(one), float(two)) for one, two in zip(*noises, strict=True)]
-    for factor in _UNIT_FACTORS:
-        if all(_apart(ratio, factor) < _LIKE_UNIT for ratio in ratios):
-            return f"their noise differs by a factor of {ratios[0]:.3g}, like two units"
-    return ""
-
-
-def _apart(a: float, b: float) -> float:
-    """Return by which factor two numbers differ; infinite where one is zero."""
-    return max(a, b) / min(a, b) if min(a, b) > 0 else float("inf")
 
 
 def _names(names: Sequence[str]) -> str:
@@ -164,7 +105,7 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     """Read several logs as one recording, in the order of their times.
 
     Raises ReadError if a log can't be read; ChoiceError if the logs are not parts of one recording:
-    they overlap in time, differ in topic, frame or scale, or nothing says that one goes on where another
+    they overlap in time, differ in topic, frame or unit, or nothing says that one goes on where another
     ends. With `ReadOptions.join` only logs of other axes or rates are refused.
     """
     ordered = sorted(paths, key=natural)

@@ -337,7 +337,7 @@ _METADATA = "metadata.yaml"
 #: Endings of logs; a compressed text may have one more.
 _MESSAGES = (".mcap", ".bag", ".db3", ".bag.active", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst")
 _TEXTS = (".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl")
-_TABLES = (*_TEXTS, ".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat", ".ulg", ".bin", ".tlog")
+_TABLES = (*_TEXTS, ".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat", ".ulg", ".bin")
 _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip")
 _LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED))
 

@@ -36,6 +36,9 @@ def choose(
     """
     if options.topics:
         return _named(path, topics, options, live)
+    if len(topics) == 1 and topics[0].file:
+        # The choice of columns explains what is missing.
+        return [Choice(topics[0], tuple(Sensor), "the only table")]
     carrying = [topic for topic in topics if topic.sensors and topic.count != 0]
     fitting = [topic for topic in carrying if not topic.plain]
     if len(fitting) == 1:

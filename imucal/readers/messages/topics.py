@@ -4,9 +4,10 @@ import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.errors import ChoiceError, ReadError
 from imucal.frozen import frozen_alone
@@ -33,10 +34,12 @@ from imucal.recording import Sensor
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
 #: Marks in a columns text, and times that are not columns.
 _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
-#: Longest array whose elements are columns without being named, and messages whose numbers are examined.
-_WIDEST, _HEAD = 9, 100
-#: Chunks read for them: more if a few contain less than `_HEAD` messages.
-_LOOKS = (1, 32)
+#: Longest array whose elements are columns without being named.
+_WIDEST = 9
+#: Messages whose numbers are examined, and chunks read for them: more if a few contain fewer messages.
+_HEAD, _LOOKS = 100, (1, 32)
+#: Rows of a table in memory that are examined.
+HELD_ROWS = 400
 #: Packages whose vectors may be anything: they are read only if the user names the topic.
 _PLAIN = ("geometry_msgs/", "nav_msgs/")
 _ROS = Dialect(name="ROS", headers=(), gyro_unit="rad/s", accel_unit="m/s^2", has_log_time=True)
@@ -53,11 +56,12 @@ _INCREMENTS = {
 
 
 class Column(NamedTuple):
-    """A number in messages: the name of its column, its path for the decoders, and its type."""
+    """A number in messages: the name of its column, its path for the decoders, its type and its unit."""
 
     name: str
     path: str
     type: str
+    unit: str | None = None
 
 
 @frozen_alone
@@ -82,6 +86,19 @@ class Topic:
     wanted: Sensor | None = None
     #: The definitions of types that the user gives.
     given: Mapping[str, str] = field(default_factory=dict)
+    #: The columns if they are in memory, shape (n,) each; rows without a value are no samples if `sparse`.
+    held: tuple[NDArray[Any], ...] = ()
+    sparse: bool = False
+    #: What its units and its times are; None if its type or its names decide.
+    dialect: Dialect | None = None
+    #: The file that is this table, and the shapes of the arrays in it; else empty.
+    file: str = ""
+    shapes: str = ""
+
+    @property
+    def where(self) -> str:
+        """The topic in a message."""
+        return self.file or f"topic {self.name}"
 
     @property
     def count(self) -> int | None:
@@ -107,12 +124,12 @@ class Topic:
         """Return its columns with the first values of each."""
 
         def cells(index: int) -> Sequence[str]:
-            return _cells(heads[index]) if heads else ()
+            return cells_of(heads[index][: HELD_ROWS if self.held else _HEAD]) if heads else ()
 
-        units = ["ns" if column.type == TIME else None for column in self.columns]
+        units = ["ns" if column.type == TIME else column.unit for column in self.columns]
         names = [column.name for column in self.columns]
-        table = NamedTable.of(f"topic {self.name}", names, cells, units=units)
-        dialect = _PACKAGES.get(self.type.partition("/")[0], table.dialect)
+        table = NamedTable.of(self.where, names, cells, units=units)
+        dialect = self.dialect or _PACKAGES.get(self.type.partition("/")[0], table.dialect)
         return replace(table, dialect=dialect)
 
     def stream(self, columns: Sequence[Column]) -> Stream:
@@ -138,10 +155,43 @@ class Topic:
         return BinaryDecoder(fields, paths, ros1=channel.encoding == "ros1")
 
 
-def _cells(values: np.ndarray) -> list[str]:
-    """Return the first values of a column as text; a topic without any counts as one of zeros."""
-    numbers = values[:_HEAD].tolist()
-    return ["" if number != number else repr(number) for number in numbers] or ["0"]  # noqa: PLR0124 - NaN
+def cells_of(values: NDArray[Any]) -> list[str]:
+    """Return values of a column as text; a topic without any counts as one of zeros."""
+    cells = values.tolist()
+    return ["" if cell is None or cell != cell else str(cell) for cell in cells] or ["0"]  # noqa: PLR0124 - NaN
+
+
+def held_topic(
+    name: str,
+    kind: str,
+    columns: Mapping[Column, NDArray[Any]],
+    options: ReadOptions,
+    **more: Any,  # noqa: ANN401 - fields of `Topic`
+) -> Topic:
+    """Return a topic with its sensors; its first column of stamps, in ns, gives its duration."""
+    arrays = tuple(columns.values())
+    stamps = next((values for column, values in columns.items() if column.type == TIME), arrays[0][:0])
+    first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (None, None)
+    channel = Channel(
+        key=0, topic=name, type=kind, encoding="", count=arrays[0].size, first_ns=first, last_ns=last
+    )
+    topic = Topic(
+        name=name,
+        type=kind,
+        channels=((0, channel),),
+        leaves=tuple(Leaf(column.name, column.type) for column in columns),
+        columns=tuple(columns),
+        held=arrays,
+        **more,
+    )
+    try:
+        plan, _ = plan_of((), topic, options)
+    except ColumnsError as error:
+        # The choice of columns lists those of a file.
+        return topic if topic.file or options.columns is None else replace(topic, reason=error.problem)
+    except ChoiceError:
+        return topic
+    return replace(topic, sensors=tuple(sensor.triad.sensor for sensor in plan.sensors))
 
 
 def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[Topic]:
@@ -282,14 +332,16 @@ def plan_of(
     One message, or none that can be decoded, is no evidence: all sensors count as changing then. Raises
     ChoiceError if it is not clear which columns to read.
     """
-    heads = _heads(containers, topic, options.columns or "")
-    time = None if options.time in _CLOCKS else options.time
-    plan = make_plan(topic.table(heads), replace(options, time=time), name=_word(topic) or topic.name)
+    heads = topic.held or _heads(containers, topic, options.columns or "")
+    time = None if options.time in _CLOCKS and not topic.held else options.time
+    name = _word(topic) or topic.name
+    plan = make_plan(topic.table(heads), replace(options, time=time), name=name, shape=topic.shapes)
     alive = []
     for triad in (sensor.triad for sensor in plan.sensors):
-        rows = [heads[index] for index in triad.indices]
-        alive += [triad.sensor] if rows[0].size < 2 or not is_constant(rows) else []
-    return _in_units_of_type(plan), frozenset(alive)
+        # Columns in memory may be text.
+        rows = [heads[index] for index in triad.indices if heads[index].dtype.kind in "biuf"]
+        alive += [triad.sensor] if not rows or rows[0].size < 2 or not is_constant(rows) else []
+    return plan if topic.held else _in_units_of_type(plan), frozenset(alive)
 
 
 def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:

@@ -235,9 +235,10 @@ def typical_step(values: Numbers) -> float:
     return period.tau_ns / scale if period is not None else 0.0
 
 
-TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "steps", "counter"]
+TimeKind: TypeAlias = Literal["ns", "stamp", "pair", "week", "date", "text", "steps", "counter"]
 #: Descriptions of some kinds.
 _KINDS = {
+    "ns": "complete time stamps",
     "week": "GPS week and time of week",
     "text": "date and time",
     "steps": "steps from sample to sample",
@@ -300,10 +301,11 @@ _BONUS = _points("""
 class TimeChoice:
     """The time of a sensor's samples: the indices of its columns, and its name in the log.
 
-    ``pair`` is seconds, or a text, and a finer column; ``week`` GPS week and time of week; ``date`` year,
-    month, day, hour, minute, second and perhaps nanosecond; ``text`` dates or times of day, in one column or
-    in columns of dates, times and perhaps AM and PM; ``steps`` the times since the previous sample;
-    ``counter`` a count of samples. `ns` per count (of the finer column) is None if the data determine it;
+    ``ns`` is stamps in ns; ``pair`` seconds, or a text, and a finer column; ``week`` GPS week and time of
+    week; ``date`` year, month, day, hour, minute, second and perhaps nanosecond; ``text`` dates or times of
+    day, in one column or in columns of dates, times and perhaps AM and PM; ``steps`` the times since the
+    previous sample; ``counter`` a count of samples. `ns` per count (of the finer column) is None if the data
+    determine it;
     `ns_source` describes its source. Dates with the year last begin with the month, or with the day if
     `by_day`. If the cells do not decide (`open_date`), the month is assumed.
     """

@@ -4,7 +4,7 @@ A clock is made of the time's columns, or of a counter and a rate.
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import blake2b
@@ -14,13 +14,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
+from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, release
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ImucalError, as_one
 from imucal.findings import Finding, Level
 from imucal.frozen import frozen_alone
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
+from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, repeats
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
@@ -66,7 +66,8 @@ class SensorColumns:
 
     The axes are in the unit of the log; `time` and `log_time` are the columns of the plan's times, empty
     where there are none. Of a `sparse` sensor the rows without any value belong to other sensors; where some
-    rows were left out, `rows_left` tells which from others.
+    rows were left out, `rows_left` tells which from others. `table` names the table if a log has several, and
+    `source` the time. A sample was sent twice if all values in `compared` repeat too (None: in the axes).
     """
 
     plan: SensorPlan
@@ -76,13 +77,23 @@ class SensorColumns:
     temperature: FloatArray | None = None
     sparse: bool = False
     rows_left: bytes = b""
+    table: str = ""
+    source: str = ""
+    compared: Sequence[FloatArray] | None = None
 
     def rows(self, keep: BoolArray, room: Room) -> "SensorColumns":
         """Return the rows of the columns where `keep` is true."""
         temperature = [] if self.temperature is None else [self.temperature]
-        lists: list[Sequence[Any]] = [self.axes, self.time, self.log_time, temperature]
-        axes, time, log_time, others = ([room.chosen(column, keep) for column in one] for one in lists)
-        return replace(self, axes=axes, time=time, log_time=log_time, temperature=next(iter(others), None))
+        lists: list[Sequence[Any]] = [self.axes, self.time, self.log_time, temperature, self.compared or ()]
+        axes, time, log_time, heat, others = ([room.chosen(row, keep) for row in one] for one in lists)
+        return replace(
+            self,
+            axes=axes,
+            time=time,
+            log_time=log_time,
+            temperature=next(iter(heat), None),
+            compared=None if self.compared is None else others,
+        )
 
 
 def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
@@ -101,22 +112,29 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         has = f"the {plan.triad.sensor} has the time {plan.time.name}, {plan.time.words}"
         text = f"the time unit {unit} does not apply: {has}; omit it, or name another time column"
         raise refused(work.path, text, ChoiceError)
-    source = f"column {plan.time.name}"
-    stamps = stamps_of(work, plan.time, columns.time, plan.triad.sensor)
+    source = columns.source or f"column {plan.time.name}"
+    stamps, log = stamps_of(work, plan.time, columns.time, plan.triad.sensor), _log_stamps(work, columns)
+    stamps, source = (log, LOG_TIME) if stamps is None else (stamps, source)
     if stamps is None:
         return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     reading = clock_from_stamps(
         stamps,
         source=source,
-        where=work.path,
-        log_ns=_log_stamps(work, columns),
+        where=f"{work.path}: {columns.table}" if columns.table else work.path,
+        log_ns=log,
         rate_hz=work.options.rate_hz,
         repeated=_sent_twice(work, stamps, columns),
         room=work.room,
     )
-    work.decide("time", f"{source}, {plan.time.words}")
+    reading = reading if log is None or reading.clock.source != source else _compared(reading, stamps, log)
+    work.decide("time", reading.clock.source if columns.source else f"{source}, {plan.time.words}")
     _compare_rates(work, reading.clock.rate_hz)
     return reading
+
+
+def _compared(reading: ClockReading, stamps: IntArray, log: IntArray) -> ClockReading:
+    """Return a clock with findings about its stamps and the times of recording."""
+    return replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
 
 
 def _say(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
@@ -128,9 +146,10 @@ def _say(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any
 
 def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
     """Return which samples are the one before, sent again; None where there are none."""
-    same = repeats(stamps, columns.axes, work.room)
+    rows = columns.axes if columns.compared is None else columns.compared
+    same = repeats(stamps, rows, work.room) if rows else None
     share = count(same) / same.size if same is not None else 0.0
-    if share <= _SENT_TWICE:
+    if share <= _SENT_TWICE or columns.compared is not None:
         return same
     sensor = columns.plan.triad.sensor
     text = (
@@ -163,6 +182,8 @@ def stamps_of(
 ) -> IntArray | None:
     """Return the stamps of a time in ns; None of a count that has the given rate in no unit."""
     room = work.room
+    if time.kind == "ns":
+        return cast("IntArray", columns[0])
     if time.kind == "text":
         return text_stamps(cast("Sequence[IntArray]", columns), room)
     if time.kind == "pair":
@@ -285,42 +306,18 @@ _LOOKED_AT = 1_000_000
 
 
 def assemble(
-    where: str,
-    form: str,
-    options: ReadOptions,
-    plans: Sequence[TablePlan],
-    sensors: Sequence[SensorColumns],
-    *,
-    findings: Iterable[Finding],
-    rate_hz: float | None,
-) -> Recording:
-    """Put the recording of a gyroscope, an accelerometer, or both together; `rate_hz` is what the log states.
+    work: RecordingBuilder, plans: Sequence[TablePlan], sensors: Sequence[SensorColumns], *, where: str = ""
+) -> None:
+    """Add a gyroscope, an accelerometer, or both together; `where` is the start of messages about units.
 
     A ChoiceError if a unit or the time of the samples is open; a DataError if there are no samples, or no
     rate.
     """
-    work = RecordingBuilder(path=where, format=form, options=options, rate_hz=rate_hz, findings=[*findings])
     for what, how in chain.from_iterable(plan.decisions for plan in plans):
         work.decide(what, how)
-    clocks: dict[tuple[Any, ...], ClockReading] = {}
+    kept = [_of_sensor(work, columns) for columns in sensors]
     lacking: list[ChoiceError] = []
-    both = []
-    for columns in [_of_sensor(work, columns) for columns in sensors]:
-        plan, n = columns.plan, columns.axes[0].size
-        if not n:
-            names = f"the columns of the {plan.triad.sensor} ({', '.join(plan.triad.headers)})"
-            raise refused(work.path, f"{names} have no samples; expected a row per sample", DataError)
-        # Two sensors of one table share the clock where they share the time and the rows.
-        key = (plan.time, plan.triad.rows, columns.rows_left, n)
-        if key not in clocks:
-            try:
-                clocks[key] = table_clock(work, columns)
-            except ChoiceError as error:
-                # The units are asked for in the same breath.
-                lacking.append(error)
-                clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""))
-            work.findings.extend(clocks[key].findings)
-        both.append((columns, clocks[key]))
+    both = list(zip(kept, _clocks(work, kept, lacking), strict=True))
     try:
         work.add(
             [
@@ -333,7 +330,8 @@ def assemble(
                     stated=columns.plan.stated,
                 )
                 for columns, reading in both
-            ]
+            ],
+            where=where,
         )
     except ChoiceError as error:
         lacking.append(error)
@@ -341,9 +339,36 @@ def assemble(
         raise as_one(work.path, lacking)
     for columns, reading in both:
         if columns.temperature is not None:
-            add_temperature(work, columns.temperature, reading)
+            _add_temperature(work, columns.temperature, reading)
             break
-    return work.build(topics=[topic for plan in plans for topic in plan.topics])
+
+
+def _clocks(
+    work: RecordingBuilder, sensors: Sequence[SensorColumns], lacking: list[ChoiceError]
+) -> list[ClockReading]:
+    """Return the clock of each sensor; what is not clear is added to `lacking`, and asked for with the units.
+
+    Two sensors of one table share the clock where they share the time and the rows.
+    """
+    keys = [
+        (one.table, one.plan.time, one.plan.triad.rows, one.rows_left, one.axes[0].size) for one in sensors
+    ]
+    clocks: dict[tuple[Any, ...], ClockReading] = {}
+    for columns, key in zip(sensors, keys, strict=True):
+        triad, n = columns.plan.triad, columns.axes[0].size
+        if not n:
+            names = f"the columns of the {triad.sensor} ({', '.join(triad.headers)})"
+            raise refused(work.path, f"{names} have no samples; expected a row per sample", DataError)
+        if key not in clocks:
+            try:
+                clocks[key] = table_clock(work, columns)
+            except ChoiceError as error:
+                lacking.append(error)
+                clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""))
+            axis = triad.sensor.short if columns.table and len({*keys}) > keys.count(key) == 1 else None
+            work.findings += [replace(finding, axis=axis) for finding in clocks[key].findings]
+        release(*columns.axes, *columns.time, *columns.log_time)
+    return [clocks[key] for key in keys]
 
 
 def with_more(
@@ -424,7 +449,7 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())
 
 
-def add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:
+def _add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:
     """Add a temperature if its values can be degrees Celsius."""
     values = np.asarray(column, dtype=np.float64)
     some = values[:: max(1, values.size // _LOOKED_AT)]

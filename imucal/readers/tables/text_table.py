@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
@@ -33,6 +34,7 @@ from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable
 from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
 from imucal.readers.tables.dialects import find_messages, name_columns
+from imucal.readers.tables.file_sets import FileHead, chosen_files
 from imucal.readers.tables.layout import (
     BLANKS,
     Rows,
@@ -43,7 +45,7 @@ from imucal.readers.tables.layout import (
     rows_of_tag,
     split_line,
 )
-from imucal.readers.tables.names import Role, parse_column, sensor_of_name
+from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import (
@@ -361,7 +363,11 @@ def read_table(
         text = "the table has no rows of its sensors; expected a row per sample"
         raise refused(source.name, text, DataError)
     findings += plan.findings
-    return assemble(source.name, "csv", options, [plan], sensors, findings=findings, rate_hz=layout.rate_hz)
+    work = RecordingBuilder(
+        path=source.name, format="csv", options=options, rate_hz=layout.rate_hz, findings=findings
+    )
+    assemble(work, [plan], sensors)
+    return work.build(topics=plan.topics)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -494,18 +500,6 @@ def _columns(
 _ZIP = b"PK\x03\x04"
 _SUFFIXES = (".csv", ".tsv", ".txt")
 
-#: Names of files without raw samples: estimates by the app, other sensors, notes.
-_LEFT_OUT = re.compile(
-    r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
-)
-
-#: Names of files, best first.
-_PREFERRED = {
-    Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
-    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is with gravity.
-    Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
-}
-
 #: The tables of a set: the name of each, its size unpacked, and how to open it.
 _Members: TypeAlias = dict[str, tuple[int, Callable[[], TextSource]]]
 
@@ -545,13 +539,10 @@ def _members(path: Path) -> Iterator[_Members]:
 def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Recording:
     """Read the gyroscope and the accelerometer of a zip or a folder; only the first lines if `head`."""
     with _members(path) as members:
-        both = [_choose(path, [*members], sensor) for sensor in Sensor] if len(members) != 1 else [*members]
-        chosen = [name for name in both if name is not None]
-        if not chosen:
-            found = f"found {', '.join(members) or 'no text files'}; name the file to read"
-            raise refused(
-                path, f"no file has the name of a gyroscope or an accelerometer; {found}", ChoiceError
-            )
+        chosen = [*members]
+        if len(members) != 1 or options.topics:
+            files = {name: _head_of(name, opened, options) for name, (_, opened) in members.items()}
+            chosen = [choice.topic.name for choice in chosen_files(path, files, options)]
         parts = []
         for name in chosen:
             with members[name][1]() as source:
@@ -559,18 +550,18 @@ def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Record
         return merge(parts, chosen, str(path))
 
 
-def _choose(path: Path, names: Sequence[str], sensor: Sensor) -> str | None:
-    """Return the file of a sensor by its name; raw before corrected, with gravity before without."""
-    stems = {name: PurePath(name).stem.lower() for name in names}
-    found = [
-        name for name, stem in stems.items() if sensor_of_name(stem) is sensor and not _LEFT_OUT.search(stem)
-    ]
-    exact = ([name for name in found if stems[name] == preferred] for preferred in _PREFERRED[sensor])
-    chosen = found if len(found) <= 1 else next((one for one in exact if len(one) == 1), None)
-    if chosen is None:
-        several = f"several files contain a {sensor} ({', '.join(found)}) of {', '.join(names)}"
-        raise refused(path, f"{several}; unpack it and name the files to read", ChoiceError)
-    return next(iter(chosen), None)
+def _head_of(name: str, opened: Callable[[], TextSource], options: ReadOptions) -> FileHead:
+    """Return the start of a table of a set; without sensors if its columns are not clear."""
+    head = FileHead()
+    try:
+        with opened() as source:
+            head = head._replace(header=next(iter(source.head), ""))
+            _, plan = plan_of_head(source, options, PurePath(name).name)
+    except ChoiceError:
+        return head._replace(has_rows=True)
+    except ReadError:
+        return head
+    return head._replace(has_rows=True, sensors=tuple(sensor.triad.sensor for sensor in plan.sensors))
 
 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
@@ -663,9 +654,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
     Raises ChoiceError if files, columns, units or time are not clear, ReadError if it can't be opened or is
     not a table, DataError if it has no samples.
     """
-    refuse_topics(path, options, "a table of text")
     if is_set(path):
         return _read_set(path, options)
+    refuse_topics(path, options, "a table of text")
     with open_text(path, progress=options.progress) as source:
         recording = read_table(source, options)
         return replace(recording, source=replace(recording.source, files=source.files()))

@@ -1,47 +1,287 @@
 """Tables with typed columns: Parquet, HDF5, NumPy's NPZ and NPY, MATLAB's MAT; chosen by name like a CSV's.
 
-Arrays of different lengths are tables of their own: the gyroscope may have one, the accelerometer another.
+Packages read them whole. All but NPY files, which are mapped, are read in a child process with limited
+memory, because small files may unpack to very large ones; see `imucal.readers.isolation`.
+
+An array of three columns is ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; in other arrays the position
+of a column has no meaning. Arrays of different lengths are tables of their own: the gyroscope may have one,
+the accelerometer another.
 """
 
-from collections.abc import Sequence
-from contextlib import suppress
+import math
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucal.errors import ChoiceError, ImucalError
+from imucal.errors import ImucalError
+from imucal.frozen import frozen, frozen_alone
 from imucal.readers.contents import LogContents
-from imucal.readers.files import refused
+from imucal.readers.files import first_bytes, refused
+from imucal.readers.isolation import isolated, require
+from imucal.readers.message_logs import OpenLog, read_log
+from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import Room, join_rows
-from imucal.readers.tables.columns import ColumnsError, NamedTable
-from imucal.readers.tables.dates import parse_texts, text_kind
-from imucal.readers.tables.foreign_files import TableFile, TypedColumn, open_table
-from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.tables.stamps import Numbers, TimeChoice
-from imucal.readers.tables.tabular import (
-    SensorColumns,
-    assemble,
-    contents_of,
-    of_a_part,
-    refuse_topics,
-    with_more,
+from imucal.readers.tables.columns import ColumnsError
+from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
+from imucal.readers.ways_out import OBJECTS_IN_NPZ
+from imucal.recording import Recording
+
+#: Most columns of a list or a matrix.
+_WIDEST = 64
+
+#: Fields of a MATLAB object in the package's arrays: its name, its system, its class, its numbers.
+_OBJECT = ("s0", "s1", "s2", "arr")
+
+#: Deepest nesting of MATLAB structures that is read.
+_DEEP = 8
+
+#: First bytes -> format.
+_FORMATS = {
+    b"PAR1": "Parquet",
+    b"\x93NUMPY": "NPY",
+    b"PK": "NPZ",
+    b"MATLAB 5.0": "MAT",
+    b"MATLAB 7.3": "HDF5",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+}
+
+#: Most arrays listed in a message.
+_SHOWN = 12
+
+#: Class of a MATLAB object -> MATLAB command that writes it as text.
+_IN_MATLAB = {
+    "table": "writetable({0}, '{0}.csv')",
+    "timetable": "writetimetable({0}, '{0}.csv')",
+    "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
+}
+
+#: Names of a scalar with the sampling rate in Hz.
+_RATES = frozenset(
+    {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
 )
-from imucal.recording import Recording, Sensor
-from imucal.resources import column_limit
 
-#: Tables up to this size are read to be described, in bytes: they take less than half a second.
-_SMALL = 64 << 20
+#: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
+_NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
-class _Part(NamedTuple):
-    """Columns of one length and what was chosen of them."""
+@frozen_alone
+class TypedColumn:
+    """A column, shape (n,), with the name and unit used by the rules for names."""
 
-    columns: Sequence[TypedColumn]
-    plan: TablePlan
+    name: str
+    values: NDArray[Any]
+    unit: str | None = None
+
+
+class Arrays(NamedTuple):
+    """The numeric arrays in a file, with dotted names in structures, and objects: name -> class.
+
+    Only MATLAB can read the numbers of its objects, such as a ``table``.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    objects: dict[str, str]
+
+
+def parquet_arrays(path: Path) -> Arrays:
+    """Return the columns of a Parquet file; structures and lists are split."""
+    import polars as pl
+
+    found: dict[str, pl.Series] = {}
+    for series in pl.read_parquet(path):
+        name, dtype = series.name, series.dtype
+        if isinstance(dtype, pl.Struct):
+            found |= {f"{name}.{field.name}": series.struct.field(field.name) for field in dtype.fields}
+        elif isinstance(dtype, pl.Array):
+            found |= {f"{name}[{i}]": series.arr.get(i) for i in range(min(dtype.shape[0], _WIDEST))}
+        elif isinstance(dtype, pl.List):
+            width = int(series.list.len().max() or 0)  # type: ignore[arg-type] # the length of a list
+            columns = range(min(width, _WIDEST))
+            found |= {f"{name}[{i}]": series.list.get(i, null_on_oob=True) for i in columns}
+        else:
+            found[name] = series
+    return Arrays({name: series.to_numpy() for name, series in found.items()}, {})
+
+
+def npz_arrays(path: Path) -> Arrays:
+    """Return the arrays of an NPZ file by name, and those of Python objects, which are not loaded."""
+    found = Arrays({}, {})
+    with np.load(path, allow_pickle=False) as content:
+        for name in content.files:
+            try:
+                found.arrays[name] = content[name]
+            except ValueError as error:
+                if "Object arrays" not in str(error):
+                    raise
+                found.objects[name] = "object"
+    return found
+
+
+def mat_arrays(path: Path) -> Arrays:
+    """Return the arrays of numbers in a MATLAB file up to version 7."""
+    import scipy.io
+
+    content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
+    found = Arrays({}, {})
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _flatten(name, value, found)
+    return found
+
+
+def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
+    """Collect the arrays of MATLAB structures under dotted names."""
+    array = np.asarray(value)
+    if array.dtype.names == _OBJECT and array.size == 1:
+        own, _, kind, _ = array.item()
+        found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode(
+            "latin-1"
+        )
+    elif array.dtype.names is not None and depth < _DEEP:
+        for part in array.dtype.names:
+            inner = array[part]
+            inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
+            _flatten(f"{name}.{part}", inner, found, depth + 1)
+    elif array.dtype.kind in "biufM":
+        found.arrays[name] = array
+
+
+def hdf5_arrays(path: Path) -> Arrays:
+    """Return the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3."""
+    import h5py
+
+    found = Arrays({}, {})
+    with h5py.File(path) as file:
+        nodes: dict[str, Any] = {"": file}
+        file.visititems(nodes.__setitem__)
+        matlab = any("MATLAB_class" in node.attrs for node in file.values())
+        for name, node in nodes.items():
+            kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
+            if name.startswith(("#refs#", "#subsystem#")) or kind in {"char", "cell"}:
+                continue
+            if "MATLAB_object_decode" in node.attrs:
+                found.objects[name.replace("/", ".")] = kind
+            elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
+                # MATLAB stores matrices transposed.
+                found.arrays[name.replace("/", ".")] = node[()].T if matlab else node[()]
+            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
+    return found
+
+
+def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the attributes with one number, such as a sampling rate, by their paths."""
+    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
+    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
+
+
+@frozen
+class TableFile:
+    """The columns of a file, its format, and its sampling rate if there is one.
+
+    `shapes` lists all arrays for messages, such as ``imu (600, 2, 3)``, also arrays without columns. `way`
+    is advice for data that can't be read.
+    """
+
+    format: str
+    columns: tuple[TypedColumn, ...]
+    rate_hz: float | None = None
+    shapes: tuple[str, ...] = ()
+    way: str = ""
+
+
+_READERS = {"Parquet": parquet_arrays, "HDF5": hdf5_arrays, "MAT": mat_arrays, "NPZ": npz_arrays}
+
+
+def open_table(path: Path) -> TableFile:
+    """Return the columns of a file; raises ReadError if it can't be read or has another format."""
+    head = first_bytes(path, 16)
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), "")
+    if not kind and path.suffix.lower() != ".mat":
+        raise refused(path, f"first bytes {head[:8].hex(' ')}; expected Parquet, HDF5, NPZ, NPY or MAT")
+    kind = kind or "MAT"
+    if kind == "HDF5":
+        require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
+    try:
+        if kind == "NPY":
+            arrays = Arrays({"": np.load(path, mmap_mode="r", allow_pickle=False)}, {})
+        else:
+            # The child process may have another working directory.
+            arrays = isolated(path, _READERS[kind], kind)(path.absolute())
+    except ValueError as error:
+        raise refused(path, f"not a readable NPY file: {error}") from error
+    if kind == "NPZ" and arrays.objects:
+        raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.said(str(path))}")
+    return _of_arrays(kind.lower(), *arrays)
+
+
+def _of_arrays(
+    form: str, arrays: Mapping[str, NDArray[Any]], objects: Mapping[str, str] | None = None
+) -> TableFile:
+    """Return the columns of a file's arrays; a scalar may be the sampling rate."""
+    rate = None
+    columns: list[TypedColumn] = []
+    for name, array in arrays.items():
+        last = name.rpartition(".")[2].lower()
+        if array.size == 1 and array.dtype.kind in "iuf":
+            value = float(array.reshape(-1)[0])
+            if last in _RATES and np.isfinite(value) and value > 0:
+                rate = value
+            continue
+        label, unit = _NAVEGO.get(last, ("", None))
+        columns += _of_array(f"{name}.{label}" if label else name, array, unit)
+    shapes = [f"{name or 'array'} {array.shape}" for name, array in arrays.items() if array.size != 1]
+    ways = [
+        f"{name} is a {kind}, which only MATLAB can read; in MATLAB type "
+        + _IN_MATLAB.get(kind, "its arrays into separate variables, and save those").format(name)
+        for name, kind in (objects or {}).items()
+    ]
+    return TableFile(
+        format=form,
+        columns=tuple(columns),
+        rate_hz=rate,
+        shapes=tuple(shapes[:_SHOWN]),
+        way="; ".join(ways[:_SHOWN]),
+    )
+
+
+def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
+    """Return the columns of an array: a record, a matrix or a vector; empty if it is not a table.
+
+    With three dimensions or more the longest is the samples; the others are columns ``name[0,2]``.
+    """
+    if array.dtype.names is not None:
+        parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
+        return [column for label, part in parts for column in _of_array(label, part)]
+    array = array.squeeze() if array.ndim > 2 else array
+    if not array.ndim:
+        return []
+    longest = int(np.argmax(array.shape))
+    # A matrix is transposed if its rows are few enough to be columns.
+    samples = longest if array.ndim > 2 or array.shape[0] <= _WIDEST else 0
+    array = np.moveaxis(array, samples, 0)
+    width = math.prod(array.shape[1:])
+    if width > _WIDEST:
+        return []
+    return [_plain(_label(name, at, width), array[:, *at], unit) for at in np.ndindex(array.shape[1:])]
+
+
+def _label(name: str, at: tuple[int, ...], width: int) -> str:
+    """Return the name of an array's column; only in arrays of three columns the number is an axis."""
+    if len(at) > 1:
+        return f"{name}[{','.join(map(str, at))}]"
+    if not at or not name or width == 1:
+        return name
+    return f"{name}[{at[0]}]" if width == 3 else f"{name}[:,{at[0]}]"
+
+
+def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:
+    if array.dtype.kind not in "mM":
+        return TypedColumn(name=name, values=array, unit=unit)
+    return TypedColumn(name=name, values=array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), unit="ns")
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -50,68 +290,60 @@ def read(path: Path, options: ReadOptions) -> Recording:
     A ChoiceError if columns, units or time are not clear, a ReadError if the file can't be read, a DataError
     if it holds no samples.
     """
-    refuse_topics(path, options, "a table")
-    table = open_table(path, limit=options.memory_limit)
-    return _read(path, table, _parts(path, table, options), options)
-
-
-def _read(path: Path, table: TableFile, parts: Sequence[_Part], options: ReadOptions) -> Recording:
-    plans = [part.plan for part in parts]
-    found = {sensor.triad.sensor.short for plan in plans for sensor in plan.sensors}
-    # What one table lacks another may hold.
-    findings = [finding for plan in plans for finding in plan.findings if finding.axis not in found]
-    sensors = [_columns(part, sensor, options) for part in parts for sensor in part.plan.sensors]
-    rate = table.rate_hz
-    return assemble(str(path), table.format, options, plans, sensors, findings=findings, rate_hz=rate)
+    return _read(path, open_table(path), options)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
     """Return what a table holds."""
-    size = path.stat().st_size
-    table = open_table(path, heads_above=_SMALL)
-    # As numbers of eight bytes.
-    unpacked = 8 * sum(column.size for column in table.columns)
+    size, table = path.stat().st_size, open_table(path)
+    found: Recording | str
     try:
-        parts = _parts(path, table, options)
-        read_parts = parts if unpacked <= _SMALL else [_heads(part) for part in parts]
-        found = _read(path, table, read_parts, options)
+        found = _read(path, table, options)
     except ImucalError as error:
-        shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
-        return contents_of(path, table.format, f"{error}; columns: {shown}", size=size)
-    contents = contents_of(path, table.format, found, size=size)
-    contents = contents if unpacked <= _SMALL else of_a_part(contents, parts[0].columns[0].size)
-    return replace(contents, unpacked_bytes=unpacked)
+        shown = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
+        found = f"{error}; columns: {shown}"
+    # As numbers of eight bytes.
+    unpacked = 8 * sum(column.values.size for column in table.columns)
+    return replace(contents_of(path, table.format, found, size=size), unpacked_bytes=unpacked)
 
 
-def _heads(part: _Part) -> _Part:
-    """Return a part of which all that is read are the heads of its columns."""
-    columns = [replace(c, size=len(c.head), values=partial(np.asarray, c.head)) for c in part.columns]
-    return part._replace(columns=columns)
+def _read(path: Path, table: TableFile, options: ReadOptions) -> Recording:
+    topics = _topics(path, table, options)
+    if len(topics) == 1:
+        refuse_topics(path, options, "a table")
+    try:
+        return read_log(_log(path, table, topics), options)
+    except ColumnsError as error:
+
+        def tried(asked: ReadOptions) -> object:
+            heads = [replace(one, held=tuple(values[:HELD_ROWS] for values in one.held)) for one in topics]
+            return read_log(_log(path, table, heads), asked)
+
+        asking = with_more(str(path), error, options, tried)
+        raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
 
 
-def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
-    """Choose the columns; of arrays of several lengths each length for itself."""
+def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:
+    return OpenLog(path, table.format, topics, rate_hz=table.rate_hz)
+
+
+def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
+    """Return the columns of each length that have a sensor as a topic; if there are none, the widest.
+
+    The indices in a columns text, and in the error that proposes one, are those of the widest table, or the
+    longest of the widest.
+    """
     groups = _groups(path, table)
-    parts: list[_Part] = []
-    for group in groups if len(groups) > 1 and options.columns is None else ():
-        with suppress(ChoiceError):
-            parts.append(_part(path, group, options, table.shapes))
-    if not parts:
-        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
-        widest = max(groups, key=lambda group: (len(group), group[0].size))
-        return [_only_part(path, table, widest, options)]
-    triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
-    for sensor in Sensor:
-        names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
-        if len(names) > 1:
-            two = f"two tables contain a {sensor}: {' and '.join(names[:2])}"
-            raise refused(path, f"{two}; expected one; give the columns", ChoiceError)
-    return parts
+    topics = []
+    if len(groups) > 1 and options.columns is None:
+        topics = [_topic(path, group, table, options, f"{group[0].values.size} rows") for group in groups]
+    widest = max(groups, key=lambda group: (len(group), group[0].values.size))
+    return [one for one in topics if one.sensors] or [_topic(path, widest, table, options, path.name)]
 
 
 def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
     """Return the columns by their lengths; a ReadError where there are none of samples."""
-    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
+    lengths = dict.fromkeys(column.values.size for column in table.columns if column.values.size > 1)
     if not lengths:
         found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
         why = table.way or (
@@ -119,58 +351,14 @@ def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
             "per sample and up to 64 columns; save only those columns"
         )
         raise refused(path, why)
-    return [[column for column in table.columns if column.size == length] for length in lengths]
+    return [[column for column in table.columns if column.values.size == n] for n in lengths]
 
 
-def _only_part(path: Path, table: TableFile, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
-    """Choose among the columns of one length; where that is open, ask for all that is."""
-    try:
-        return _part(path, columns, options, table.shapes)
-    except ColumnsError as error:
-
-        def tried(asked: ReadOptions) -> object:
-            return _read(path, table, [_heads(_part(path, columns, asked, table.shapes))], asked)
-
-        asking = with_more(str(path), error, options, tried)
-        raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
-
-
-def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shapes: Sequence[str]) -> _Part:
-    names, units = [column.name for column in columns], [column.unit for column in columns]
-    table = NamedTable.of(str(path), names, [column.cells for column in columns].__getitem__, units=units)
-    return _Part(columns, make_plan(table, options, name=path.name, shape=", ".join(shapes)))
-
-
-def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorColumns:
-    indices, at = sensor.triad.indices, part.plan.temperature
-    # Copies, as samples are scaled in place; half of what may be held is for each of two sensors.
-    limit = (options.memory_limit or column_limit()) // 2
-    columns = SensorColumns(
-        plan=sensor,
-        axes=join_rows([[part.columns[index].values()] for index in indices], limit=limit),
-        time=_times(part, sensor.time),
-        log_time=_times(part, sensor.log_time),
-        temperature=np.array(part.columns[at].values(), dtype=np.float64) if at is not None else None,
-        sparse=any(part.columns[index].has_gaps for index in indices),
-    )
-    if sensor.triad.rows is None:
-        return columns
-    index, tag = sensor.triad.rows
-    chosen = np.array([str(value) == tag for value in part.columns[index].values()], dtype=np.bool_)
-    return columns.rows(chosen, Room(options.memory_limit))
-
-
-def _times(part: _Part, time: TimeChoice | None) -> list[Numbers]:
-    """Return the columns of a time as whole numbers or floats; texts in ns."""
-    found: list[Numbers] = []
-    for index in time.indices if time else ():
-        column = part.columns[index]
-        values = column.values()
-        if time and time.kind == "text":
-            found.append(parse_texts(list(map(str, values)), text_kind(column.cells), by_day=time.by_day))
-            continue
-        values = values.astype("datetime64[ns]") if values.dtype.kind == "M" else values
-        # Stamps may be mended in place, so whole numbers are copied.
-        whole = values.dtype.kind in "iuM"
-        found.append(values.astype(np.int64) if whole else values.astype(np.float64, copy=False))
-    return found
+def _topic(path: Path, group: list[TypedColumn], table: TableFile, options: ReadOptions, name: str) -> Topic:
+    columns = {
+        Column(one.name, str(at), one.values.dtype.name, one.unit): one.values for at, one in enumerate(group)
+    }
+    heads = [one.values[:HELD_ROWS] for one in group if one.values.dtype.kind == "f"]
+    sparse = any(bool(np.isnan(head).any()) for head in heads)
+    shapes = ", ".join(table.shapes)
+    return held_topic(name, "table", columns, options, file=str(path), shapes=shapes, sparse=sparse)

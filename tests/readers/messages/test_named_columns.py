@@ -315,7 +315,7 @@ def test_messages_without_a_finite_time_are_dropped(tmp_path: Path) -> None:
     recording = read(ros(tmp_path, text, build))
     npt.assert_array_equal(axes(recording), np.delete(TRUTH.all, [3, 9], axis=0))
     assert recording.series[0].clock.missing == 2
-    text = "2 messages have no finite time; they were dropped."
+    text = "2 rows have no finite time; they were dropped."
     assert [finding.text for finding in recording.findings if finding.code == "bad-rows"] == [text]
 
 
@@ -332,7 +332,7 @@ def test_a_time_without_unit(tmp_path: Path) -> None:
         assert recording.series[0].rate_hz == pytest.approx(100)
         npt.assert_array_equal(axes(recording), TRUTH.gyro)
     stamped = single(tmp_path)
-    assert "omit it, or name a time of one number in a columns text" in said(
+    assert "the time header.stamp, complete time stamps; omit it, or name another time column" in said(
         stamped, columns=SINGLE, gyro_unit="rad/s", time_unit="s"
     )
 

@@ -1,15 +1,21 @@
-"""Files that are read together: which of them holds nothing but times, and how they become one."""
+"""Files that are read together: which are chosen, which contains times alone, and how they become one."""
 
+import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from imucal.arrays import FloatArray
 from imucal.clock import Clock
+from imucal.errors import ChoiceError
 from imucal.findings import Finding
+from imucal.readers import describe, read
 from imucal.readers.tables.text_table import merge, times_of
 from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
+from tests.readers.tables.texts import EPOCH, N, truth
 
 
 @pytest.mark.parametrize(
@@ -92,3 +98,90 @@ def test_clocks_that_are_equal_become_one() -> None:
     parts = [recording(Sensor.ACCELEROMETER, 5), recording(Sensor.GYROSCOPE, 6)]
     first, second = merge(parts, ["a", "g"], "folder").series
     assert (first.clock.start_ns, second.clock.start_ns) == (6, 5)
+
+
+def table(values: FloatArray | None = None, head: str = "time,seconds_elapsed,z,y,x") -> str:
+    """Return a table of Sensor Logger at 100 Hz, without rows if there are no values."""
+    rows = [] if values is None else values[:, ::-1].tolist()
+    lines = [f"{EPOCH + at * 10**7},{at / 100},{','.join(map(repr, row))}" for at, row in enumerate(rows)]
+    return "\n".join([head, *lines, ""])
+
+
+def written(tmp_path: Path, files: dict[str, str], *, packed: bool) -> Path:
+    """Write files into a folder, or into a zip."""
+    if packed:
+        path = tmp_path / "log.zip"
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, text in files.items():
+                archive.writestr(name, text)
+        return path
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+GYRO, ACCEL = truth().gyro, truth().accel
+UNCALIBRATED = {"GyroscopeUncalibrated.csv": table(GYRO), "AccelerometerUncalibrated.csv": table(ACCEL)}
+META = {"Metadata.csv": "version,device\n3,phone\n", "Gravity.csv": table(ACCEL)}
+
+
+def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of any kind
+    found = read(path, **options)
+    assert len(found.series) == 6
+    for sensor, values in (("gyroscope", GYRO), ("accelerometer", ACCEL)):
+        for index, axis in enumerate("xyz"):
+            np.testing.assert_array_equal(found.axis(sensor, axis).samples, values[:, index])
+
+
+@pytest.mark.parametrize("packed", [True, False])
+@pytest.mark.parametrize("empty", ["", table()], ids=["no bytes", "a header"])
+def test_empty_files_are_passed_over(empty: str, packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """A phone may log the uncalibrated sensors alone."""
+    files = {"Gyroscope.csv": empty, "Accelerometer.csv": empty, "TotalAcceleration.csv": empty}
+    path = written(tmp_path, files | UNCALIBRATED | META, packed=packed)
+    is_truth(path)
+    assert describe(path).topics[0].count == N
+    with pytest.raises(ChoiceError, match=r"topic Gyroscope\.csv has no messages; found\n"):
+        read(path, topic="Gyroscope.csv")
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_a_file_is_a_topic(packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """The calibrated files are read unless others are named."""
+    files = {"Gyroscope.csv": table(2 * GYRO), "TotalAcceleration.csv": table(2 * ACCEL)}
+    path = written(tmp_path, files | UNCALIBRATED | META, packed=packed)
+    found = read(path)
+    assert dict(found.source.decisions)["files"] == "Gyroscope.csv, TotalAcceleration.csv"
+    is_truth(path, topic=list(UNCALIBRATED))
+    named = read(path, topic="Gravity.csv", columns="t=time,a=x+y+z", time_unit="ns", accel_unit="m/s^2")
+    np.testing.assert_array_equal(named.series[0].samples, ACCEL[:, 0])
+    with pytest.raises(ChoiceError, match=r"there is no topic gyro; choose one of these topics\n  [AG]"):
+        read(path, topic="gyro")
+
+
+def test_two_files_of_a_sensor_are_for_the_user_to_choose(tmp_path: Path) -> None:
+    """None of them has a usual name."""
+    path = written(tmp_path, {"gyro_a.csv": table(GYRO), "gyro_b.csv": table(2 * GYRO)}, packed=True)
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: 2 topics carry IMU samples; choose one of these topics\n"
+        "  gyro_a.csv  table  ? messages\n"
+        "  gyro_b.csv  table  ? messages"
+    )
+    np.testing.assert_array_equal(read(path, topic="gyro_b.csv").series[0].samples, 2 * GYRO[:, 0])
+
+
+def test_files_without_a_sensor_in_their_names(tmp_path: Path) -> None:
+    """Their columns tell; next to files with names such a file is not needed."""
+    both = table(GYRO, "time,seconds_elapsed,gyro_z,gyro_y,gyro_x")
+    path = written(tmp_path, {"one.csv": both, "notes.txt": "nothing\n"}, packed=False)
+    assert [series.name for series in read(path, gyro_unit="rad/s").series] == ["gyro_x", "gyro_y", "gyro_z"]
+    (path / "Gyroscope.csv").write_text(table(2 * GYRO), encoding="utf-8")
+    np.testing.assert_array_equal(read(path).series[0].samples, 2 * GYRO[:, 0])
+    (path / "Gyroscope.csv").unlink()
+    (path / "one.csv").write_text("time,pressure\n1,2\n2,3\n", encoding="utf-8")
+    with pytest.raises(
+        ChoiceError, match=r"no topic carries a gyroscope or an accelerometer; found\n  notes"
+    ):
+        read(path)

@@ -73,16 +73,6 @@ def test_a_table_of_matlab_7_3_has_a_way_out(tmp_path: Path) -> None:
         read(path)
 
 
-def test_more_than_memory_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a file unpacks to is added up before it is unpacked."""
-    path = write_hdf5(tmp_path / "log.h5", {"gyro": np.zeros((1_000_000, 3))}, compression="gzip")
-    monkeypatch.setenv("IMUCAL_MEMORY", "40M")
-    with pytest.raises(
-        ReadError, match="its arrays need 24 MB, because it is read as a whole; expected at most 10"
-    ):
-        read(path)
-
-
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The message says what to install."""
     path = write_hdf5(tmp_path / "log.h5", {"gyro": truth().gyro})

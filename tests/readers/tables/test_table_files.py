@@ -1,5 +1,6 @@
 """Arrays and frames as named columns: which side is the samples, what is a rate, how deep structures go."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,15 @@ import pytest
 import scipy.io
 
 from imucal.errors import ChoiceError
+from imucal.readers.messages.topics import cells_of
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
-from imucal.readers.tables.foreign_files import Arrays, _flatten, _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.typed_table import Arrays, _flatten, _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
     """Return name and size of the columns of an array."""
-    return [(column.name, column.size) for column in _of_array(name, np.asarray(array))]
+    return [(column.name, column.values.size) for column in _of_array(name, np.asarray(array))]
 
 
 @pytest.mark.parametrize(
@@ -46,10 +48,10 @@ def test_the_longer_side_of_a_matrix_is_its_samples(
 def test_a_lying_matrix_is_stood_up() -> None:
     """Its rows are the columns; one without a name has columns without names."""
     array = np.arange(10.0).reshape(2, 5)
-    assert [column.values().tolist() for column in _of_array("v", array)] == array.tolist()
+    assert [column.values.tolist() for column in _of_array("v", array)] == array.tolist()
     assert [column.name for column in _of_array("", array)] == ["", ""]
     (alone,) = _of_array("v", np.arange(3.0)[:, None])
-    assert alone.values().tolist() == [0.0, 1.0, 2.0]
+    assert alone.values.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_record_is_its_fields() -> None:
@@ -129,30 +131,32 @@ def test_names_that_matlab_hides_are_no_columns(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("at", "gaps"), [(0, True), (399, True), (400, False)])
-def test_gaps_are_looked_for_in_the_first_rows(at: int, gaps: bool) -> None:  # noqa: FBT001
-    """Four hundred of them; whole numbers have none."""
-    values = np.zeros(500)
+def test_gaps_are_looked_for_in_the_first_rows(at: int, gaps: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """Four hundred of them: rows without a value are of other sensors then."""
+    values = np.random.default_rng(3).normal(size=(500, 3))
     values[at] = np.nan
-    column = _plain("v", values)
-    assert (column.has_gaps, column.head.size, column.unit) == (gaps, 400, None)
-    assert not _plain("v", np.zeros(5, dtype=np.int64)).has_gaps
-    assert _plain("v", np.zeros(5, dtype="M8[us]")).unit == "ns"
+    path = save(tmp_path / "log.npz", t_ns=np.arange(500) * 10_000_000, gyro=values)
+    found = typed_table.read(path, ReadOptions(gyro_unit="rad/s")).series[0]
+    assert (found.n, found.clock.missing if at else 0) == (499 if gaps else 500, int(gaps and at > 0))
+
+
+def test_dates_are_ns() -> None:
+    """And durations."""
+    for kind in "mM":
+        column = _plain("v", np.array([5, 7], dtype=f"{kind}8[us]"))
+        assert (column.values.tolist(), column.unit) == ([5000, 7000], "ns")
+    assert _plain("v", np.zeros(5, dtype=np.int64)).unit is None
 
 
 def test_cells_are_those_of_a_text() -> None:
-    """Empty where there is none; a date in ns."""
-
-    def cells(values: Any) -> list[str]:  # noqa: ANN401
-        return _plain("v", np.asarray(values)).cells
-
-    assert cells([1.5, np.nan, 2.0]) == ["1.5", "", "2.0"]
-    assert cells(np.array(["a", None], dtype=object)) == ["a", ""]
-    assert cells(np.array([5, 7], dtype="M8[us]")) == ["5000", "7000"]
-    assert cells(range(500)) == list(map(str, range(400)))
+    """Empty where there is none."""
+    assert cells_of(np.array([1.5, np.nan, 2.0])) == ["1.5", "", "2.0"]
+    assert cells_of(np.array(["a", None], dtype=object)) == ["a", ""]
+    assert cells_of(np.arange(3)) == ["0", "1", "2"]
 
 
 def test_lists_of_parquet_are_columns(tmp_path: Path) -> None:
-    """As many as the longest list of the first rows has, 64 at most; structures by their fields."""
+    """As many as the longest list has, 64 at most; structures by their fields."""
     path = tmp_path / "log.parquet"
     lists = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0]]
     fields = [{"x": 1.0}, {"x": 2.0}, {"x": None}]
@@ -160,16 +164,10 @@ def test_lists_of_parquet_are_columns(tmp_path: Path) -> None:
     pl.DataFrame({"g": lists, "s": fields, "w": wide, "n": [1, 2, 3]}).write_parquet(path)
     found = {column.name: column for column in open_table(path).columns}
     assert list(found) == ["g[0]", "g[1]", "g[2]", "s.x", *(f"w[{i}]" for i in range(64)), "n"]
-    assert [found[name].has_gaps for name in ("g[0]", "g[1]", "g[2]", "s.x", "n")] == [
-        False,
-        True,
-        True,
-        True,
-        False,
-    ]
-    assert found["n"].values().tolist() == [1, 2, 3]
-    assert {column.size for column in found.values()} == {3}
-    np.testing.assert_array_equal(found["g[1]"].values(), [2.0, np.nan, 5.0])
+    assert found["n"].values.tolist() == [1, 2, 3]
+    assert {column.values.size for column in found.values()} == {3}
+    for name, values in (("g[0]", [1, 3, 4]), ("g[1]", [2, np.nan, 5]), ("s.x", [1, 2, np.nan])):
+        np.testing.assert_array_equal(found[name].values, values)
 
 
 def save(path: Path, **arrays: Any) -> Path:  # noqa: ANN401
@@ -179,15 +177,20 @@ def save(path: Path, **arrays: Any) -> Path:  # noqa: ANN401
 
 
 def test_a_sensor_in_two_tables_is_not_chosen(tmp_path: Path) -> None:
-    """Both are named."""
-    path = save(
-        tmp_path / "log.npz", gyro=np.zeros((9, 3)), gyro_raw=np.zeros((8, 3)), accel=np.zeros((9, 3))
-    )
+    """Both tables are named, and either name reads one."""
+    values = np.random.default_rng(1).normal(size=(60, 3))
+    path = save(tmp_path / "log.npz", gyro=values, gyro_raw=values[:50], accel=values)
+    options = ReadOptions(rate_hz=10.0, gyro_unit="rad/s", accel_unit="m/s^2")
     with pytest.raises(ChoiceError) as caught:
-        typed_table.read(path, ReadOptions())
+        typed_table.read(path, options)
     assert str(caught.value) == (
-        f"{path}: two tables contain a gyroscope: gyro[0] and gyro_raw[0]; expected one; give the columns"
+        f"{path}: 2 topics carry IMU samples; choose one of these topics\n"
+        "  60 rows  table  60 messages\n"
+        "  50 rows  table  50 messages"
     )
+    for n in (60, 50):
+        found = typed_table.read(path, replace(options, topics=(f"{n} rows",)))
+        assert found.series[0].n == n
 
 
 def test_a_columns_text_counts_in_the_widest_table_then_the_longest(tmp_path: Path) -> None:
@@ -211,3 +214,19 @@ def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
     path = save(tmp_path / "log.npz", other=np.zeros(90), more=np.zeros((70, 2)))
     with pytest.raises(ChoiceError, match=r"found columns: 0 more"):
         typed_table.read(path, ReadOptions(rate_hz=10.0))
+
+
+def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
+    """Other texts in the columns of a sensor are refused."""
+    values = np.random.default_rng(1).normal(size=50)
+    columns = {
+        "t_ns": np.arange(50) * 10_000_000,
+        **{name: list(map(str, values)) for name in ("gx", "gy", "gz")},
+    }
+    path = tmp_path / "log.parquet"
+    pl.DataFrame(columns).write_parquet(path)
+    found = typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
+    np.testing.assert_array_equal(found.series[0].samples, values)
+    pl.DataFrame(columns | {"gy": ["wrong"] * 50}).write_parquet(path)
+    with pytest.raises(ChoiceError, match=r"the columns of the gyroscope are not numbers: .*'wrong'"):
+        typed_table.read(path, ReadOptions(gyro_unit="rad/s"))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from imucal.readers.tables.dialects import _is_kitti, _is_ros2
-from imucal.readers.tables.foreign_files import _of_array, _plain
 from imucal.readers.tables.layout import BLANKS, TextLayout
+from imucal.readers.tables.typed_table import _of_array
 
 #: A row of KITTI: position, three angles, and five whole numbers at the end.
 OXTS = ["49.0", "8.4", "110.0", "0.1", "0.2", "0.3", *["1.5"] * 19, "4", "10", "4", "4", "0"]
@@ -74,12 +74,4 @@ def test_columns_of_arrays(shape: tuple[int, ...], names: list[str]) -> None:
     """The longer side goes along the samples."""
     columns = _of_array("a", np.arange(np.prod(shape, dtype=int)).reshape(shape))
     assert [column.name for column in columns] == names
-    assert {column.size for column in columns} <= {max(shape, default=0)}
-
-
-def test_the_head_of_an_array() -> None:
-    """Four hundred values, in which gaps are looked for."""
-    for place, gaps in ((399, True), (400, False)):
-        values = np.where(np.arange(500) == place, np.nan, 1.0)
-        column = _plain("a", values)
-        assert (len(column.head), column.has_gaps, column.size) == (400, gaps, 500)
+    assert {column.values.size for column in columns} <= {max(shape, default=0)}

@@ -208,7 +208,8 @@ def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     np.savez(path, gyro=np.array([{"x": 1}] * 3, dtype=object))
     with pytest.raises(
-        ReadError, match="not a readable NPZ file: it is arrays of Python objects; if you trust it"
+        ReadError,
+        match="not a readable NPZ file: it is arrays of Python objects; if you trust it",
     ):
         read(path, ReadOptions())
 

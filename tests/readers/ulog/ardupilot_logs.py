@@ -1,4 +1,4 @@
-"""Simulated logs of ArduPilot: ``.bin`` byte by byte, ``.tlog`` by pymavlink's own writer."""
+"""Simulated logs of ArduPilot: ``.bin`` byte by byte, and telemetry by pymavlink's own writer."""
 
 import io
 import struct
@@ -55,13 +55,12 @@ def write_dataflash(path: Path, *, instances: int = 1, batch: bool = False) -> P
     return path
 
 
-def write_telemetry(path: Path, *, autopilot: int = 3, name: str = "raw_imu") -> Path:
-    """Write what a vehicle sent: a heartbeat a second, and an IMU message at 100 Hz."""
+def write_telemetry(path: Path) -> Path:
+    """Write what a vehicle sent: a heartbeat a second, and RAW_IMU in mg and mrad/s at 100 Hz."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     gyro, accel = truth()
-    stream = io.BytesIO()
-    link = ardupilotmega.MAVLink(stream, srcSystem=1, srcComponent=1)
+    link = ardupilotmega.MAVLink(io.BytesIO(), srcSystem=1, srcComponent=1)
     pieces = []
 
     def put(message: ardupilotmega.MAVLink_message, now: int) -> None:
@@ -71,13 +70,8 @@ def write_telemetry(path: Path, *, autopilot: int = 3, name: str = "raw_imu") ->
     for k in range(N):
         now = 1_000_000 + 10_000 * k
         if k % 100 == 0:
-            put(link.heartbeat_encode(2, autopilot, 0, 0, 4), now)
-        if name == "highres_imu":
-            rest = (0, 0, 0, 0, 0, 0, 25.0, 63)
-            put(link.highres_imu_encode(now, *accel[k], *gyro[k], *rest), now)
-            continue
+            put(link.heartbeat_encode(2, 3, 0, 0, 4), now)
         counts = [round(value) for value in (*accel[k] / G0 * 1e3, *gyro[k] * 1e3)]
-        stamp = now if name == "raw_imu" else now // 1000
-        put(getattr(link, f"{name}_encode")(stamp, *counts, 0, 0, 0), now)
+        put(link.raw_imu_encode(now, *counts, 0, 0, 0), now)
     path.write_bytes(b"".join(pieces))
     return path

@@ -1,5 +1,7 @@
 """ArduPilot's logs: what was written comes back in SI, each IMU by its name, and damage is said."""
 
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -21,7 +23,7 @@ def test_the_imu_of_a_dataflash_log(tmp_path: Path) -> None:
     assert recording.series[0].rate_hz == pytest.approx(100)
     assert recording.series[0].clock.start_ns == 1_000_000_000
     assert recording.source.format == "dataflash"
-    assert dict(recording.source.decisions)["gyroscope unit"] == "rad/s, as ArduPilot logs it"
+    assert dict(recording.source.decisions)["gyroscope unit"] == "rad/s, as in logs of ArduPilot"
     assert not recording.findings
     assert recording.temperature is not None
     npt.assert_array_equal(recording.temperature.samples, 31.5)
@@ -30,7 +32,7 @@ def test_the_imu_of_a_dataflash_log(tmp_path: Path) -> None:
 def test_several_imus_are_for_the_user_to_choose(tmp_path: Path) -> None:
     """The name that the message gives is typed."""
     path = write_dataflash(tmp_path / "log.bin", instances=2)
-    with pytest.raises(ChoiceError, match=r"several IMU messages: IMU:0 \(.*\), IMU:1 \(.*name one"):
+    with pytest.raises(ChoiceError, match=r"2 topics carry IMU samples; choose one .*\n  IMU:0 .*\n  IMU:1 "):
         read(path)
     npt.assert_array_equal(
         read(path, topic="IMU:1").axis("gyroscope", "y").samples, np.float32(truth()[0][:, 1] + 1)
@@ -61,31 +63,38 @@ def test_a_damaged_dataflash_log_is_read_as_far_as_it_is_whole(tmp_path: Path) -
     assert [finding.code for finding in recording.findings][:1] == ["damaged"]
 
 
-@pytest.mark.parametrize("name", ["raw_imu", "scaled_imu", "scaled_imu3"])
-def test_what_a_vehicle_sent(name: str, tmp_path: Path) -> None:
-    """Whole mg and mrad/s, as ArduPilot sends them."""
-    recording = read(write_telemetry(tmp_path / "log.tlog", name=name))
-    assert recording.source.format == "tlog"
-    assert recording.source.topics == (name.upper(),)
+def test_columns_of_a_message(tmp_path: Path) -> None:
+    """By name, as in any topic; what is not there is listed."""
+    path = write_dataflash(tmp_path / "log.bin")
+    recording = read(path, columns="g=GyrY+GyrX+GyrZ")
+    npt.assert_array_equal(recording.axis("gyroscope", "x").samples, truth()[0][:, 1])
+    assert len(recording.series) == 3
+    with pytest.raises(
+        ChoiceError, match=r"IMU \(IMU\): .* there is no column 'wx'; found timestamp, GyrX, .*, T$"
+    ):
+        read(path, columns="g=wx+wy+wz")
+
+
+def test_telemetry_has_a_way_out(tmp_path: Path) -> None:
+    """The command in the message, typed, writes a log that reads in the units that it names."""
+    path = write_telemetry(tmp_path / "log.tlog")
+    for action in (read, describe):
+        with pytest.raises(ReadError) as caught:
+            action(path)
+        assert str(caught.value) == (
+            f"{path}: it is telemetry of MAVLink (.tlog); read the board's own log (DataFlash, .bin) "
+            "instead, which has all samples; or type: mavlogdump.py --format csv --types RAW_IMU "
+            f"{path} > log.csv (RAW_IMU of ArduPilot is in mrad/s and mg)"
+        )
+    command = str(caught.value).partition("type: ")[2].partition(" (RAW")[0]
+    program = Path(sys.executable).with_name("mavlogdump.py")
+    shell = shutil.which("bash") or "sh"
+    here = f"{sys.executable} {command.replace('mavlogdump.py', str(program), 1)}"
+    subprocess.run([shell, "-c", here], cwd=tmp_path, check=True)  # noqa: S603 - what the message says
+    recording = read(tmp_path / "log.csv", gyro_unit="mrad/s", accel_unit="mg")
     npt.assert_allclose(recording.axis("gyroscope", "z").samples, truth()[0][:, 2], atol=0.51e-3)
     npt.assert_allclose(recording.axis("accelerometer", "z").samples, truth()[1][:, 2], atol=0.51e-3 * 9.81)
     assert recording.series[0].rate_hz == pytest.approx(100)
-
-
-def test_si_from_a_vehicle(tmp_path: Path) -> None:
-    recording = read(write_telemetry(tmp_path / "log.tlog", name="highres_imu", autopilot=12))
-    npt.assert_array_equal(recording.axis("accelerometer", "y").samples, truth()[1][:, 1])
-
-
-def test_the_counts_of_another_autopilot_have_no_unit(tmp_path: Path) -> None:
-    """RAW_IMU is raw: the scale that is asked for, typed, reads it."""
-    path = write_telemetry(tmp_path / "log.tlog", autopilot=12)
-    with pytest.raises(
-        ChoiceError, match=r"the unit of the gyroscope is unknown.*the scale of its counts in rad/s"
-    ):
-        read(path)
-    recording = read(path, gyro_scale=1e-3)
-    npt.assert_allclose(recording.axis("gyroscope", "z").samples, truth()[0][:, 2], atol=0.51e-3)
 
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

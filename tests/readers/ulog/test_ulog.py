@@ -114,9 +114,11 @@ def test_several_sensors_are_for_the_user_to_choose(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: several IMU messages: sensor_accel:0 (accelerometer, 200 samples, 100 Hz), sensor_accel:1 "
-        "(accelerometer, 200 samples, 100 Hz), sensor_gyro:0 (gyroscope, 400 samples, 200 Hz), sensor_gyro:1 "
-        "(gyroscope, 400 samples, 200 Hz); name one, or one for each sensor"
+        f"{path}: 4 topics carry IMU samples; choose one of these topics\n"
+        "  sensor_accel:0  sensor_accel  200 messages  100 Hz  1.99 s\n"
+        "  sensor_accel:1  sensor_accel  200 messages  100 Hz  1.99 s\n"
+        "  sensor_gyro:0   sensor_gyro   400 messages  200 Hz  1.995 s\n"
+        "  sensor_gyro:1   sensor_gyro   400 messages  200 Hz  1.995 s"
     )
     recording = read(path, ReadOptions(topics=("sensor_gyro:1", "sensor_accel:0")))
     npt.assert_array_equal(recording.axis("gyroscope", "x").samples, vectors(400, 1)[:, 0])
@@ -187,8 +189,8 @@ def test_unknown_topic() -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(topics=("sensor_gyro",)))
     assert str(caught.value) == (
-        f"{path}: no message 'sensor_gyro'; found sensor_combined "
-        "(gyroscope and accelerometer, 17070 samples, 247.8 Hz)"
+        f"{path}: there is no topic sensor_gyro; choose one of these topics\n"
+        "  sensor_combined  sensor_combined  17070 messages  247.8 Hz  68.88 s"
     )
 
 
@@ -202,7 +204,7 @@ def test_no_imu(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value).startswith(
-        f"{path}: no IMU messages; expected one of sensor_combined, sensor_gyro,"
+        f"{path}: no IMU messages; expected one of sensor_combined, vehicle_imu,"
     )
 
 

@@ -1,6 +1,7 @@
 """The samples of a message instance: its counts and rates, and what a damaged stamp is."""
 
-from collections.abc import Sequence
+import struct
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,63 +11,74 @@ import pytest
 from numpy.typing import ArrayLike
 
 from imucal.arrays import IntArray
-from imucal.errors import ChoiceError, DataError
-from imucal.readers.flight_logs import (
-    PX4,
-    FlightLog,
-    Instance,
-    _choose,
-    _listed,
-    _log_findings,
-    _refuse_options,
-    _timed,
-    samples_of,
-)
-from imucal.readers.read_options import ReadOptions
-from imucal.recording import Sensor
+from imucal.errors import ChoiceError
+from imucal.readers import describe, read
+from imucal.readers.contents import TopicContents
+from imucal.readers.flight_logs import PX4, FlightLog, columns_of, flight_log, log_findings
+from imucal.recording import Recording
+from tests.readers.ulog.test_ulog import SENSOR, Writer
 
-LOG = Path("flight.ulg")
 LATEST = 1 << 52
+COMBINED = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
+INTEGRALS = (
+    "uint64_t timestamp;float[3] delta_angle;float[3] delta_velocity;uint16_t delta_angle_dt;"
+    "uint16_t delta_velocity_dt;"
+)
 
 
-def instance(
-    message: str, stamps: ArrayLike = (), *, multi: int = 0, several: bool = False, **data: ArrayLike
-) -> Instance:
-    """Return an instance with stamps in microseconds and other fields."""
+def columns(message: str, stamps: ArrayLike = (), **data: ArrayLike) -> dict[str, Any]:
+    """Return the columns of an instance with stamps in microseconds and other fields."""
     fields = {name: np.asarray(values) for name, values in data.items()}
     fields["timestamp"] = np.asarray(stamps, dtype=np.uint64)
-    return Instance(message=message, multi=multi, several=several, data=fields, kind=PX4[message])
+    return dict(columns_of(message, fields, PX4[message]))
 
 
 def every(step: int, n: int) -> IntArray:
     return 1000 + step * np.arange(n, dtype=np.int64)
 
 
+def written(path: Path, messages: Mapping[tuple[str, int], Sequence[int]]) -> Path:
+    """Write instances of messages with stamps; their samples are a sine."""
+    log = Writer()
+    for name in dict.fromkeys(name for name, _ in messages):
+        kinds = {"sensor_combined": COMBINED, "vehicle_imu": INTEGRALS}
+        log.format(name, kinds.get(name, SENSOR))
+    for (name, multi), stamps in messages.items():
+        log.add(name, multi)
+        for at, stamp in enumerate(stamps):
+            values = [float(np.sin(at * (i + 1))) for i in range(6)]
+            rest = {"sensor_combined": struct.pack("<6f", *values)}
+            rest["vehicle_imu"] = struct.pack("<6fHH", *values, 5000, 5000)
+            of_sensor = struct.pack("<QI4f", stamp, 7, *values[:3], 30.0)
+            log.message(name, struct.pack("<Q", stamp) + rest.get(name, of_sensor), multi)
+    return log.store(path)
+
+
+def contents(path: Path, stamps: Sequence[int]) -> TopicContents:
+    (found,) = describe(written(path / "log.ulg", {("sensor_gyro", 0): stamps})).topics
+    return found
+
+
 @pytest.mark.parametrize(
-    ("stamps", "duration", "rate"),
+    ("stamps", "count", "duration", "rate"),
     [
-        ((), 0.0, None),
-        ((5,), 0.0, None),
-        ((5, 5), 0.0, None),
-        ((5, 7), 2e-6, 500_000.0),
-        (every(10_000, 51), 0.5, 100.0),
-        (every(1_000_000, 3), 2.0, 1.0),
-        # A damaged stamp is a sample, but says nothing about the time.
-        ((0, 1_000_000, LATEST), 1.0, 2.0),
-        ((0, LATEST - 1), (LATEST - 1) * 1e-6, 1e6 / (LATEST - 1)),
+        ((5,), 1, 0.0, None),
+        ((5, 5), 2, 0.0, None),
+        ((5, 7), 2, 2e-6, 500_000.0),
+        (every(10_000, 51), 51, 0.5, 100.0),
+        (every(1_000_000, 3), 3, 2.0, 1.0),
+        # A damaged stamp is no sample.
+        ((5, 1_000_005, LATEST), 2, 1.0, 1.0),
+        ((5, LATEST - 1), 2, (LATEST - 6) * 1e-6, 1e6 / (LATEST - 6)),
     ],
 )
-def test_duration_and_rate(stamps: Sequence[int], duration: float, rate: float | None) -> None:
-    found = instance("sensor_gyro", stamps)
-    assert found.count == len(stamps)
+def test_duration_and_rate(
+    stamps: Sequence[int], count: int, duration: float, rate: float | None, tmp_path: Path
+) -> None:
+    found = contents(tmp_path, stamps)
+    assert found.count == count
     assert found.duration_s == pytest.approx(duration, rel=1e-12, abs=0)
     assert found.rate_hz == (None if rate is None else pytest.approx(rate, rel=1e-12))
-
-
-def test_a_fifo_counts_what_its_messages_carry() -> None:
-    assert instance("sensor_gyro_fifo", (0, 1), samples=np.array([200, 100], np.uint8)).count == 300
-    assert instance("sensor_gyro_fifo", (0, 1)).count == 2
-    assert instance("sensor_gyro", (0, 1), samples=[8, 8]).count == 2
 
 
 @pytest.mark.parametrize(
@@ -76,21 +88,27 @@ def test_a_fifo_counts_what_its_messages_carry() -> None:
         (True, "sensor_gyro:2", {"sensor_gyro:2"}),
     ],
 )
-def test_names(several: bool, name: str, answers: set[str]) -> None:  # noqa: FBT001
-    found = instance("sensor_gyro", multi=2, several=several)
-    asked = ("sensor_gyro", "/sensor_gyro", "sensor_gyro:2", "sensor_gyro:0", "sensor_accel")
-    assert found.name == name
-    assert {topic for topic in asked if found.answers_to(topic)} == answers
+def test_names(several: bool, name: str, answers: set[str], tmp_path: Path) -> None:  # noqa: FBT001
+    """An instance alone needs no number."""
+    stamps = every(1000, 50).tolist()
+    messages = {("sensor_gyro", multi): stamps for multi in ([1, 2] if several else [2])}
+    path = written(tmp_path / "log.ulg", messages)
+    found = set()
+    for topic in ("sensor_gyro", "/sensor_gyro", "sensor_gyro:2", "sensor_gyro:0", "sensor_accel"):
+        try:
+            assert read(path, topic=topic).source.topics == (name,)
+            found.add(topic)
+        except ChoiceError as error:
+            assert f"there is no topic {topic.strip('/')}" in str(error)  # noqa: PT017 - the others answer
+    assert found == answers
 
 
 def test_a_stamp_beyond_any_board_is_damaged() -> None:
     axes: dict[str, Any] = {"x": [1.0, 2.0, 3.0], "y": [4.0, 5.0, 6.0], "z": [7.0, 8.0, 9.0]}
-    found = samples_of(
-        instance("sensor_gyro", (0, LATEST - 1, LATEST), **axes, temperature=[20, 21, 22]), Sensor.GYROSCOPE
-    )
-    npt.assert_array_equal(found.stamps, [0, (LATEST - 1) * 1000])
-    npt.assert_array_equal(found.vectors, [[1, 4, 7], [2, 5, 8]])
-    npt.assert_array_equal(found.temperature, [20, 21])
+    found = columns("sensor_gyro", (0, LATEST - 1, LATEST), **axes, temperature=[20, 21, 22])
+    npt.assert_array_equal(found["timestamp"], [0, (LATEST - 1) * 1000])
+    npt.assert_array_equal([found[axis] for axis in "xyz"], [[1, 2], [4, 5], [7, 8]])
+    npt.assert_array_equal(found["temperature"], [20, 21])
 
 
 @pytest.mark.parametrize(("taken", "stamps"), [((1, 2), (1000, 2000)), ((0, 2), (11_000, 12_000))])
@@ -99,20 +117,19 @@ def test_the_time_of_sampling_counts_where_all_have_it(
 ) -> None:
     axes: dict[str, Any] = {axis: [0.0, 1.0] for axis in "xyz"}
     times = np.array(taken, dtype=np.uint64)
-    found = samples_of(
-        instance("sensor_accel", (11, 12), timestamp_sample=times, **axes), Sensor.ACCELEROMETER
-    )
-    npt.assert_array_equal(found.stamps, stamps)
-    assert found.temperature is None
+    found = columns("sensor_accel", (11, 12), timestamp_sample=times, **axes)
+    npt.assert_array_equal(found["timestamp"], stamps)
+    assert "temperature" not in found
 
 
 def test_integrals_over_no_time_have_no_rate() -> None:
-    axes: dict[str, Any] = {f"delta_angle[{i}]": [0.5 + i, 1.0 + i, 1.5 + i] for i in range(3)}
-    found = samples_of(
-        instance("vehicle_imu", (1, 2, LATEST), delta_angle_dt=[1, 0, 1], **axes), Sensor.GYROSCOPE
-    )
-    npt.assert_array_equal(found.stamps, [1000])
-    npt.assert_allclose(found.vectors, [[0.5e6, 1.5e6, 2.5e6]], rtol=1e-12)
+    fields: dict[str, Any] = {f"delta_angle[{i}]": [0.5 + i, 1.0 + i, 1.5 + i] for i in range(3)}
+    fields |= {f"delta_velocity[{i}]": [2.0 + i] * 3 for i in range(3)}
+    over = {"delta_angle_dt": [1, 0, 1], "delta_velocity_dt": [250_000] * 3}
+    found = columns("vehicle_imu", (1, 2, LATEST), **over, **fields)
+    npt.assert_array_equal(found["timestamp"], [1000, 2000])
+    npt.assert_allclose(found["gyro_rad[1]"], [1.5e6, np.nan], rtol=1e-12)
+    npt.assert_allclose(found["accelerometer_m_s2[2]"], [16, 16], rtol=1e-12)
 
 
 def test_a_fifo_holds_no_more_than_its_depth() -> None:
@@ -120,69 +137,73 @@ def test_a_fifo_holds_no_more_than_its_depth() -> None:
     axes: dict[str, Any] = {
         f"{axis}[{i}]": [10 * i + k for k in range(5)] for axis in "xyz" for i in range(2)
     }
-    found = samples_of(
-        instance(
-            "sensor_accel_fifo",
-            (100, 200, 300, 400, 500),
-            samples=[2, 0, 1, 3, 2],
-            dt=[5.0, 5.0, 5.0, 5.0, np.nan],
-            scale=[0.5] * 5,
-            **axes,
-        ),
-        Sensor.ACCELEROMETER,
+    found = columns(
+        "sensor_accel_fifo",
+        (100, 200, 300, 400, 500),
+        samples=[2, 0, 1, 3, 2],
+        dt=[5.0, 5.0, 5.0, 5.0, np.nan],
+        scale=[0.5] * 5,
+        **axes,
     )
-    npt.assert_array_equal(found.stamps, [95_000, 100_000, 300_000])
-    npt.assert_array_equal(found.vectors, np.repeat([[0.0], [5.0], [1.0]], 3, axis=1))
+    npt.assert_array_equal(found["timestamp"], [95_000, 100_000, 300_000])
+    for axis in "xyz":
+        npt.assert_array_equal(found[axis], [0.0, 5.0, 1.0])
 
 
-def names(*instances: Instance, topics: tuple[str, ...] = ()) -> list[str]:
-    return [one.name for one in _choose(LOG, instances, ReadOptions(topics=topics))]
+def test_a_message_without_a_field_is_damage() -> None:
+    axes: dict[str, Any] = {axis: np.zeros(2) for axis in "xyz"}
+    stamps: dict[str, Any] = {"timestamp": np.array([1, 2], dtype=np.uint64)}
+    found: dict[tuple[str, int], dict[str, Any]] = {
+        ("sensor_gyro", 0): stamps | axes,
+        ("sensor_gyro", 1): stamps,
+        ("sensor_accel", 0): axes,
+    }
+    log = flight_log(found, PX4, damaged=False)
+    assert log.damaged
+    assert list(log.messages) == [("sensor_gyro", 0)]
+    assert not flight_log(dict([next(iter(found.items()))]), PX4, damaged=False).damaged
 
 
-def test_a_single_sample_is_not_fast() -> None:
-    slow = instance("sensor_gyro", every(7_000_000, 3))
-    assert names(instance("sensor_accel", (5,)), slow) == ["sensor_gyro"]
+def names(path: Path, messages: Mapping[str, IntArray], **options: Any) -> tuple[str, ...]:  # noqa: ANN401
+    """Return the topics that are read from a log of messages with stamps."""
+    stamps = {(name, 0): values.tolist() for name, values in messages.items()}
+    return read(written(path / "flight.ulg", stamps), **options).source.topics
 
 
-def test_a_fifth_of_the_fastest_rate_is_fast() -> None:
-    combined = instance("sensor_combined", every(10_000, 101))
+def test_a_single_sample_is_not_fast(tmp_path: Path) -> None:
+    messages = {"sensor_accel": every(1, 1), "sensor_gyro": every(1000, 50)}
+    assert names(tmp_path, messages) == ("sensor_gyro",)
+
+
+def test_a_fifth_of_the_fastest_rate_is_fast(tmp_path: Path) -> None:
+    messages = {"sensor_combined": every(10_000, 101), "vehicle_imu": every(50_000, 21)}
     with pytest.raises(ChoiceError) as error:
-        names(combined, instance("vehicle_imu", every(50_000, 21)))
+        names(tmp_path, messages)
     assert str(error.value) == (
-        "flight.ulg: several IMU messages: "
-        "sensor_combined (gyroscope and accelerometer, 101 samples, 100 Hz), "
-        "vehicle_imu (gyroscope and accelerometer, 21 samples, 20 Hz); name one, or one for each sensor"
+        f"{tmp_path / 'flight.ulg'}: 2 topics carry IMU samples; choose one of these topics\n"
+        "  sensor_combined  sensor_combined  101 messages  100 Hz  1 s\n"
+        "  vehicle_imu      vehicle_imu       21 messages   20 Hz  1 s"
     )
-    assert names(combined, instance("vehicle_imu", every(50_001, 21))) == ["sensor_combined"]
+    assert names(tmp_path, messages | {"vehicle_imu": every(50_001, 21)}) == ("sensor_combined",)
+    slow = describe(tmp_path / "flight.ulg").topics[1]
+    assert (slow.name, slow.note) == ("vehicle_imu", "read only if it is named")
 
 
-def test_one_instance_of_each_sensor_is_a_pair() -> None:
-    gyro, accel = instance("sensor_gyro", every(1000, 9)), instance("sensor_accel", every(1000, 9))
-    assert names(accel, gyro) == ["sensor_gyro", "sensor_accel"]
-    with pytest.raises(ChoiceError, match="several IMU messages"):
-        names(gyro, instance("sensor_gyro_fifo", every(1000, 9)))
-    with pytest.raises(ChoiceError, match="several IMU messages"):
-        names(gyro, accel, instance("sensor_combined", every(1000, 9)))
+def test_one_instance_of_each_sensor_is_a_pair(tmp_path: Path) -> None:
+    both = {"sensor_accel": every(1000, 50), "sensor_gyro": every(1000, 50)}
+    assert names(tmp_path, both) == ("sensor_gyro", "sensor_accel")
+    with pytest.raises(ChoiceError, match="3 topics carry IMU samples"):
+        names(tmp_path, both | {"sensor_combined": every(1000, 50)})
+    assert names(tmp_path, both, topic=["sensor_accel", "sensor_gyro"]) == ("sensor_gyro", "sensor_accel")
 
 
-def test_what_is_asked_for_must_be_there() -> None:
-    single = instance("sensor_gyro", (5,))
-    assert names(single, topics=("/sensor_gyro",)) == ["sensor_gyro"]
-    with pytest.raises(ChoiceError) as error:
-        names(single, topics=("imu",))
-    assert str(error.value) == "flight.ulg: no message 'imu'; found sensor_gyro (gyroscope, 1 samples)"
-    with pytest.raises(ChoiceError, match=r"no message 'imu'; found no IMU messages$"):
-        names(topics=("imu",))
+def test_what_is_asked_for_must_be_there(tmp_path: Path) -> None:
+    single = {"sensor_gyro": every(1000, 50)}
+    assert names(tmp_path, single, topic="/sensor_gyro") == ("sensor_gyro",)
     with pytest.raises(
-        ChoiceError, match=r"^flight\.ulg: no IMU messages; expected one of sensor_combined, "
+        ChoiceError, match=r"there is no topic imu; choose one of these topics\n  sensor_gyro "
     ):
-        names()
-
-
-def test_an_instance_without_a_rate_is_listed_without_one() -> None:
-    assert _listed([instance("sensor_accel", (5,), multi=1, several=True)]) == (
-        "sensor_accel:1 (accelerometer, 1 samples)"
-    )
+        names(tmp_path, single, topic="imu")
 
 
 @pytest.mark.parametrize(
@@ -193,64 +214,53 @@ def test_an_instance_without_a_rate_is_listed_without_one() -> None:
     ],
 )
 def test_dropouts_are_told(durations: tuple[int, ...], text: str) -> None:
-    log = FlightLog(format="ulog", instances=[], damaged=False, dropouts=list(durations))
-    (finding,) = _log_findings(log)
+    (finding,) = log_findings(FlightLog({}, damaged=False, dropouts=list(durations)))
     assert (finding.level, finding.code, finding.text) == ("info", "dropouts", text)
     assert finding.advice == "Use a faster card or log fewer topics."
 
 
 def test_damage_is_a_warning() -> None:
-    (finding,) = _log_findings(FlightLog(format="ulog", instances=[], damaged=True, dropouts=[]))
+    (finding,) = log_findings(FlightLog({}, damaged=True, dropouts=[]))
     assert (finding.level, finding.code) == ("warning", "damaged")
-    assert _log_findings(FlightLog(format="ulog", instances=[], damaged=False, dropouts=[])) == []
+    assert list(log_findings(FlightLog({}, damaged=False, dropouts=[]))) == []
 
 
-def test_a_ulog_has_one_clock() -> None:
-    _refuse_options(LOG, ReadOptions(), [])
-    _refuse_options(LOG, ReadOptions(time="header"), [])
-    found = [instance("sensor_accel", (5,), multi=1, several=True)]
-    with pytest.raises(ChoiceError) as caught:
-        _refuse_options(LOG, ReadOptions(time="log"), found)
-    assert str(caught.value) == (
-        "flight.ulg: a flight log has no time 'log'; give the name of a message, or nothing; found "
-        "sensor_accel:1 (accelerometer, 1 samples)"
-    )
-    with pytest.raises(ChoiceError, match=r"time unit 'ms'; .* found none of an IMU"):
-        _refuse_options(LOG, ReadOptions(time_unit="ms"), [])
+def combined(path: Path, **options: Any) -> Recording:  # noqa: ANN401 - options of any kind
+    """Read 60 samples of both sensors at 200 Hz."""
+    stamps = {("sensor_combined", 0): every(5000, 60).tolist()}
+    return read(written(path / "flight.ulg", stamps), **options)
 
 
-def test_both_sensors_of_a_message_have_their_own_fields() -> None:
-    axes: dict[str, Any] = {f"gyro_rad[{i}]": [1.0 + i, 2.0 + i] for i in range(3)}
-    axes |= {f"accelerometer_m_s2[{i}]": [5.0 + i, 7.0 + i] for i in range(3)}
-    combined = instance("sensor_combined", (10, 20), **axes)
-    npt.assert_array_equal(samples_of(combined, Sensor.GYROSCOPE).vectors, [[1, 2, 3], [2, 3, 4]])
-    npt.assert_array_equal(samples_of(combined, Sensor.ACCELEROMETER).vectors, [[5, 6, 7], [7, 8, 9]])
-    axes = {f"delta_velocity[{i}]": [2.0 + i] for i in range(3)}
-    axes |= {f"delta_angle[{i}]": [1.0 + i] for i in range(3)}
-    integrals = instance("vehicle_imu", (10,), delta_velocity_dt=[500_000], delta_angle_dt=[250_000], **axes)
-    npt.assert_allclose(samples_of(integrals, Sensor.ACCELEROMETER).vectors, [[4, 6, 8]])
-    npt.assert_allclose(samples_of(integrals, Sensor.GYROSCOPE).vectors, [[4, 8, 12]])
+def test_a_flight_log_has_one_clock(tmp_path: Path) -> None:
+    """Its stamps are complete, and there is no time of recording."""
+    first = combined(tmp_path, time="header").series
+    assert {series.clock.source for series in first} == {"timestamp of sensor_combined"}
+    with pytest.raises(
+        ChoiceError, match=r"there is no log time besides the time stamps; found times: timest"
+    ):
+        combined(tmp_path, time="log")
+    with pytest.raises(ChoiceError, match=r"the time unit ms does not apply: .* complete time stamps"):
+        combined(tmp_path, time_unit="ms")
 
 
-def test_sensors_with_equal_stamps_share_a_clock() -> None:
-    axes: dict[str, Any] = {f"{field}[{i}]": np.sin(np.arange(60) * (i + 1))
-                            for field in ("gyro_rad", "accelerometer_m_s2") for i in range(3)}  # fmt: skip
-    combined = instance("sensor_combined", every(5000, 60), **axes)
-    timed = _timed(LOG, [combined], ReadOptions())
-    assert list(timed) == [Sensor.GYROSCOPE, Sensor.ACCELEROMETER]
-    (_, first), (_, second) = timed.values()
-    assert first is second
-    assert first.clock.rate_hz == pytest.approx(200)
-    assert first.clock.source == "timestamp of sensor_combined"
-    # A sensor is read once, from the first message that has it.
-    single: dict[str, Any] = {axis: np.arange(300.0) for axis in "xyz"}
-    other = instance("sensor_gyro", every(1000, 300), **single)
-    timed = _timed(LOG, [other, combined], ReadOptions())
-    assert [samples.stamps.size for samples, _ in timed.values()] == [300, 60]
-    axes = {f"delta_angle[{i}]": [1.0] for i in range(3)}
-    empty = instance("vehicle_imu", (1,), delta_angle_dt=[0], **axes)
-    with pytest.raises(DataError) as error:
-        _timed(LOG, [empty], ReadOptions())
-    assert str(error.value) == (
-        "flight.ulg: vehicle_imu has no samples of the gyroscope; expected a recording"
-    )
+def test_sensors_with_equal_stamps_share_a_clock(tmp_path: Path) -> None:
+    recording = combined(tmp_path)
+    gyro, accel = recording.axis("gyroscope", "x"), recording.axis("accelerometer", "y")
+    assert gyro.clock is accel.clock
+    assert gyro.rate_hz == pytest.approx(200)
+    npt.assert_array_equal(gyro.samples, np.sin(np.arange(60)).astype(np.float32))
+    npt.assert_array_equal(accel.samples, np.sin(np.arange(60) * 5).astype(np.float32))
+
+
+def test_a_sensor_without_samples(tmp_path: Path) -> None:
+    """Its integrals are over no time: the other sensor is read."""
+    log = Writer()
+    log.format("vehicle_imu", INTEGRALS)
+    log.add("vehicle_imu")
+    for at in range(9):
+        values = [float(value) for value in range(at, at + 6)]
+        log.message("vehicle_imu", struct.pack("<Q6fHH", 1000 * at + 1000, *values, 0, 5000))
+    recording = read(log.store(tmp_path / "log.ulg"))
+    assert [series.name for series in recording.series] == ["accel_x", "accel_y", "accel_z"]
+    (finding,) = [finding for finding in recording.findings if finding.code == "no-data"]
+    assert finding.axis == "gyro"

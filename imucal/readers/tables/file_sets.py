@@ -1,0 +1,73 @@
+"""Sets of text tables, one for each sensor, as the apps of phones write them: each file is a topic."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+from imucal.readers.containers import Channel
+from imucal.readers.messages import Choice, Column, Topic, choose
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.names import sensor_of_name
+from imucal.recording import Sensor
+
+#: Names of files without raw samples: estimates by the app, other sensors, notes.
+_LEFT_OUT = re.compile(
+    r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
+)
+
+#: Names of files, best first.
+_PREFERRED = {
+    Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
+    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is with gravity.
+    Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
+}
+
+
+class FileHead(NamedTuple):
+    """The start of a text table: its header, the sensors in its columns, and whether there are rows."""
+
+    header: str = ""
+    sensors: tuple[Sensor, ...] = ()
+    has_rows: bool = False
+
+
+def chosen_files(path: Path, files: Mapping[str, FileHead], options: ReadOptions) -> list[Choice]:
+    """Return the files to read: those that the user names as topics, or one for each sensor.
+
+    A sensor in the name of a file has priority. Raises ChoiceError if several files could be meant, or none
+    fits.
+    """
+    topics = [_topic(name, head, options) for name, head in files.items()]
+    if any(sensor_of_name(_stem(topic)) for topic in topics):
+        # A file of several sensors next to one for each repeats their samples.
+        topics = [topic if sensor_of_name(_stem(topic)) else replace(topic, plain=True) for topic in topics]
+    for sensor in Sensor:
+        passed_over = _worse(topics, sensor)
+        topics = [replace(topic, plain=True) if topic in passed_over else topic for topic in topics]
+    return choose(path, topics, options, lambda topic: frozenset(topic.sensors))
+
+
+def _worse(topics: Sequence[Topic], sensor: Sensor) -> list[Topic]:
+    """Return the files of a sensor next to the one with the best name; none if no name is known."""
+    full = [topic for topic in topics if sensor in topic.sensors and topic.count != 0]
+    for name in _PREFERRED[sensor]:
+        if len(exact := [topic for topic in full if _stem(topic) == name]) == 1:
+            return [topic for topic in full if topic is not exact[0]]
+    return []
+
+
+def _stem(topic: Topic) -> str:
+    return PurePath(topic.name).stem.lower()
+
+
+def _topic(name: str, head: FileHead, options: ReadOptions) -> Topic:
+    channel = Channel(key=0, topic=name, type="table", encoding="", count=None if head.has_rows else 0)
+    # The header stands for all columns in a message.
+    columns = (Column(head.header, "", "text"),)
+    topic = Topic(name=name, type="table", channels=((0, channel),), columns=columns)
+    named = sensor_of_name(_stem(topic))
+    if _LEFT_OUT.search(_stem(topic)) and name not in options.topics:
+        return topic
+    return replace(topic, sensors=head.sensors if named is None else (named,))
