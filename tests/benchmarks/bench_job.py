@@ -62,7 +62,7 @@ STAGES = {
     "document and JSON": ("imucal/report/json_node.py", "dumps"),
     "pictures and page": ("imucal/report/writer.py", "write_report"),
     "of these: transforms": ("imucal/allan/dct.py", "_transform"),
-    "of these: blind starts": ("imucal/fitting/spectral/starts.py", "find_starts"),
+    "of these: blind starts": ("imucal/fitting/spectral/maximum.py", "find_starts"),
     "of these: likelihood": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
 }
 #: Work that could be shared -> the functions of which the calls are counted.
