@@ -149,13 +149,17 @@ def children_of(pid: int) -> list[psutil.Process]:
 
 
 def workers_of(folder: Path) -> list[psutil.Process]:
-    """Return the workers of a cluster that do logs of a folder: parents of those that read them."""
+    """Return the workers of a cluster that do logs of a folder: parents of the processes that do one log.
+
+    These have processes of their own that read files, and so may this process.
+    """
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
             if CHILD in " ".join(process.cmdline()) and process.cwd() == str(folder):
                 found.append(process.parent())
-    return [worker for worker in found if worker is not None]
+    others = [worker for worker in found if worker is not None and worker.pid != os.getpid()]
+    return [worker for worker in others if CHILD not in " ".join(worker.cmdline())]
 
 
 def left_over(folder: Path) -> list[int]:

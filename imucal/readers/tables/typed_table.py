@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -193,6 +194,8 @@ class TableFile:
     way: str = ""
 
 
+#: Errors of `numpy.load` for a damaged file: its header is a literal of Python.
+_DAMAGED_NPY = (ValueError, SyntaxError, TokenError, TypeError, OverflowError, EOFError, OSError)
 _READERS = {"Parquet": parquet_arrays, "HDF5": hdf5_arrays, "MAT": mat_arrays, "NPZ": npz_arrays}
 
 
@@ -211,7 +214,7 @@ def open_table(path: Path) -> TableFile:
         else:
             # The child process may have another working directory.
             arrays = isolated(path, _READERS[kind], kind)(path.absolute())
-    except ValueError as error:
+    except _DAMAGED_NPY as error:
         raise refused(path, f"not a readable NPY file: {error}") from error
     if kind == "NPZ" and arrays.objects:
         raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.said(str(path))}")
