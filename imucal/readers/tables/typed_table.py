@@ -1,7 +1,7 @@
 """Tables with typed columns: Parquet, HDF5, NumPy's NPZ and NPY, MATLAB's MAT; chosen by name like a CSV's.
 
-Packages read them whole. All but NPY files, which are mapped, are read in a child process with limited
-memory, because small files may unpack to very large ones; see `imucal.readers.isolation`.
+NPY files are mapped, and NPZ files read part by part. Packages read the others whole, in a child process with
+limited memory, because small files may unpack to very large ones; see `imucal.readers.isolation`.
 
 An array of three columns is ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; in other arrays the position
 of a column has no meaning. Arrays of different lengths are tables of their own: the gyroscope may have one,
@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ from imucal.readers.message_logs import OpenLog, read_log
 from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import ColumnsError
+from imucal.readers.tables.npz import npz_arrays
 from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
@@ -108,20 +108,6 @@ def parquet_arrays(path: Path) -> Arrays:
     return Arrays({name: series.to_numpy() for name, series in found.items()}, {})
 
 
-def npz_arrays(path: Path) -> Arrays:
-    """Return the arrays of an NPZ file by name, and those of Python objects, which are not loaded."""
-    found = Arrays({}, {})
-    with np.load(path, allow_pickle=False) as content:
-        for name in content.files:
-            try:
-                found.arrays[name] = content[name]
-            except ValueError as error:
-                if "Object arrays" not in str(error):
-                    raise
-                found.objects[name] = "object"
-    return found
-
-
 def mat_arrays(path: Path) -> Arrays:
     """Return the arrays of numbers in a MATLAB file up to version 7."""
     import scipy.io
@@ -194,9 +180,7 @@ class TableFile:
     way: str = ""
 
 
-#: Errors of `numpy.load` for a damaged file: its header is a literal of Python.
-_DAMAGED_NPY = (ValueError, SyntaxError, TokenError, TypeError, OverflowError, EOFError, OSError)
-_READERS = {"Parquet": parquet_arrays, "HDF5": hdf5_arrays, "MAT": mat_arrays, "NPZ": npz_arrays}
+_READERS = {"Parquet": parquet_arrays, "HDF5": hdf5_arrays, "MAT": mat_arrays}
 
 
 def open_table(path: Path) -> TableFile:
@@ -208,15 +192,20 @@ def open_table(path: Path) -> TableFile:
     kind = kind or "MAT"
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
+    if kind in _READERS:
+        # The child process may have another working directory.
+        return _of_arrays(kind.lower(), *isolated(path, _READERS[kind], kind)(path.absolute()))
     try:
-        if kind == "NPY":
-            arrays = Arrays({"": np.load(path, mmap_mode="r", allow_pickle=False)}, {})
+        if kind == "NPZ":
+            arrays = Arrays(*npz_arrays(path))
         else:
-            # The child process may have another working directory.
-            arrays = isolated(path, _READERS[kind], kind)(path.absolute())
-    except _DAMAGED_NPY as error:
-        raise refused(path, f"not a readable NPY file: {error}") from error
-    if kind == "NPZ" and arrays.objects:
+            arrays = Arrays({"": np.load(path, mmap_mode="r", allow_pickle=False)}, {})
+    except ImucalError:
+        raise
+    except Exception as error:
+        # Damaged headers raise errors of `zipfile`, of Python's parser and others.
+        raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
+    if arrays.objects:
         raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.said(str(path))}")
     return _of_arrays(kind.lower(), *arrays)
 

@@ -1,0 +1,69 @@
+"""NumPy's NPZ files: arrays in a zip archive, read part by part, in temporary files if they are large.
+
+`numpy.load` would hold a whole day of samples in memory, and copy it if it were read in a child process.
+"""
+
+import math
+import zipfile
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import release
+from imucal.readers.store import allocated
+from imucal.resources import column_limit
+
+_SUFFIX = ".npy"
+#: Bytes that are read at a time.
+_PIECE = 1 << 24
+
+
+def npz_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Return the arrays of an NPZ file by name, and those of Python objects, which are not loaded.
+
+    Raises ReadError if a temporary file has no space, and ValueError or an error of `zipfile` if a member is
+    damaged or declares more bytes than it contains.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    objects: dict[str, str] = {}
+    with zipfile.ZipFile(path) as archive:
+        members = [info for info in archive.infolist() if info.filename.endswith(_SUFFIX)]
+        large = sum(info.file_size for info in members) > column_limit()
+        for info in members:
+            name = info.filename.removesuffix(_SUFFIX)
+            with archive.open(info) as member:
+                shape, fortran, dtype = _header(cast("zipfile.ZipExtFile", member))
+                if dtype.hasobject:
+                    objects[name] = "object"
+                    continue
+                n, held = math.prod(shape), info.file_size - member.tell()
+                if n * dtype.itemsize > held:
+                    declared = f"declares {n * dtype.itemsize} bytes and contains {held}"
+                    raise ValueError(f"{info.filename} {declared}")
+                flat = allocated(n, dtype, 0 if large else held)
+                _fill(flat.view(np.uint8), cast("zipfile.ZipExtFile", member))
+            arrays[name] = flat.reshape(shape, order="F" if fortran else "C")
+    return arrays, objects
+
+
+def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return shape, order and type of an array, from the header in front of it."""
+    first = np.lib.format.read_magic(member) == (1, 0)
+    read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(member)
+    return tuple(shape), bool(fortran), np.dtype(dtype)
+
+
+def _fill(target: NDArray[np.uint8], member: zipfile.ZipExtFile) -> None:
+    """Read the bytes of an array; `zipfile` checks their checksum at the end."""
+    for start in range(0, target.size, _PIECE):
+        piece = target[start : start + _PIECE]
+        at = 0
+        while at < piece.size:
+            got = member.readinto(piece[at:].data)
+            if not got:
+                raise ValueError(f"an array ends after {start + at} of {target.size} bytes")
+            at += got
+        release(target)
