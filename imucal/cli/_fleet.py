@@ -123,9 +123,9 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
     from imucal.fleet.store import STATUSES
 
     grades = {"good": "good", "look": "to look at", "not-noise": "not noise"}
-    message = [f"{count(logs, 'ok', grade)} {text}" for grade, text in grades.items()]
-    message += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
-    echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(message)}")
+    counts = [f"{count(logs, 'ok', grade)} {text}" for grade, text in grades.items()]
+    counts += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
+    echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(counts)}")
     cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
     if cpu:
         echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")

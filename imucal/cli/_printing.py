@@ -200,12 +200,12 @@ def progress(text: str, *columns: str, when: bool = True) -> Iterator[_Update]:
     from rich.table import Column
 
     console = Console(stderr=True)
-    message = bars.TextColumn(text, table_column=Column(no_wrap=True))
+    label = bars.TextColumn(text, table_column=Column(no_wrap=True))
     if console.width < _WIDE:
-        shown: list[bars.ProgressColumn] = [message, bars.TaskProgressColumn()]
+        shown: list[bars.ProgressColumn] = [label, bars.TaskProgressColumn()]
     else:
         own = [getattr(bars, name)() for name in columns]
-        shown = [message, bars.BarColumn(bar_width=20), *own, bars.TimeRemainingColumn()]
+        shown = [label, bars.BarColumn(bar_width=20), *own, bars.TimeRemainingColumn()]
     with bars.Progress(*shown, console=console, transient=True) as bar:
         task = bar.add_task("", total=None, word="")
         yield lambda done, total, word="": bar.update(task, completed=done, total=total or None, word=word)

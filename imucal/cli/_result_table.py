@@ -41,8 +41,8 @@ def summary_table(
     if not sensors:
         return "\n".join(lines)
     lines.append("")
-    for others in [sensors] if columns >= FULL else [[one] for one in sensors]:
-        lines += _beside_each_other(others, ["", *ordered_keys(seen)])
+    for group in [sensors] if columns >= FULL else [[one] for one in sensors]:
+        lines += _beside_each_other(group, ["", *ordered_keys(seen)])
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
     legend = f"[low, high]: {shown} interval; < high: not detected, upper bound"
