@@ -75,6 +75,9 @@ def complete(
         unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
         samples[gaps] -= _conjugate(apply, right, unit)
         error = _conjugate(apply, drawn, unit)
+        # The expectation of this product is the number of missing samples. One draw's deviation from it would
+        # shift the level of white noise.
+        error *= np.sqrt(gaps.size / (drawn @ error))
         variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
     # From neighbouring groups too: if a group's own power set its weight, groups of large power would count
