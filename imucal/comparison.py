@@ -22,6 +22,7 @@ from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.given import GIVEN
+from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
 #: ``differs``; ``same``: no significant difference; ``bounded``: neither report shows the term;
@@ -152,10 +153,8 @@ def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator
 def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[Difference]:
     axis = a or b
     assert axis is not None  # noqa: S101 - the name came from one of them
-    in_a, in_b = _estimates(a), _estimates(b)
     differences = []
-    for key in sorted(in_a.keys() | in_b.keys(), key=lambda key: (list(TERMS).index(_symbol(key)), key)):
-        first, second = in_a.get(key), in_b.get(key)
+    for key, first, second in paired(a, b):
         symbol = _symbol(key)
         z = None
         if a is not None and b is not None and first is not None and second is not None:
@@ -175,6 +174,36 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
             )
         )
     return differences
+
+
+def paired(
+    a: AxisReport | None, b: AxisReport | None
+) -> Iterator[tuple[str, Estimate | None, Estimate | None]]:
+    """Yield the key of each term of two axes with both estimates, in the order of the terms."""
+    in_a, in_b = _estimates(a), _estimates(b)
+    for key in sorted(in_a.keys() | in_b.keys(), key=lambda key: (list(TERMS).index(_symbol(key)), key)):
+        yield key, in_a.get(key), in_b.get(key)
+
+
+def ratio(now: Quantity, before: Quantity) -> Quantity:
+    """Return the ratio of two independent quantities with its interval.
+
+    The distances to the limits of both add in quadrature on the logarithmic scale (Zou & Donner
+    2008, the MOVER method). A bound is between 0 and its upper limit.
+    """
+    if now.value is None or before.value is None:
+        low = now.low / before.high if before.high else math.inf
+        high = now.high / before.low if before.low else math.inf
+        return Quantity(value=None, low=low, high=high)
+    middle = now.value / before.value if before.value else math.inf
+    down = math.hypot(_distance(now.low, now.value), _distance(before.value, before.high))
+    up = math.hypot(_distance(now.value, now.high), _distance(before.low, before.value))
+    high = middle * (math.exp(up) if up < 700 else math.inf)
+    return Quantity(value=middle, low=middle * math.exp(-down), high=high)
+
+
+def _distance(low: float, high: float) -> float:
+    return math.log(high / low) if low > 0 else math.inf
 
 
 def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:

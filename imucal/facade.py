@@ -3,7 +3,7 @@
 These take what is at hand (an array, a path, a text) and hand it to the stage that does the work.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -27,10 +27,11 @@ from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
 from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, characterize
+from imucal.prediction.filter_numbers import STEP_S
 from imucal.readers import LogContents, describe
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
-from imucal.report.exports.config_numbers import Options, vague_axes
+from imucal.report.exports.config_numbers import AxisPolicy, Basis, ExportOptions, Unidentified, vague_axes
 from imucal.report.json_file import load
 from imucal.report.json_node import Node, plain
 from imucal.report.result import Report
@@ -170,7 +171,13 @@ def export(
     *,
     noise: Report | None = None,
     force: bool = False,
-    **options: Unpack[Options],
+    axis_policy: AxisPolicy = "worst",
+    inflate: Mapping[str, float] | None = None,
+    unidentified: Unidentified = "bound",
+    topic: str | None = None,
+    numbers: Basis = "covered",
+    horizon_s: float | None = None,
+    step_s: float = STEP_S,
 ) -> tuple[Path, ...]:
     """Write the config file of a filter or simulator, such as ``export(report, "kalibr", "imu.yaml")``.
 
@@ -188,9 +195,8 @@ def export(
         Of a calibration: the report whose noise numbers go into the same file.
     force
         Export a report that is not noise at rest, or whose N is not known to a factor of 10.
-    options
-        ``axis_policy``, ``inflate``, ``unidentified``, ``topic``, ``numbers``, ``horizon_s`` and ``step_s``,
-        as in `imucal.report.exports.export`.
+    axis_policy, inflate, unidentified, topic, numbers, horizon_s, step_s
+        The attributes of `imucal.report.exports.ExportOptions`.
 
     Returns
     -------
@@ -208,8 +214,17 @@ def export(
         If a file can't be written, or one of the same name wasn't written by imucal.
     """
     with _refusals():
+        options = ExportOptions(
+            axis_policy=axis_policy,
+            inflate=inflate or {},
+            unidentified=unidentified,
+            topic=topic,
+            numbers=numbers,
+            horizon_s=horizon_s,
+            step_s=step_s,
+        )
         if isinstance(report, Calibration):
-            return (export_calibration(report, target, Path(path), noise, **options),)
+            return (export_calibration(report, target, Path(path), noise, options),)
         found = _report(report)
         if not (force or found.verdict.usable):
             sentence = found.verdict.sentence
@@ -217,7 +232,7 @@ def export(
         if not force and (axes := vague_axes(found)):
             vague = f"N of {', '.join(axes)} is not known to a factor of 10"
             raise DataError(f"{vague}; nothing was exported; record for longer, or give force=True")
-        return export_report(found, target, Path(path), **options)
+        return export_report(found, target, Path(path), options)
 
 
 @takes('imucal.check(report, "limits.toml")')

@@ -43,11 +43,11 @@ BELOW["rests"] = BASE | {"screening"}
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["calibration"] = BELOW["planning"] | {"screening"}
-BELOW["checking"] = BELOW["planning"]
+BELOW["checking"] = BELOW["planning"] | {"comparison"}
 BELOW["fleet"] = BELOW["planning"]
 BELOW["advice"] = BASE | {"screening", "rests", "report"}
 BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
-BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
+BELOW["fleet_report"] = BELOW["fleet"] | {"comparison", "fleet", "checking"}
 BELOW["fleet_run"] = (
     BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}
 )

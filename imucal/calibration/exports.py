@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from decimal import Decimal
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from imucal.errors import DataError
 from imucal.frozen import frozen
 from imucal.printable import one_line
 from imucal.report.exports import render as render_noise
-from imucal.report.exports.config_numbers import Options
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
 from imucal.report.exports.target import comment, name_key
 from imucal.report.result import Report
 from imucal.units import G0
@@ -79,7 +79,7 @@ def find_calibration_target(name: str) -> CalibrationTarget:
 
 
 def render_calibration(
-    found: Intrinsics, name: str, noise: Report | None = None, **options: Unpack[Options]
+    found: Intrinsics, name: str, noise: Report | None = None, options: ExportOptions = DEFAULT_OPTIONS
 ) -> str:
     """Return the text of a program's file.
 
@@ -105,7 +105,7 @@ def render_calibration(
     if target.sign == "json":
         document = {"_imucal_calibration": lines, **json.loads(body)}
         if noise is not None and target.noise:
-            own = json.loads(render_noise(noise, target.name, **options))
+            own = json.loads(render_noise(noise, target.name, options))
             document = {**own, **document, "value0": {**own["value0"], **document["value0"]}}
         return json.dumps(document, indent=2) + "\n"
     head = comment(lines, target.sign)
@@ -113,7 +113,7 @@ def render_calibration(
         missing = f"{target.sign} no noise numbers: calibrate with --noise REPORT\n" if target.noise else ""
         start = ("%YAML:1.0\n", "imu0:\n") if target.name == "openvins" else ("", "")
         return f"{start[0]}{head}\n{missing}{start[1]}{body.rstrip()}\n"
-    first = render_noise(noise, target.name, **options)
+    first = render_noise(noise, target.name, options)
     if target.name == "openvins":
         # The file of the noise ends with identity matrices.
         first = first[: first.index("  Tw:\n")]
@@ -122,11 +122,15 @@ def render_calibration(
 
 
 def export_calibration(
-    found: Calibration, name: str, path: Path, noise: Report | None = None, **options: Unpack[Options]
+    found: Calibration,
+    name: str,
+    path: Path,
+    noise: Report | None = None,
+    options: ExportOptions = DEFAULT_OPTIONS,
 ) -> Path:
     """Write the text of `render_calibration` to a file, or into a folder; return the file."""
     target = find_calibration_target(name)
-    text = render_calibration(Intrinsics.of(found), name, noise, **options)
+    text = render_calibration(Intrinsics.of(found), name, noise, options)
     return write_configs({target.file_name: text}, path)[0]
 
 

@@ -23,7 +23,7 @@ from imucal.prediction.filter_numbers import LEVEL, STEP_S, covered_frequencies
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
-from imucal.report.exports.config_numbers import Choices, Numbers
+from imucal.report.exports.config_numbers import ExportOptions, Numbers
 from imucal.report.exports.target import Key, Target, real
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
@@ -126,25 +126,25 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     read or has an unknown format, and DataError if the report lacks an axis that the format needs.
     """
     text = text_of(path, "the config file of a filter")
-    settings, choices = read_settings(text, path.name), _choices(text)
+    settings, options = read_settings(text, path.name), _options(text)
     there = {setting.name for setting in settings}
     # If several formats have the same keys, choose the one with the most other lines in the file.
     own, target = max(
-        ((read_settings(each.render(report, choices)), each) for each in _formats(path, settings)),
+        ((read_settings(each.render(report, options)), each) for each in _formats(path, settings)),
         key=lambda each: len(there & {setting.name for setting in each[0]}),
     )
-    numbers = target.numbers(report, choices)
+    numbers = target.numbers(report, options)
     return (*_noise_rows(settings, target.keys, own, numbers), *_rate_rows(settings, own, numbers.stream_hz))
 
 
-def _choices(text: str) -> Choices:
+def _options(text: str) -> ExportOptions:
     """Return the options in imucal's comment in a file."""
     inflated = re.search(r"inflation: (.*); ALREADY", text)
     factors = re.findall(r"(\w+) \([^)]*\) x ([\d.e+-]+)", inflated[1]) if inflated else []
     axes = re.search(r"axes: (\w+)", text)
     policies: dict[str, AxisPolicy] = {policy: policy for policy in get_args(AxisPolicy)}
     times = re.search(r"aided every (\S+) s or slower, horizon (\S+) s", text)
-    return Choices(
+    return ExportOptions(
         inflate={name: float(factor) for name, factor in factors},
         axis_policy=policies.get(axes[1] if axes else "", "worst"),
         step_s=float(times[1]) if times else STEP_S,
@@ -305,14 +305,14 @@ class _Wanted:
 
     def _covers(self, c: float, caution: Caution) -> bool:
         """Return whether a coefficient and the other number cover the spectra closely enough for a filter."""
-        choices = self.numbers.choices
+        options = self.numbers.options
         white, walk = (c, self.other) if self.key.symbol == "N" else (self.other, c)
-        f = covered_frequencies(self.numbers.horizon_s, choices.step_s)
-        walks = TERMS["K"].of(walk / choices.factor("K")).psd(f, choices.step_s)
+        f = covered_frequencies(self.numbers.horizon_s, options.step_s)
+        walks = TERMS["K"].of(walk / options.factor("K")).psd(f, options.step_s)
         wanted = [
-            upper_limit(axis.fit, lambda term: term.psd(f, choices.step_s), caution) for axis in self.axes
+            upper_limit(axis.fit, lambda term: term.psd(f, options.step_s), caution) for axis in self.axes
         ]
-        given = (white / choices.factor("N")) ** 2 + walks
+        given = (white / options.factor("N")) ** 2 + walks
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
     def _slip(self, number: float) -> str:

@@ -4,7 +4,6 @@ pass: the whole interval is within the limit; fail: the whole interval is beyond
 contains the limit. Machines read the verdicts as JSON, as JUnit XML, or as GitHub's workflow commands.
 """
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import KW_ONLY, asdict, dataclass
 from itertools import chain
@@ -19,6 +18,7 @@ from imucal.checking.limits import (
     Limits,
     Side,
 )
+from imucal.comparison import paired, ratio
 from imucal.errors import LimitsError
 from imucal.findings import Finding
 from imucal.frozen import frozen
@@ -235,23 +235,26 @@ def _baseline(report: Report, before: Report, rules: Baseline) -> Iterator[Row]:
         if old.name not in there:
             yield Row(old.name, "axes", "fail", f"{old.name}: in the baseline, but not in the report")
             continue
-        for symbol in rules.terms:
-            yield from _changes(there[old.name], old, symbol, rules)
+        yield from _changes(there[old.name], old, rules)
 
 
-def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) -> Iterator[Row]:
-    old, same = dict(measure(before, symbol)), _same_fit(now, before)
-    for key, measured in measure(now, symbol):
+def _changes(now: AxisReport, before: AxisReport, rules: Baseline) -> Iterator[Row]:
+    same = _same_fit(now, before)
+    for key, old, new in paired(before, now):
+        if new is None or key not in {each.key for each in now.fit.estimates if each.symbol in rules.terms}:
+            continue
         subject = f"{key} / baseline"
-        if key not in old:
+        if old is None:
             text = f"{now.name}: the baseline's model has no {key}"
             yield Row(now.name, subject, "undecided", text)
             continue
-        ratio = Quantity.exactly(1.0) if same else relative(measured, old[key])
+        change = (
+            Quantity.exactly(1.0) if same else ratio(numbers.si(new, now.sensor), numbers.si(old, now.sensor))
+        )
         if rules.max_increase is not None:
-            yield judge(now.name, subject, ratio, side="max", limit=1 + rules.max_increase)
+            yield judge(now.name, subject, change, side="max", limit=1 + rules.max_increase)
         if rules.max_decrease is not None:
-            yield judge(now.name, subject, ratio, side="min", limit=1 - rules.max_decrease)
+            yield judge(now.name, subject, change, side="min", limit=1 - rules.max_decrease)
 
 
 def _same_fit(now: AxisReport, before: AxisReport) -> bool:
@@ -283,27 +286,6 @@ def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Quantity], ...]
         return ((quantity, numbers.minimum(axis.fit)),)
     own = (estimate for estimate in axis.fit.estimates if estimate.symbol == quantity)
     return tuple((estimate.key, numbers.si(estimate, axis.sensor)) for estimate in own)
-
-
-def relative(now: Quantity, before: Quantity) -> Quantity:
-    """Return the ratio of two independent quantities with its interval.
-
-    The distances to the limits of both add in quadrature on the logarithmic scale (Zou & Donner
-    2008, the MOVER method). A bound is between 0 and its upper limit.
-    """
-    if now.value is None or before.value is None:
-        low = now.low / before.high if before.high else math.inf
-        high = now.high / before.low if before.low else math.inf
-        return Quantity(value=None, low=low, high=high)
-    ratio = now.value / before.value if before.value else math.inf
-    down = math.hypot(_distance(now.low, now.value), _distance(before.value, before.high))
-    up = math.hypot(_distance(now.value, now.high), _distance(before.low, before.value))
-    high = ratio * (math.exp(up) if up < 700 else math.inf)
-    return Quantity(value=ratio, low=ratio * math.exp(-down), high=high)
-
-
-def _distance(low: float, high: float) -> float:
-    return math.log(high / low) if low > 0 else math.inf
 
 
 SCHEMA = "imucal/checking/1"

@@ -152,9 +152,9 @@ def command(
     horizon_s, step_s = options["horizon_s"], options["step_s"]
     if horizon_s is not None and horizon_s <= step_s:
         misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
-    options["topic"] = rostopic
+    chosen = exports.ExportOptions(**options, topic=rostopic)
     if is_calibration(path := Path(request.logs[0])):
-        _export_calibration(path, targets, out, options)
+        _export_calibration(path, targets, out, chosen)
         return
     _require_noise_targets(targets, shown_address(request.logs[0]))
     report = _report(request, value, fleet_model)
@@ -166,9 +166,9 @@ def command(
         )
         raise DataError(msg)
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
-    texts = {exports.TARGETS[name].file_name: exports.render(report, name, **options) for name in names}
+    texts = {exports.TARGETS[name].file_name: exports.render(report, name, chosen) for name in names}
     _write(texts, out, several=len(names) > 1)
-    for text in _remarks(report, options["numbers"]):
+    for text in _remarks(report, chosen.numbers):
         print_note(text)
 
 
@@ -194,7 +194,7 @@ def _write(texts: dict[str, str], out: Path | None, *, several: bool) -> None:
 
 
 def _export_calibration(
-    path: Path, names: tuple[str, ...], out: Path | None, options: dict[str, Any]
+    path: Path, names: tuple[str, ...], out: Path | None, options: exports.ExportOptions
 ) -> None:
     """Write the files of a calibration; with ``all``, list the formats without a calibration."""
     found, every = load_intrinsics(path), "all" in names
@@ -207,7 +207,7 @@ def _export_calibration(
     texts = {}
     for target in targets:
         try:
-            texts[target] = render_calibration(found, target.name, noise, **options)
+            texts[target] = render_calibration(found, target.name, noise, options)
         except DataError as error:
             if not every:
                 raise

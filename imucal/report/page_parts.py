@@ -24,7 +24,7 @@ from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
-from imucal.report.exports.config_numbers import Choices, Numbers
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, Numbers
 from imucal.report.exports.target import FORMULAS, itself, price
 from imucal.report.figure import axis_title, units_of
 from imucal.report.figure_curves import shown_points
@@ -261,7 +261,7 @@ def downstream_section(report: Report) -> Markup:
     if not report.verdict.usable:
         message = f"{report.verdict.sentence}. No filter should be given its numbers."
         return Markup("<p>{}</p>").format(message)
-    chosen = Numbers(report=report, choices=Choices(), target="the page", covers=True)
+    chosen = Numbers(report=report, options=DEFAULT_OPTIONS, target="the page", covers=True)
     return render(
         "downstream.html",
         chosen=chosen,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from imucal.checking import CheckResult, check, parse_limits
-from imucal.checking.verdict import judge, measure, relative
+from imucal.checking.verdict import judge, measure
+from imucal.comparison import ratio as ratio_of
 from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -79,7 +80,7 @@ def test_the_interval_of_a_ratio_covers_the_ratio() -> None:
     for a, b in draws.tolist():
         now = Quantity(value=a, low=a / math.exp(1.96 * 0.3), high=a * math.exp(1.96 * 0.3))
         before = Quantity(value=b, low=b / math.exp(1.96 * 0.05), high=b * math.exp(1.96 * 0.05))
-        ratio = relative(now, before)
+        ratio = ratio_of(now, before)
         covered += ratio.low <= 1 <= ratio.high
     # Four standard errors of a proportion of 0.95.
     assert covered / replications == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / replications))
@@ -98,7 +99,7 @@ def test_the_ratio_of_a_bound_is_an_interval(
     now: Quantity, before: Quantity, low: float, high: float
 ) -> None:
     """A bound is any value from 0 to its upper limit."""
-    ratio = relative(now, before)
+    ratio = ratio_of(now, before)
     assert [ratio.low, ratio.high] == pytest.approx([low, high])
 
 
@@ -290,13 +291,13 @@ def test_the_ratio_of_two_intervals() -> None:
     """Distances to the limits add in quadrature on the logarithmic scale, above and below by themselves."""
     now = Quantity(value=8.0, low=8.0 / math.exp(0.3), high=8.0 * math.exp(0.5))
     before = Quantity(value=2.0, low=2.0 / math.exp(1.2), high=2.0 * math.exp(0.4))
-    ratio = relative(now, before)
+    ratio = ratio_of(now, before)
     assert ratio.value == 4
     assert ratio.low == pytest.approx(4 * math.exp(-0.5))
     assert ratio.high == pytest.approx(4 * math.exp(1.3))
-    assert relative(Quantity.exactly(1.0), Quantity.exactly(0.0)).value == math.inf
+    assert ratio_of(Quantity.exactly(1.0), Quantity.exactly(0.0)).value == math.inf
     wide = Quantity(value=1.0, low=1e-200, high=1e200)
-    assert relative(wide, Quantity(value=1.0, low=1e-250, high=1.0)).high == math.inf
+    assert ratio_of(wide, Quantity(value=1.0, low=1e-250, high=1.0)).high == math.inf
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from imucal.checking import check_config
 from imucal.checking.verdict import Row
 from imucal.errors import LimitsError
 from imucal.recording import Axis, Sensor
-from imucal.report.exports import TARGETS, render
+from imucal.report.exports import TARGETS, ExportOptions, render
 from imucal.report.given import model_as_report
 from imucal.report.result import Report
 from imucal.units import G0
@@ -60,10 +60,7 @@ def test_what_the_exporter_writes_passes(name: str, tmp_path: Path) -> None:
     asked = render(
         consumer_report(),
         name,
-        inflate={"white": 3.0, "walk": 14.0},
-        horizon_s=1000.0,
-        step_s=0.1,
-        axis_policy="rms",
+        ExportOptions(inflate={"white": 3.0, "walk": 14.0}, horizon_s=1000.0, step_s=0.1, axis_policy="rms"),
     )
     for report, text in ((PAIR, render(PAIR, name)), (consumer_report(), asked)):
         rows = read_back(tmp_path, text, report)
@@ -150,7 +147,7 @@ def test_another_terms_number_is_named(tmp_path: Path) -> None:
 def test_the_fits_own_numbers_are_too_small_where_there_is_flicker(tmp_path: Path) -> None:
     """N and K as fitted, which leave it out; but a pair may share it out in another way."""
     report = model_as_report({GYRO: "N=1e-4 + B=2e-5 + K=1e-7"}, rate_hz=RATE_HZ)
-    rows = read_back(tmp_path, render(report, "kalibr", numbers="as-fitted"), report)
+    rows = read_back(tmp_path, render(report, "kalibr", ExportOptions(numbers="as-fitted")), report)
     walk = rows["gyroscope_random_walk"]
     assert walk.verdict == "fail"
     assert "K of the fit alone is below the values that cover the fitted spectrum" in walk.text

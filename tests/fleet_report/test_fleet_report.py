@@ -299,10 +299,10 @@ def test_the_units_that_come_near_enough_are_the_fewest(fleet: Fleet) -> None:
 
 def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
     """With where it comes from in the comment; every format can be written."""
-    from imucal.report.exports import TARGETS, render
+    from imucal.report.exports import TARGETS, ExportOptions, render
 
     report = imucal.fleet_as_report(fleet)
-    text = render(report, "kalibr", numbers="as-fitted")
+    text = render(report, "kalibr", ExportOptions(numbers="as-fitted"))
     worst = max(fleet.model()[f"gyro_{a}", "N"].population.tolerance or 0.0 for a in "xyz")
     assert f"gyroscope_noise_density: {worst:.8g}" in text
     assert "95/95 tolerance bound of 24 units" in text
@@ -318,7 +318,7 @@ def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
 
 def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_path: Path) -> None:
     """Where the format has them; where not, its comment says so."""
-    from imucal.report.exports import render
+    from imucal.report.exports import ExportOptions, render
 
     write_store(
         tmp_path, units=5, special=False, failures=False, weak="", times=(40.0, 100.0, 250.0),
@@ -335,7 +335,7 @@ def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_pat
     states = render(report, "gm")
     assert f"{found.value:.8g}" in states
     assert "100" in states
-    fitted = render(report, "kalibr", numbers="as-fitted")
+    fitted = render(report, "kalibr", ExportOptions(numbers="as-fitted"))
     assert "not supported by this format: B (" in fitted
     assert "GM (gyro_x)" in fitted
 

@@ -22,7 +22,7 @@ from imucal.noise.terms import TERMS, BiasInstability, GaussMarkov
 from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
-from imucal.report.exports.config_numbers import Choices, Numbers, flicker_bank
+from imucal.report.exports.config_numbers import ExportOptions, Numbers, flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import from_document, to_document
 from imucal.report.json_node import dumps
@@ -38,8 +38,7 @@ _AXES: tuple[Axis, ...] = ("x", "y", "z")
 #: Reports don't change, so that one of each will do.
 consumer_report = cache(make_consumer_report)
 #: N and K of the fit, in place of what covers it.
-render_fitted = partial(render, numbers="as-fitted")
-export_fitted = partial(export, numbers="as-fitted")
+fitted = partial(ExportOptions, numbers="as-fitted")
 
 
 @cache
@@ -79,7 +78,7 @@ def test_a_consumer_reads_the_fits_own_numbers(
 ) -> None:
     """What the consumer's parser recovers is the fit's N and K, to rounding."""
     report = make()
-    (path,) = export_fitted(report, target, tmp_path)
+    (path,) = export(report, target, tmp_path, fitted())
     assert path == tmp_path / TARGETS[target].file_name
     recovered = READERS[target](path)
     _agree(report, recovered)
@@ -92,7 +91,7 @@ def test_a_consumer_reads_the_fits_own_numbers(
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_file_says_how_its_numbers_came_about(target: str) -> None:
     """Tool and version, log, rate, kind, formula, axes and inflation stand in a comment."""
-    text = render(consumer_report(), target, inflate={"white": 2, "walk": 10})
+    text = render(consumer_report(), target, ExportOptions(inflate={"white": 2, "walk": 10}))
     for said in (
         "imucal 0.1.0",
         "logs/still_night.mcap",
@@ -111,7 +110,7 @@ def test_every_file_says_how_its_numbers_came_about(target: str) -> None:
 def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
     """``white=2, walk=10`` doubles N and multiplies K by ten, in every format."""
     report = _plain_report()
-    (path,) = export_fitted(report, target, tmp_path, inflate={"white": 2.0, "walk": 10.0})
+    (path,) = export(report, target, tmp_path, fitted(inflate={"white": 2.0, "walk": 10.0}))
     for (key, symbol), value in READERS[target](path).items():
         factor = {"N": 2.0, "K": 10.0}.get(symbol)
         if factor:
@@ -121,14 +120,14 @@ def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("policy", "scale"), [("worst", 3.0), ("rms", math.sqrt(14 / 3)), ("y", 2.0)])
 def test_the_axis_policy_chooses_or_averages(policy: AxisPolicy, scale: float) -> None:
     """``rms`` averages variances: (1 + 4 + 9)/3; averaging deviations would give 2."""
-    data = yaml.safe_load(render_fitted(_plain_report(), "kalibr", axis_policy=policy))
+    data = yaml.safe_load(render(_plain_report(), "kalibr", fitted(axis_policy=policy)))
     assert data["gyroscope_noise_density"] == pytest.approx(scale * 1e-5)
     assert data["accelerometer_random_walk"] == pytest.approx(scale * 1e-5)
 
 
 def test_a_bound_is_written_and_said() -> None:
     """A term that the data don't show is written as its upper bound, with words beside it."""
-    text = render_fitted(consumer_report(), "kalibr", axis_policy="y")
+    text = render(consumer_report(), "kalibr", fitted(axis_policy="y"))
     assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
     assert "K of gyro_y, UPPER BOUND (95%): the data do not show this term" in text
     assert "not detected, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
@@ -140,10 +139,10 @@ def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> 
     curve = report.axes[1].fit.curve
     exact = (2 * curve.m.astype(float) ** 2 + 1) / (6 * curve.m * 200.0)
     largest = np.sqrt(np.min(curve.avar / exact))
-    number = Numbers(report=report, choices=Choices(), target="x").of(report.axes[1], "K")
+    number = Numbers(report=report, options=ExportOptions(), target="x").of(report.axes[1], "K")
     assert number.excess == pytest.approx(4.1e-7 / largest)
     assert f"{4.1e-7 / largest:.2g} x the line that touches the measured curve" in number.note
-    assert Numbers(report=report, choices=Choices(), target="x").of(report.axes[0], "K").excess is None
+    assert Numbers(report=report, options=ExportOptions(), target="x").of(report.axes[0], "K").excess is None
 
 
 def test_a_number_comes_with_its_interval_and_with_what_may_stand_in_its_place() -> None:
@@ -156,21 +155,21 @@ def test_a_number_comes_with_its_interval_and_with_what_may_stand_in_its_place()
     )
     axes = (*report.axes[:2], replace(axis, fit=replace(axis.fit, estimates=estimates)), *report.axes[3:])
     doubtful = replace(report, axes=axes)
-    assert "N of gyro_z, 95% 5e-05 to 7e-05" in render_fitted(doubtful, "kalibr", inflate={"white": 2.0})
-    assert "B of gyro_z, 95% " in render_fitted(doubtful, "matlab")
-    assert "B or GM: this record can't distinguish them" in render_fitted(doubtful, "matlab")
-    assert "or: [GM]" in render_fitted(doubtful, "yaml")
+    assert "N of gyro_z, 95% 5e-05 to 7e-05" in render(doubtful, "kalibr", fitted(inflate={"white": 2.0}))
+    assert "B of gyro_z, 95% " in render(doubtful, "matlab", fitted())
+    assert "B or GM: this record can't distinguish them" in render(doubtful, "matlab", fitted())
+    assert "or: [GM]" in render(doubtful, "yaml", fitted())
 
 
 def test_a_bound_is_refused_on_request() -> None:
     """``refuse`` names the axis, the term, its bound and the ways out."""
     with pytest.raises(DataError) as error:
-        render(consumer_report(), "kalibr", unidentified="refuse")
+        render(consumer_report(), "kalibr", ExportOptions(unidentified="refuse"))
     assert str(error.value) == (
         "logs/still_night.mcap: accel_y: K was not detected (upper bound 5e-06 m/s^2/sqrt(s)), but kalibr "
         "needs a value; accept the bound, choose an axis that shows the term, or record for longer"
     )
-    assert render(consumer_report(), "kalibr", unidentified="refuse", axis_policy="x")
+    assert render(consumer_report(), "kalibr", ExportOptions(unidentified="refuse", axis_policy="x"))
 
 
 @pytest.mark.parametrize("sensor", list(Sensor))
@@ -181,7 +180,7 @@ def test_the_half_of_a_log_of_one_sensor_is_written_and_said(
     """The consumer's parser reads that sensor's numbers and no other's; the comment names what is missing."""
     whole = _plain_report()
     report = replace(whole, axes=tuple(axis for axis in whole.axes if axis.sensor is sensor))
-    (path,) = export_fitted(report, target, tmp_path)
+    (path,) = export(report, target, tmp_path, fitted())
     recovered = READERS[target](path)
     _agree(report, recovered)
     nothing = target == "dlio" and sensor is ACCEL
@@ -205,7 +204,7 @@ def test_a_number_that_is_not_positive_is_refused() -> None:
     axis = axis_report(GYRO, "x", "N=0.0 + B=1e-5 + K=1e-7")
     report = replace(consumer_report(), axes=(axis, *consumer_report().axes[3:]))
     with pytest.raises(DataError, match=r"gyro_x: N is 0\.0, but kalibr needs a positive number"):
-        render_fitted(report, "kalibr", axis_policy="x")
+        render(report, "kalibr", fitted(axis_policy="x"))
 
 
 def test_all_writes_every_format(tmp_path: Path) -> None:
@@ -219,7 +218,7 @@ def test_all_writes_every_format(tmp_path: Path) -> None:
 def test_a_refusal_writes_nothing(tmp_path: Path) -> None:
     """Every text is made before the first file is written."""
     with pytest.raises(DataError):
-        export(consumer_report(), "all", tmp_path / "out", unidentified="refuse")
+        export(consumer_report(), "all", tmp_path / "out", ExportOptions(unidentified="refuse"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -324,7 +323,7 @@ def test_a_name_that_means_several_is_answered() -> None:
 def test_wrong_options_are_refused(options: dict[str, object], message: str) -> None:
     """The library checks what the caller asks."""
     with pytest.raises(ValueError, match=message):
-        render(consumer_report(), "kalibr", **options)  # type: ignore[arg-type]
+        render(consumer_report(), "kalibr", ExportOptions(**options))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -356,7 +355,7 @@ def test_a_hostile_log_name_breaks_no_file(target: str, tmp_path: Path) -> None:
     """Quotes, hyphens, braces and line breaks in a path reach no parser."""
     source = Source(path='a--b"\n:{%\\.bag', format="rosbag1", topics=('/i"mu',), message_types=("x",))
     report = replace(_plain_report(), source=source)
-    (path,) = export(report, target, tmp_path, topic="/imu/data")
+    (path,) = export(report, target, tmp_path, ExportOptions(topic="/imu/data"))
     assert READERS[target](path)
 
 
@@ -364,7 +363,7 @@ def test_a_topic_can_be_given_or_is_said_to_be_missing() -> None:
     """A table names no topic: the file says so."""
     table = replace(_plain_report(), source=Source(path="a.csv", format="csv", topics=("gx", "gy")))
     assert 'rostopic: "/imu0"  # the log names no topic; set yours' in render(table, "kalibr")
-    assert 'rostopic: "/my/imu"  # as given' in render(table, "kalibr", topic="/my/imu")
+    assert 'rostopic: "/my/imu"  # as given' in render(table, "kalibr", ExportOptions(topic="/my/imu"))
 
 
 @cache
@@ -381,7 +380,7 @@ def _two_rates() -> Report:
 def test_every_number_is_for_the_rate_that_the_file_says(target: str, tmp_path: Path) -> None:
     """A reader knows one rate, that of the file, and finds N and K of both sensors with it."""
     report = _two_rates()
-    (path,) = export_fitted(report, target, tmp_path)
+    (path,) = export(report, target, tmp_path, fitted())
     _agree(report, READERS[target](path))
     own = "the rates differ: f is the rate of each sensor" in path.read_text()
     one = "the rates differ: every number is for one stream at f = 200 Hz" in path.read_text()
@@ -395,7 +394,7 @@ def test_sensors_of_two_rates_in_the_formats_that_know_two() -> None:
     assert ros["angular_velocity_covariance"][0] == pytest.approx(1e-5**2 * 200)
     assert ros["linear_acceleration_covariance"][8] == pytest.approx(3e-3**2 * 100)
     assert yaml.safe_load(render(_two_rates(), "gm"))["axes"]["accel_x"]["rate_hz"] == 100
-    fast = yaml.safe_load(render_fitted(_two_rates(), "fast-lio"))["mapping"]
+    fast = yaml.safe_load(render(_two_rates(), "fast-lio", fitted()))["mapping"]
     assert fast["acc_cov"] == pytest.approx(3e-3**2 * 200)
 
 
@@ -403,7 +402,7 @@ def test_one_axis_a_sensor_is_enough_where_one_is_asked_for() -> None:
     """And where the axes' rates differ, the first one's is written."""
     axes = _plain_report().axes
     alone = replace(_plain_report(), axes=(axes[0], axes[3]))
-    assert yaml.safe_load(render(alone, "kalibr", axis_policy="x"))["update_rate"] == 200
+    assert yaml.safe_load(render(alone, "kalibr", ExportOptions(axis_policy="x")))["update_rate"] == 200
     odd = replace(_plain_report(), axes=(replace(axes[0], rate_hz=200.02), *axes[1:]))
     assert yaml.safe_load(render(odd, "kalibr"))["update_rate"] == 200.02
 
@@ -449,17 +448,17 @@ def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path
     sigma, time = 4e-5, 90.0
     slow = axis_report(GYRO, "x", f"N=1e-4 + GM(sigma={sigma}, T={time})", bounds={"B": 1e-6, "K": 1e-7})
     report = replace(_plain_report(), axes=(slow, *_plain_report().axes[1:]))
-    (path,) = export_fitted(report, "gazebo", tmp_path)
+    (path,) = export(report, "gazebo", tmp_path, fitted())
     recovered = READERS["gazebo"](path)
     assert recovered["gyro_x", "T"] == time
     assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(sigma)
     assert recovered["gyro_y", "T"] == 3600
-    (path,) = export_fitted(report, "gazebo", tmp_path, inflate={"flicker": 3.0, "white": 2.0})
+    (path,) = export(report, "gazebo", tmp_path, fitted(inflate={"flicker": 3.0, "white": 2.0}))
     recovered = READERS["gazebo"](path)
     assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(3 * sigma)
 
     assert "K of gyro_z, 95% 2.593e-07 to 3.47e-07; T is nominal; a Gauss-Markov term (T 1500 s) is left" in (
-        render_fitted(consumer_report(), "gazebo")
+        render(consumer_report(), "gazebo", fitted())
     )
 
 
@@ -479,7 +478,7 @@ def _slow_report(gyro: str, accel: str) -> Report:
 def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
     """A term's sigma stands in gbstd (deg/h) and abstd (mGal), its T in corrtime (h)."""
     report = _slow_report("N=1e-4 + GM(sigma=4e-5, T=7200.0)", "N=1e-4 + GM(sigma=5e-4, T=7200.0)")
-    data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
+    data = yaml.safe_load(render(report, "kf-gins", fitted()))["imunoise"]
     assert data["corrtime"] == 2
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
     assert data["abstd"] == pytest.approx([50.0] * 3)
@@ -507,10 +506,10 @@ def test_a_walk_that_is_a_gauss_markov_term_is_written_once() -> None:
     report = replace(report, axes=tuple(map(with_walk, report.axes)))
     states = yaml.safe_load(render(report, "gm"))["axes"]["gyro_x"]["states"]
     assert [state["term"] for state in states] == ["GM"]
-    text = render_fitted(report, "yaml")
+    text = render(report, "yaml", fitted())
     k = yaml.safe_load(text)["imu"]["gyroscope"]["x"]["K"]
     assert (k["part_of"], k["holds_to_s"], k["or"]) == ("GM", 3600, ["GM"])
-    data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
+    data = yaml.safe_load(render(report, "kf-gins", fitted()))["imunoise"]
     assert data["corrtime"] == 2
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
 
@@ -518,7 +517,7 @@ def test_a_walk_that_is_a_gauss_markov_term_is_written_once() -> None:
 def test_a_short_term_of_one_sensor_does_not_shorten_the_others_walk() -> None:
     """With T of a gyroscope's walk at that of the accelerometer's term, its bias was 19 times too small."""
     report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + GM(sigma=3e-4, T=10.0)")
-    data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
+    data = yaml.safe_load(render(report, "kf-gins", fitted()))["imunoise"]
     assert data["corrtime"] == 1
     assert data["gbstd"] == pytest.approx([1e-6 * math.sqrt(1800) * 180 / math.pi * 3600] * 3)
 
@@ -556,7 +555,7 @@ def test_what_a_filter_reads_covers_the_fitted_spectrum(
 def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) -> None:
     """Horizon, step and policy reach the rule; one axis is covered at a level, several in the mean."""
     report = _plain_report()
-    text = render(report, "kalibr", axis_policy=policy, horizon_s=600.0, step_s=0.2)
+    text = render(report, "kalibr", ExportOptions(axis_policy=policy, horizon_s=600.0, step_s=0.2))
     fits = [axis.fit for axis in report.axes[:3]] if count == 3 else [report.axes[1].fit]
     pair = filter_numbers(fits, horizon_s=600.0, step_s=0.2, joined="rms" if policy == "rms" else "worst")
     data = yaml.safe_load(text)
@@ -569,8 +568,8 @@ def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) 
 def test_inflation_of_a_pair_is_what_it_says() -> None:
     """White noise and walk by their factors; flicker before it is covered, which raises both."""
     plain = yaml.safe_load(render(_plain_report(), "kalibr"))
-    text = render(_plain_report(), "kalibr", inflate={"white": 2.0, "walk": 10.0})
-    raised = yaml.safe_load(render(_plain_report(), "kalibr", inflate={"flicker": 10.0}))
+    text = render(_plain_report(), "kalibr", ExportOptions(inflate={"white": 2.0, "walk": 10.0}))
+    raised = yaml.safe_load(render(_plain_report(), "kalibr", ExportOptions(inflate={"flicker": 10.0})))
     for key, factor in (("gyroscope_noise_density", 2), ("accelerometer_random_walk", 10)):
         assert yaml.safe_load(text)[key] == pytest.approx(factor * plain[key])
         assert raised[key] > 1.1 * plain[key]
@@ -584,7 +583,7 @@ def test_inflation_of_flicker_holds_where_a_table_only_bounds_it() -> None:
     axis = replace(axis, fit=replace(axis.fit, estimates=estimates))
     report = replace(consumer_report(), axes=(axis, *consumer_report().axes[3:]))
     plain, raised = (
-        yaml.safe_load(render(report, "kalibr", axis_policy="x", inflate={"flicker": factor}))
+        yaml.safe_load(render(report, "kalibr", ExportOptions(axis_policy="x", inflate={"flicker": factor})))
         for factor in (1.0, 10.0)
     )
     for key in ("gyroscope_noise_density", "gyroscope_random_walk"):
@@ -611,20 +610,20 @@ def test_kf_gins_and_okvis2_take_the_time_that_was_measured() -> None:
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3, rel=0.1)
     text = render(report, "okvis2").removeprefix("%YAML:1.0")
     assert yaml.safe_load(text)["imu_parameters"]["tau"] == 20
-    assert "as fitted" in render_fitted(report, "okvis2")
+    assert "as fitted" in render(report, "okvis2", fitted())
 
 
 def test_a_walk_gets_a_time_long_against_horizon_and_record() -> None:
     """So that it stays one: ten horizons, or the record."""
     report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + K=1e-5")
     assert yaml.safe_load(render(report, "kf-gins"))["imunoise"]["corrtime"] == 3
-    data = yaml.safe_load(render(report, "kf-gins", horizon_s=3600.0))["imunoise"]
+    data = yaml.safe_load(render(report, "kf-gins", ExportOptions(horizon_s=3600.0)))["imunoise"]
     assert data["corrtime"] == 10
 
 
 def test_px4_numbers_outside_its_range_are_said() -> None:
     """A good accelerometer at rest is below it; a ground station would warn without saying why."""
-    assert "EKF2_ACC_NOISE: 0.003 is outside the range that PX4 documents, 0.01 to 1" in render_fitted(
+    assert "EKF2_ACC_NOISE: 0.003 is outside the range that PX4 documents, 0.01 to 1" in render(
         replace(
             _plain_report(),
             axes=tuple(
@@ -634,6 +633,7 @@ def test_px4_numbers_outside_its_range_are_said() -> None:
             ),
         ),
         "px4",
+        fitted(),
     )
 
 

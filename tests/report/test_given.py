@@ -7,7 +7,7 @@ import pytest
 
 import imucal
 from imucal.recording import Sensor
-from imucal.report.exports import TARGETS, export, render
+from imucal.report.exports import TARGETS, ExportOptions, export, render
 from imucal.report.given import model_as_report
 from imucal.units import G0
 from tests.report.downstream import READERS
@@ -25,7 +25,9 @@ WANTED = {
 @pytest.mark.parametrize("target", [name for name in READERS if name not in ("kalibr", "openvins", "dlio")])
 def test_a_consumer_reads_the_numbers_of_the_sheet(target: str, tmp_path: Path) -> None:
     """As fitted, its own parser gets N and K of the data sheet, in SI."""
-    (path,) = export(model_as_report(SHEET, rate_hz=200.0), target, tmp_path, numbers="as-fitted")
+    (path,) = export(
+        model_as_report(SHEET, rate_hz=200.0), target, tmp_path, ExportOptions(numbers="as-fitted")
+    )
     read = READERS[target](path)
     for (name, symbol), value in read.items():
         if symbol in "NK":

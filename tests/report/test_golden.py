@@ -21,7 +21,7 @@ from matplotlib.patches import Rectangle
 from imucal.clock import Gap
 from imucal.fitting.noise_fit import Line, Response
 from imucal.recording import Sensor
-from imucal.report.exports import TARGETS, render
+from imucal.report.exports import TARGETS, ExportOptions, render
 from imucal.report.figure import axis_figure, sensor_figure
 from imucal.report.html_page import page_data, render_page
 from imucal.report.result import Report
@@ -44,12 +44,10 @@ def test_exports_are_the_golden_ones(*, update_golden: bool) -> None:
     chosen = render(
         consumer_report(),
         "kalibr",
-        axis_policy="rms",
-        inflate={"white": 2.0, "walk": 1.0, "flicker": 3.0},
-        topic="/given",
+        ExportOptions(axis_policy="rms", inflate={"white": 2.0, "walk": 1.0, "flicker": 3.0}, topic="/given"),
     )
     texts += [f"=== kalibr, rms\n{chosen}", "=== gm, flicker\n"]
-    texts += [render(consumer_report(), "gm", inflate={"flicker": 3.0})]
+    texts += [render(consumer_report(), "gm", ExportOptions(inflate={"flicker": 3.0}))]
     _compare("exports.txt", "\n".join(texts), update=update_golden)
 
 

@@ -2,14 +2,30 @@
 
 import re
 from pathlib import Path
-from typing import Unpack
 
 from imucal.atomic import write_configs
-from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, Choices, Options, Unidentified
+from imucal.report.exports.config_numbers import (
+    DEFAULT_OPTIONS,
+    INFLATABLE,
+    AxisPolicy,
+    Basis,
+    ExportOptions,
+    Unidentified,
+)
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
-__all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Basis", "Unidentified", "export", "find_target", "render"]
+__all__ = [
+    "INFLATABLE",
+    "TARGETS",
+    "AxisPolicy",
+    "Basis",
+    "ExportOptions",
+    "Unidentified",
+    "export",
+    "find_target",
+    "render",
+]
 
 #: Files of the folder ``formats``, in the order of the list that users see.
 _FAMILIES = (
@@ -46,17 +62,18 @@ def find_target(name: str) -> Target:
     return found
 
 
-def render(report: Report, target: str, **options: Unpack[Options]) -> str:
+def render(report: Report, target: str, options: ExportOptions = DEFAULT_OPTIONS) -> str:
     """Return the text of a downstream file; options and errors as in `export`."""
-    return find_target(target).render(report, Choices(**options))
+    return find_target(target).render(report, options)
 
 
-def export(report: Report, target: str, path: Path, **options: Unpack[Options]) -> tuple[Path, ...]:
+def export(
+    report: Report, target: str, path: Path, options: ExportOptions = DEFAULT_OPTIONS
+) -> tuple[Path, ...]:
     """Write the config file of a downstream consumer, with every conversion in a comment; return its files.
 
     `target` is a key of `TARGETS`, an alias, or ``all``. `path` is the file to write, or a folder, in which
-    the file gets the format's usual name. For ``all`` it is a folder, which is created if necessary. The
-    options are the attributes of `Choices`.
+    the file gets the format's usual name. For ``all`` it is a folder, which is created if necessary.
 
     Raises DataError, and writes nothing, if the report lacks a sensor or an axis that the format needs, or if
     a term was not detected and its bound is refused. Raises WriteError if a file can't be written, or if
@@ -64,8 +81,7 @@ def export(report: Report, target: str, path: Path, **options: Unpack[Options]) 
     unknown.
     """
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
-    choices = Choices(**options)
-    texts = {each.file_name: each.render(report, choices) for each in targets}
+    texts = {each.file_name: each.render(report, options) for each in targets}
     return write_configs(texts, Path(path), folder=target == "all")
 
 

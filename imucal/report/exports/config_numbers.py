@@ -7,7 +7,7 @@ N and K leave out bias instability, so a filter with them would be overconfident
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from typing import Literal, TypeAlias, TypedDict, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -43,8 +43,13 @@ _VAGUE = 10.0
 NOMINAL_TIME_S = 3600.0
 
 
+def _require(value: str, choices: tuple[str, ...], what: str) -> None:
+    if value not in choices:
+        raise ValueError(f"{what} {value!r} is not one of {', '.join(choices)}")
+
+
 @frozen
-class Choices:
+class ExportOptions:
     """The user's options for a downstream file.
 
     - `axis_policy`: for formats with one number per sensor: ``worst``, the largest of the axes; ``rms``, the
@@ -83,16 +88,7 @@ class Choices:
         return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
 
 
-class Options(TypedDict, total=False):
-    """The attributes of `Choices`, all optional."""
-
-    axis_policy: AxisPolicy
-    inflate: Mapping[str, float]
-    unidentified: Unidentified
-    topic: str | None
-    numbers: Basis
-    horizon_s: float | None
-    step_s: float
+DEFAULT_OPTIONS = ExportOptions()
 
 
 @frozen
@@ -179,7 +175,7 @@ class Numbers:
     """
 
     report: Report
-    choices: Choices
+    options: ExportOptions
     target: str
     covers: bool = False
     horizon_s: float = HORIZON_S
@@ -227,14 +223,14 @@ class Numbers:
         if self.covers and symbol in COVERING:
             return self._covering(axes, symbol)
         numbers = [self.of(axis, symbol) for axis in axes]
-        if len(numbers) == 1 or self.choices.axis_policy == "worst":
+        if len(numbers) == 1 or self.options.axis_policy == "worst":
             return max(numbers, key=lambda number: number.value)
         value = math.sqrt(sum(number.value**2 for number in numbers) / len(numbers))
         return _joined(numbers, value)
 
     def chosen(self, sensor: Sensor) -> tuple[AxisReport, ...]:
         """Return the axes that determine a sensor's number under the axis policy."""
-        policy = self.choices.axis_policy
+        policy = self.options.axis_policy
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, ...]:
@@ -250,11 +246,11 @@ class Numbers:
         found = filter_numbers(
             [self._inflated(axis.fit) for axis in axes],
             horizon_s=self.horizon_s,
-            step_s=self.choices.step_s,
-            joined="rms" if self.choices.axis_policy == "rms" else "worst",
+            step_s=self.options.step_s,
+            joined="rms" if self.options.axis_policy == "rms" else "worst",
             time_s=time_s,
         )
-        factor = self.choices.factor
+        factor = self.options.factor
         return replace(found, white=found.white * factor("N"), walk=found.walk * factor("K"))
 
     def pairs(self, *, per_axis: bool) -> Iterator[tuple[tuple[AxisReport, ...], FilterNumbers]]:
@@ -264,7 +260,7 @@ class Numbers:
                 yield axes, self.pair(axes)
 
     def _inflated(self, fit: NoiseFit) -> NoiseFit:
-        factor, symbols = self.choices.factor("B"), INFLATABLE["flicker"]
+        factor, symbols = self.options.factor("B"), INFLATABLE["flicker"]
         if factor == 1:
             return fit
         estimates = (
@@ -289,8 +285,8 @@ class Numbers:
         """Return one axis's coefficient of N, B or K, or its upper bound."""
         estimate = axis.fit[symbol]
         # A given model has no bounds: terms that it lacks are zero, not unknown.
-        bounded, factor = estimate.value is None and estimate.high > 0, self.choices.factor(symbol)
-        if bounded and self.choices.unidentified == "refuse":
+        bounded, factor = estimate.value is None and estimate.high > 0, self.options.factor(symbol)
+        if bounded and self.options.unidentified == "refuse":
             unit = TERMS[symbol].unit(axis.sensor)
             msg = (
                 f"{self.report.source.path}: {axis.name}: {symbol} was not detected "
@@ -315,7 +311,7 @@ class Numbers:
     def gauss_markov(self, axis: AxisReport) -> dict[str, GaussMarkov]:
         """Return key -> Gauss-Markov term (inflated) of an axis."""
         return {
-            e.key: GaussMarkov(sigma=e.value * self.choices.factor(e.symbol), T=e.correlation_time.value)
+            e.key: GaussMarkov(sigma=e.value * self.options.factor(e.symbol), T=e.correlation_time.value)
             for e in axis.fit.estimates
             if e.symbol == GaussMarkov.symbol and e.value and e.correlation_time
         }
@@ -411,8 +407,8 @@ class Numbers:
 
     def topic(self) -> tuple[str, str]:
         """Return the IMU topic to write, and a remark on its origin."""
-        if self.choices.topic is not None:
-            return self.choices.topic, "as given"
+        if self.options.topic is not None:
+            return self.options.topic, "as given"
         source = self.report.source
         if not source.message_types:
             return "/imu0", "the log names no topic; set yours"
@@ -487,8 +483,3 @@ def _excess(axis: AxisReport, estimate: Estimate) -> float | None:
     unit = TERMS[estimate.symbol].of(1.0).avar(curve.m.astype(np.float64), 1 / axis.fit.rate_hz)
     below = float(np.sqrt(np.min(curve.avar / unit, initial=np.inf)))
     return estimate.high / below if 0 < below < math.inf else None
-
-
-def _require(value: str, choices: tuple[str, ...], what: str) -> None:
-    if value not in choices:
-        raise ValueError(f"{what} {value!r} is not one of {', '.join(choices)}")

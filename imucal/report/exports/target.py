@@ -21,7 +21,14 @@ from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
 from imucal.printable import one_line
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import COVERING, INFLATABLE, Choices, Number, Numbers, WithBias
+from imucal.report.exports.config_numbers import (
+    COVERING,
+    INFLATABLE,
+    ExportOptions,
+    Number,
+    Numbers,
+    WithBias,
+)
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0
 
@@ -225,19 +232,19 @@ class Target:
         """Return whether a name is this format's, ignoring case and punctuation; aliases do not count."""
         return name_key(name) == name_key(self.name)
 
-    def numbers(self, report: Report, choices: Choices) -> Numbers:
+    def numbers(self, report: Report, options: ExportOptions) -> Numbers:
         """Return the numbers of a report for this format."""
         return Numbers(
             report=report,
-            choices=choices,
+            options=options,
             target=self.name,
-            covers=self.covers and choices.numbers == "covered",
-            horizon_s=choices.horizon_s or max(self.horizon_s, 2 * choices.step_s),
+            covers=self.covers and options.numbers == "covered",
+            horizon_s=options.horizon_s or max(self.horizon_s, 2 * options.step_s),
         )
 
-    def render(self, report: Report, choices: Choices) -> str:
+    def render(self, report: Report, options: ExportOptions) -> str:
         """Return the text of the file; raises `DataError` if a number is missing."""
-        numbers, carried = self.numbers(report, choices), self.carries.split()
+        numbers, carried = self.numbers(report, options), self.carries.split()
         known = self._known(numbers)
         body = _template(self.text).render(known).removesuffix("\n")
         estimates = [(axis, e) for axis in report.axes for e in axis.fit.estimates]
@@ -274,7 +281,7 @@ class Target:
             "target": self,
             "numbers": numbers,
             "sensors": numbers.sensors,
-            "factor": numbers.choices.factor,
+            "factor": numbers.options.factor,
             "keys": keys,
             "every": every,
             "biased": biased,
