@@ -2,6 +2,6 @@
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum, spectrum
-from imucal.allan.engine import Cascade, allan_curve
+from imucal.allan.engine import allan_curve
 
-__all__ = ["AllanCurve", "Cascade", "Spectrum", "allan_curve", "spectrum"]
+__all__ = ["AllanCurve", "Spectrum", "allan_curve", "spectrum"]

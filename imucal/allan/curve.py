@@ -29,7 +29,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     estimator
         ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
     computed
-        Method: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
+        Method: ``exact``, ``strided`` (out of core), ``windows`` or ``runs`` (gaps), ``given``
         (a curve from another tool).
     edf_method
         ``hybrid``, ``model``, ``greenhall``; empty if unknown.

@@ -89,7 +89,6 @@ _PATH = {
     "likelihood._RIDGE": "far below any error; keeps a matrix from being singular",
     "variance._SMALL": "which of two ways sums a factor, both exact",
     "variance._ROW": "keeps a sum of squares out of the threads of the linear algebra library",
-    "cascade._REFERENCE": "samples whose mean is taken out, so that sums round less",
     "text._TAIL": "bytes in which the last line is looked for before the whole block is",
     "sqlite._PART": "bytes of one task",
     "sqlite._ROWS": "fewest rows of one task",
