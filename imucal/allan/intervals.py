@@ -23,7 +23,7 @@ Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on f
 differences", PTTI 35, eqs. 6-10; the power laws' V(n) replaces their continuous limit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import comb
 
@@ -65,8 +65,8 @@ _MODIFIED_SLOPES: dict[PowerLaw, float] = {
 _DRIFT_ORDINATES = 128
 #: A drift must raise twice the log likelihood by this: the 95 % quantile of chi-squared with 1 dof.
 _DRIFT_GAIN = 3.84
-#: Rounds of Fisher scoring, and of the updates that compute its starting point.
-_ROUNDS, _UPDATES = 30, 20
+#: Rounds of Fisher scoring, halvings of a step, and updates that compute the starting point.
+_ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
 #: Up to n divided by this, the passband contains enough ordinates to need no model.
 _CROSSOVER = 256
 #: A difference of two independent values has half the excess kurtosis of one value.
@@ -230,30 +230,45 @@ def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) ->
 def _fit(
     basis: FloatArray, power: FloatArray, count: FloatArray, start: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Minimise the score over non-negative variances by iterated weighted least squares.
-
-    Uses the weights of Fisher scoring; halves a step until the score decreases.
-    """
+    """Return the non-negative variances that minimise the score, and the score."""
     level = power / count
     floor = float(level.sum()) * 1e-30
     if not floor:
         return np.zeros(len(basis)), 0.0
     variances = _start(basis, level, count) if start is None else start
-    score = _score(variances @ basis, power, count, floor)
+    return score_variances(basis, power, count, variances, _non_negative, floor=floor)
+
+
+def score_variances(
+    basis: FloatArray,
+    power: FloatArray,
+    count: FloatArray,
+    start: FloatArray,
+    solve: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+    *,
+    floor: float = 0.0,
+    close: float = 1e-3,
+) -> tuple[FloatArray, float]:
+    """Maximise the likelihood of a sum of spectra by Fisher scoring; return the variances and -log L.
+
+    The spectrum is the sum of `basis`, shape (t, b), times the variances, shape (t,), plus `floor`. A bin has
+    the sum `power` of `count` squares. Each step is a weighted least-squares solution,
+    ``solve(basis / spectrum, level / spectrum, count)``, halved until -log L decreases. The search ends if a
+    step gains less than `close`.
+    """
+    variances, score = start, _score(start @ basis + floor, power, count)
     for _ in range(_ROUNDS):
         spectrum = variances @ basis + floor
-        target = _non_negative(basis / spectrum, level / spectrum, count)
-        step = 1.0
-        while step > 1e-3:
-            trial = variances + step * (target - variances)
-            trial_score = _score(trial @ basis, power, count, floor)
+        step = solve(basis / spectrum, power / count / spectrum, count) - variances
+        for halvings in range(_HALVINGS):
+            trial = variances + 0.5**halvings * step
+            trial_score = _score(trial @ basis + floor, power, count)
             if trial_score < score:
                 break
-            step /= 2
         else:
             break
         gain, variances, score = score - trial_score, trial, trial_score
-        if gain < 1e-3:
+        if gain < close:
             break
     return variances, score
 
@@ -270,9 +285,10 @@ def _start(basis: FloatArray, level: FloatArray, count: FloatArray) -> FloatArra
     return variances
 
 
-def _score(spectrum: FloatArray, power: FloatArray, count: FloatArray, floor: float) -> float:
-    safe = spectrum + floor
-    return 0.5 * float(count @ np.log(safe) + np.sum(power / safe))
+def _score(spectrum: FloatArray, power: FloatArray, count: FloatArray) -> float:
+    if not spectrum.min() > 0:
+        return np.inf
+    return 0.5 * float(count @ np.log(spectrum) + np.sum(power / spectrum))
 
 
 def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from imucal.allan.intervals import score_variances
 from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.homogeneity import symbol_of, widened
@@ -198,10 +199,8 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     return parts, theta[0, : models.variances] + np.log(factor)
 
 
-#: Largest number of steps of the search for squared coefficients.
-_STEPS = 100
-#: Gain in log-likelihood below which the search ends.
-_REST = 1e-9
+#: Gain in log-likelihood below which the search for squared coefficients ends; rounds of the reference.
+_CLOSE, _ROUNDS = 1e-9, 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
 #: A deviation's growth is computed between zero and the estimate, at least this many deviations.
@@ -237,7 +236,7 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     slopes = derivatives(ordinates, models, unit)
     power = np.maximum(ordinates.rest(fitted.beta[0]), 1e-9 * ordinates.power)
     start = np.exp(fitted.theta[0, places])
-    peak = _search(slopes[places], ordinates.size, power, start)
+    peak, _ = score_variances(slopes[places], power, ordinates.size, start, _signed, close=_CLOSE)
     reference = _reference(slopes[places], ordinates.size, peak)
     spectrum = reference @ slopes[places]
     weight = 0.5 * ordinates.size / spectrum**2
@@ -261,35 +260,10 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     return result
 
 
-def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the variances, shape (t,), of maximum likelihood for the shapes, shape (t, b)."""
-
-    def objective(spectrum: FloatArray) -> float:
-        if spectrum.min() <= 0:
-            return np.inf
-        return 0.5 * float(np.sum(size * np.log(spectrum) + power / spectrum))
-
-    spectrum = variance @ shapes
-    now = objective(spectrum)
-    for _ in range(_STEPS):
-        weight = 0.5 * size / spectrum**2
-        step = _inverse(shapes, weight) @ (shapes @ (0.5 * (power - size * spectrum) / spectrum**2))
-        stride = 1.0
-        while stride > 1e-6 and not (then := objective((variance + stride * step) @ shapes)) < now:
-            stride /= 2
-        if stride <= 1e-6:
-            break
-        variance = variance + stride * step
-        spectrum, gain, now = variance @ shapes, now - then, then
-        if gain < _REST:
-            break
-    return variance
-
-
 def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatArray:
     """Return the variances, shape (t,), for the weights: weak ones are replaced by their deviation."""
     reference = np.maximum(peak, _deviations(shapes, size, np.maximum(peak, 0.0) @ shapes))
-    for _ in range(_STEPS):
+    for _ in range(_ROUNDS):
         deviation = _deviations(shapes, size, reference @ shapes)
         wanted = np.maximum(deviation, peak - _SURE * deviation)
         if np.allclose(wanted, reference, rtol=1e-6):
@@ -325,6 +299,11 @@ def _laws(
         present = max(float(variance[term]), _FAR * absent)
         laws.append((absent, max(at(present) - absent, 0.0) / present))
     return laws
+
+
+def _signed(slopes: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
+    """Return the weighted least-squares solution, of either sign."""
+    return np.asarray(_inverse(slopes, count) @ (slopes @ (count * level)))
 
 
 def _inverse(slopes: FloatArray, weight: FloatArray) -> FloatArray:
