@@ -247,7 +247,7 @@ def _bound(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> f
     """Return the smallest relative standard error if missing N, B and K are estimated too."""
     there = {term.symbol for term in model.terms}
     others = [symbol for symbol in ALWAYS if symbol not in there]
-    return relative_deviations(model, rate_hz=rate_hz, duration_s=duration_s, beside=others)[name]
+    return relative_deviations(model, rate_hz=rate_hz, duration_s=duration_s, added=others)[name]
 
 
 def _found(bound: float) -> float:

@@ -300,17 +300,17 @@ def side_by_side(
     """
     found: dict[int, R] = {}
 
-    def tell() -> None:
+    def notify() -> None:
         if done:
             done(len(found), next((item for index, item in enumerate(items) if index not in found), None))
 
     if workers > 1 and len(items) > 1 and may_fork():
-        _in_children(work, items, min(workers, len(items)), found, tell)
+        _in_children(work, items, min(workers, len(items)), found, notify)
     for index, item in enumerate(items):
         if index not in found:
-            tell()
+            notify()
             found[index] = work(item)
-    tell()
+    notify()
     return [found[index] for index in range(len(items))]
 
 
@@ -325,7 +325,11 @@ def trim_memory() -> None:
 
 
 def _in_children(
-    work: Callable[[T], R], items: Sequence[T], workers: int, found: dict[int, R], tell: Callable[[], None]
+    work: Callable[[T], R],
+    items: Sequence[T],
+    workers: int,
+    found: dict[int, R],
+    notify: Callable[[], None],
 ) -> None:
     """Add the results of children to `found`, until all are there or one fails."""
     processes: list[ForkProcess] = []
@@ -339,7 +343,7 @@ def _in_children(
             _give(pipe, index, in_hand)
         todo = iter(range(len(in_hand), len(items)))
         while in_hand:
-            tell()
+            notify()
             for pipe in [pipe for pipe in wait(list(in_hand)) if isinstance(pipe, Connection)]:
                 index = in_hand.pop(pipe)
                 if not _received(pipe, index, items, found):

@@ -28,7 +28,7 @@ from imucal.screening.windows import Profile, Windows, profile, quietest, time
 __all__ = ["at_rest"]
 
 #: Minimum length of a rest, in s and in samples.
-_SHORTEST_S, _FEWEST = 20.0, 128
+_SHORTEST_S, _MIN_SAMPLES = 20.0, 128
 #: Time omitted on both sides of a motion, in s and in samples: a car rocks on its springs for a while, and
 #: the fit treats shorter gaps as lost samples.
 _CLEAR_S, _CLEAR = 2.0, 33
@@ -103,7 +103,7 @@ def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
     for clock in {id(p.series.clock): p.series.clock for p in profiles}.values():
         moved += [(g.start_s, g.start_s + g.duration_s) for g in clock.gaps if g.missing > 2 * _CLEAR]
     duration = max(p.series.duration_s for p in profiles)
-    shortest = max(_SHORTEST_S, _FEWEST * tau0)
+    shortest = max(_SHORTEST_S, _MIN_SAMPLES * tau0)
     return [
         _Stretch(start_s=start, end_s=end, why="" if end - start >= shortest else "short")
         for start, end in rests_between(moved, duration, clear_s=clear)

@@ -244,13 +244,13 @@ def test_what_may_be_there_makes_the_others_less_sure() -> None:
     """Of any size, and not a term of the answer; beside a walk of zero N is as sure as ever."""
     model = NoiseModel.parse("N=1 + K=1e-3")
     plain = relative_deviations(model, rate_hz=10, duration_s=1e6)
-    unsure = relative_deviations(model, rate_hz=10, duration_s=1e6, beside=["B"])
+    unsure = relative_deviations(model, rate_hz=10, duration_s=1e6, added=["B"])
     assert plain.keys() == unsure.keys()
     assert unsure["K"] == pytest.approx(plain["K"] / math.sqrt(1 - 4 / math.pi**2), rel=0.02)
     assert unsure["N"] == pytest.approx(plain["N"], rel=0.01)
     white = NoiseModel.parse("N=1")
     alone, beside = (
-        relative_deviations(white, rate_hz=1, duration_s=1e5, beside=others)["N"] for others in ([], ["K"])
+        relative_deviations(white, rate_hz=1, duration_s=1e5, added=others)["N"] for others in ([], ["K"])
     )
     assert beside == pytest.approx(alone, rel=1e-3)
     assert beside > alone
@@ -273,5 +273,5 @@ def test_flicker_must_be_told_better_than_a_walk_to_be_shown() -> None:
 @pytest.mark.parametrize("text", ["R=2e-10", "N=6.7e-30 + B=8.87e6 + K=7.7e-22", "K=1e-200 + R=1"])
 def test_noise_that_is_lost_beside_other_noise_tells_nothing(text: str) -> None:
     """No division by zero, whatever the sizes: what is not seen is not told."""
-    found = relative_deviations(NoiseModel.parse(text), rate_hz=100.0, duration_s=1e4, beside=["B", "K"])
+    found = relative_deviations(NoiseModel.parse(text), rate_hz=100.0, duration_s=1e4, added=["B", "K"])
     assert all(deviation >= 0 for deviation in found.values())

@@ -35,7 +35,7 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 #: Shorter transforms are not split: their tables are small.
 LONG = 500_000
 #: Values per piece of work, and the minimum number of adjacent columns in it.
-_PIECE, _FEWEST = 1 << 16, 16
+_PIECE, _MIN_COLUMNS = 1 << 16, 16
 #: The first factor of n is near n to this power: the fastest, measured from 5e5 to 2e7.
 _SHARE = 0.43
 #: Ordinates squared at a time.
@@ -90,13 +90,13 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     np.subtract(samples[1::2], mean, out=result[half:][::-1])
     # Transform each column.
     values, inner = result.reshape(rows, columns), np.empty((rows // 2 + 1, columns), dtype=np.complex128)
-    step = max(_FEWEST, _PIECE // rows)
+    step = max(_MIN_COLUMNS, _PIECE // rows)
     for start in range(0, columns, step):
         inner[:, start : start + step] = scipy.fft.rfft(values[:, start : start + step], axis=0)
     # V[r + rows * c] is in row r, column c; rows above the middle are conjugates of the lower ones.
     place = result.reshape(columns, rows)
     shift = np.sqrt(2 / n) * np.exp(-0.5j * np.pi / columns * np.arange(columns))
-    step = max(_FEWEST, _PIECE // columns)
+    step = max(_MIN_COLUMNS, _PIECE // columns)
     for start in range(0, len(inner), step):
         stop = min(start + step, len(inner))
         part = inner[start:stop] * _turns(np.arange(start, stop), n, columns)
@@ -122,7 +122,7 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
     place = ordinates.reshape(columns, rows)
     inner = np.empty((rows // 2 + 1, columns), dtype=np.complex128)
     shift = np.sqrt(n / 2) * np.exp(0.5j * np.pi / columns * np.arange(columns))
-    step = max(_FEWEST, _PIECE // columns)
+    step = max(_MIN_COLUMNS, _PIECE // columns)
     for start in range(0, len(inner), step):
         stop = min(start + step, len(inner))
         part = inner[start:stop]
@@ -137,7 +137,7 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
         part[:] = scipy.fft.ifft(part, axis=1, overwrite_x=True)
         part *= _turns(np.arange(start, stop), n, columns).conj()
     values = ordinates.reshape(rows, columns)
-    step = max(_FEWEST, _PIECE // rows)
+    step = max(_MIN_COLUMNS, _PIECE // rows)
     for start in range(0, columns, step):
         values[:, start : start + step] = scipy.fft.irfft(inner[:, start : start + step], rows, axis=0)
     del inner, part

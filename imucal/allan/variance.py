@@ -55,7 +55,7 @@ _SMALL = 8192
 _ROW = 8192
 #: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4
 #: if that leaves at least the third number of windows.
-_FAR, _FARTHEST, _FEWEST_INSIDE = 3e-4, 64, 1 << 18
+_FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
 #: Runs of at least this many samples use the faster method for series without losses.
 _LONG = 8 * _ROW
 #: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
@@ -382,7 +382,7 @@ def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) ->
     spacing of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because
     windows in between contain almost the same samples.
     """
-    apart = max(min(m // 4, squares.size // _FEWEST_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
+    apart = max(min(m // 4, squares.size // _MIN_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
     within, freedom = 0.0, 0.0
     # Windows far from the ends belong to two pairs.
     last = squares.size - 2 * m

@@ -116,13 +116,13 @@ def declared(function: Callable[..., None]) -> click.Command:
     )
 
 
-def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
+def option(declaration: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
     """Declare an option by its line of help, such as ``-o --out DIR=fleet  Folder of it.``.
 
     The line contains the names, the metavar, optionally an equals sign and the default for the help, then two
     spaces and the sentence. `kind` is click's type, `more` are other arguments of click.
     """
-    head, _, text = said.partition("  ")
+    head, _, text = declaration.partition("  ")
     head, equals, default = head.partition("=")
     words = head.split()
     names = [word for word in words if word.startswith("-")]
@@ -133,9 +133,9 @@ def option(said: str, kind: object = None, **more: Any) -> Any:  # noqa: ANN401
     )
 
 
-def flag(said: str, **more: Any) -> Any:  # noqa: ANN401
+def flag(declaration: str, **more: Any) -> Any:  # noqa: ANN401
     """Declare an option that is given or not."""
-    return option(said, is_flag=True, **more)
+    return option(declaration, is_flag=True, **more)
 
 
 def together(make: Callable[..., Any], declared: dict[str, Any]) -> Any:  # noqa: ANN401

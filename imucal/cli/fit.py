@@ -11,7 +11,7 @@ from imucal.cli._declared import declared, flag, is_set, misuse, option, togethe
 from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, print_note, refuse, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
-from imucal.fitting.settings import MOST_SEGMENTS
+from imucal.fitting.settings import MAX_SEGMENTS
 from imucal.grading import remedy, unit_option
 from imucal.printable import printable_json
 
@@ -42,7 +42,7 @@ def command(
             "weights": option("--weights=full  Weights of the gmwm fit.", click.Choice(WEIGHTS)),
             "segments": option(
                 "--segments N=8  Compare the noise of N parts of the log; 1 disables this.",
-                click.IntRange(1, MOST_SEGMENTS),
+                click.IntRange(1, MAX_SEGMENTS),
             ),
             "taus": option("--taus SET=octave  Averaging times: octave, decade, decade:20 or all.", TAU_SET),
             "edf": option(

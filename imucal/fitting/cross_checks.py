@@ -36,11 +36,11 @@ from imucal.recording import AxisSeries
 #: Standard deviations beyond which a disagreement of two estimates is reported.
 _DISAGREEMENT = 3.0
 #: Lower limit of a difference's relative standard deviation: smaller differences do not matter.
-_LEAST = 1 / 300
+_MIN_RELATIVE_DEVIATION = 1 / 300
 #: Terms of short averaging times, where an output filter changes the curve.
 _OF_SHORT_TIMES = {"Q", "N"}
 #: Lower limit of the difference's variance, relative to the second fit's: both variances are estimates.
-_LEAST_SHARE = 0.25
+_MIN_VARIANCE_RATIO = 0.25
 
 
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
@@ -61,9 +61,9 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
         if second is None:
             continue
         if _distance(mle, gmwm, first, second) > _DISAGREEMENT:
-            said = f"{_value(first)} by {mle.method} and {_value(second)} by {gmwm.method}"
+            values = f"{_value(first)} by {mle.method} and {_value(second)} by {gmwm.method}"
             axis = next((f.axis for f in (*mle.findings, *gmwm.findings) if f.axis), None)
-            text = f"{first.key} is {said}: the two disagree, so the model is wrong at some frequencies."
+            text = f"{first.key} is {values}: the two disagree, so the model is wrong at some frequencies."
             advice = "Look at the curve and the spectrum. Use neither interval."
             findings.append(Finding("warning", "second-opinion", text, advice, axis=axis))
     return tuple(findings)
@@ -85,7 +85,7 @@ def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) 
     if not all(map(math.isfinite, variances)):
         return 0.0
     least, other = variances[0] / first.widening**2, variances[1]
-    variance = max(other - least, _LEAST_SHARE * other, _LEAST**2)
+    variance = max(other - least, _MIN_VARIANCE_RATIO * other, _MIN_RELATIVE_DEVIATION**2)
     return abs(math.log(first.value / second.value)) / (first.widening * math.sqrt(variance))
 
 
@@ -96,9 +96,9 @@ def _value(estimate: Estimate) -> str:
 
 
 #: Points are used if the ratio of the noise's to the curve's variance is between this and its inverse.
-_LEAST_NOISE = 2 / 3
+_MIN_NOISE_RATIO = 2 / 3
 #: Fewest points of a curve to fit.
-_FEWEST_POINTS = 4
+_MIN_POINTS = 4
 
 
 def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
@@ -114,12 +114,12 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
         series = without_disturbances(series, first, temperature)
         curve = same_curve(series, curve)
     if (share := first.noise_share) is not None:
-        keep = (share > _LEAST_NOISE) & (share < 1 / _LEAST_NOISE)
+        keep = (share > _MIN_NOISE_RATIO) & (share < 1 / _MIN_NOISE_RATIO)
         shown = np.count_nonzero(keep)
-        if shown < _FEWEST_POINTS:
+        if shown < _MIN_POINTS:
             msg = (
                 f"{series.name}: an output filter or lines dominate the Allan variance; found {shown} "
-                f"averaging times that show the noise, expected at least {_FEWEST_POINTS}; record for longer"
+                f"averaging times that show the noise, expected at least {_MIN_POINTS}; record for longer"
             )
             raise DataError(msg)
         avar = (curve.avar * share)[keep]
@@ -147,7 +147,7 @@ _LOWEST = 8
 _CONTRADICTED = 5.0
 #: A bin is far from the model by this many standard deviations and this factor; fewer far bins than the last
 #: number are a line, which the screening reports.
-_HIDDEN, _NOTABLE, _LEAST_BINS = 3.0, 1.3, 3
+_HIDDEN, _NOTABLE, _MIN_BINS = 3.0, 1.3, 3
 #: Difference of log densities that the estimates' own errors can explain.
 _TOLERANCE = 0.05
 
@@ -192,7 +192,7 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     score = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)
     far = (np.abs(score) > _HIDDEN) & (np.abs(np.log(ratio)) > math.log(_NOTABLE))
     together = float(np.sum(score**2 - 1)) / math.sqrt(2 * max(score.size, 1))
-    if together < _CONTRADICTED or far.sum() < _LEAST_BINS:
+    if together < _CONTRADICTED or far.sum() < _MIN_BINS:
         return ()
     low, high = frequency[far][[0, -1]]
     worst = ratio[far][int(np.argmax(np.abs(np.log(ratio[far]))))]

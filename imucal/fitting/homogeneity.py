@@ -29,7 +29,7 @@ from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
 #: Largest and least number of windows, least number of samples of a window.
-_MOST, _FEWEST, _SAMPLES = 1024, 24, 128
+_MAX_WINDOWS, _MIN_WINDOWS, _MIN_WINDOW_SAMPLES = 1024, 24, 128
 #: Steps squared at a time, to stay in the cache.
 _PART = 1 << 16
 #: Score of von Neumann's ratio from which the variance changes.
@@ -42,7 +42,7 @@ _PERIODIC = 0.5
 #: term's interval is symmetric. Others are widened in logarithms.
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
-NOUGHT = 0.02
+NEGLIGIBLE = 0.02
 #: Units of time: largest time in s, size in s, and name; hours beyond.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
@@ -73,8 +73,8 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
 
     Steps across gaps count too. O(n).
     """
-    count = min(_MOST, (series.n - 1) // _SAMPLES)
-    if count < _FEWEST:
+    count = min(_MAX_WINDOWS, (series.n - 1) // _MIN_WINDOW_SAMPLES)
+    if count < _MIN_WINDOWS:
         return None
     edges = np.linspace(0, series.n - 1, count + 1).round().astype(np.int64)
     squares = np.empty(count)
@@ -223,29 +223,29 @@ def nonstationary_finding(
 ) -> tuple[Finding, ...]:
     """Return a finding on the terms that change: by how much, and when they are large and small."""
     changing = segments.changing if segments else ()
-    said = []
+    sentences = []
     if segments and changing:
         factors = {
             "slow terms" if is_slow(symbol) else symbol: segments.widening(symbol)
             for symbol in dict.fromkeys(term.symbol for term in changing)
         }
         wider = ", ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
-        said.append(
+        sentences.append(
             f"The noise is not the same in {segments.start_s.size} parts of the record: "
             f"{'; '.join(map(_said, changing))}. The intervals are wider to allow for it: {wider} times."
         )
     if change:
         over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
-        said.append(
+        sentences.append(
             f"The variance of the noise {over}: in short windows the noise is {change.low:.2g} to "
             f"{change.high:.2g} times its median."
         )
-    if not said:
+    if not sentences:
         return ()
     notable = change is not None or any(term.spread > _NOTABLE_SPREAD for term in changing)
     level: Level = "warning" if notable else "info"
     advice = "Find the cause (temperature, vibration, supply). Another record may differ as much."
-    return (Finding(level, "nonstationary", " ".join(said), advice, axis=axis),)
+    return (Finding(level, "nonstationary", " ".join(sentences), advice, axis=axis),)
 
 
 def _said(term: TermHomogeneity) -> str:
@@ -279,7 +279,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
         low, high = value - factor * (value - low), value + factor * (high - value)
     else:
         low, high = (_stretched(value, end, factor) for end in (low, high))
-    if is_slow(estimate.symbol) and low <= NOUGHT * high:
+    if is_slow(estimate.symbol) and low <= NEGLIGIBLE * high:
         bounded = Estimate.bounded(estimate.key, estimate.symbol, high)
         return replace(bounded, alternatives=estimate.alternatives, widening=factor)
     time = estimate.correlation_time

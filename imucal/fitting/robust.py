@@ -23,7 +23,7 @@ _BLOCK = 100
 #: Blocks processed at a time, to stay in the cache.
 _BLOCKS = 512
 #: A sample this many standard deviations from the baseline may be a spike.
-_LEAST_DISTANCE = 5.0
+_MIN_SPIKE = 5.0
 #: Expected number of false spikes in a whole series of Gaussian noise.
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
@@ -90,7 +90,7 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     """
     if samples.size < 20:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
-    reach = max(_LEAST_DISTANCE, -float(scipy.special.ndtri(_FALSE_ALARMS / (2 * samples.size))))
+    reach = max(_MIN_SPIKE, -float(scipy.special.ndtri(_FALSE_ALARMS / (2 * samples.size))))
     distance = _distance(samples)
     # Where half of the samples lie so far out that the farthest is in reach, none is a spike: no median.
     near = float(distance.max()) / (reach * _DEVIATION)

@@ -35,7 +35,7 @@ CRITERIA: dict[str, Callable[[float], float]] = {
 }
 
 #: Largest number of segments of a record.
-MOST_SEGMENTS = 64
+MAX_SEGMENTS = 64
 
 #: Weights of gmwm: full covariance of the curve, or the published diagonal.
 WEIGHTS = ("full", "eta3")
@@ -71,8 +71,8 @@ class FitSettings:
             raise ArgumentError(f"level must be between 0 and 1, got {self.level}")
         if not 0 <= self.max_gm <= 2:
             raise ArgumentError(f"max_gm must be 0, 1 or 2, got {self.max_gm}")
-        if not 1 <= self.segments <= MOST_SEGMENTS:
-            msg = f"segments must be from 1 (not compared) to {MOST_SEGMENTS}, got {self.segments}"
+        if not 1 <= self.segments <= MAX_SEGMENTS:
+            msg = f"segments must be from 1 (not compared) to {MAX_SEGMENTS}, got {self.segments}"
             raise ArgumentError(msg)
         require_fittable(self.structure or (), self.method)
 

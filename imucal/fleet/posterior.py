@@ -48,7 +48,7 @@ _TINY, _LARGEST = math.exp(-690), 600.0
 #: than this, against the most probable, say nothing of the latter.
 _GRID, _UNLIKELY = 801, 1e-7
 #: Normal laws whose widths differ by this share, and whose centres by that share of a width, are one.
-_ALIKE, _BESIDE = 0.02, 0.2
+_SAME_NORMAL, _SAME_CENTRE = 0.02, 0.2
 #: How far the law of the next log reaches, in deviations.
 _FARTHEST = 6.0
 #: Points of the predictive law that a weak unit is judged by.
@@ -270,8 +270,8 @@ class _Law:
         mu, wide, weight = (np.broadcast_to(part, weight.shape)[keep] for part in (mu, wide, weight))
         weight /= weight.sum()
         # Laws that are nearly the same are one, with the mean and the variance of all of them.
-        widths = np.floor(np.log(wide) / _ALIKE)
-        places = np.floor(mu / (_BESIDE * np.exp(widths * _ALIKE)))
+        widths = np.floor(np.log(wide) / _SAME_NORMAL)
+        places = np.floor(mu / (_SAME_CENTRE * np.exp(widths * _SAME_NORMAL)))
         same = np.unique(widths + 1j * places, return_inverse=True)[1]
         self._weight = np.bincount(same, weight)
         self._mu = np.bincount(same, weight * mu) / self._weight

@@ -27,7 +27,7 @@ from imucal.noise.terms import TERMS, GaussMarkov
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 
 #: Least number of blocks of the coast and of the rest before it; largest number of both together.
-_BLOCKS, _MOST_BLOCKS = 120, 1 << 18
+_BLOCKS, _MAX_BLOCKS = 120, 1 << 18
 #: Largest number of block sizes to try: one of them leaves a remainder below 1e-3.
 _TRIED = 50
 #: Limits of a correlation time are clipped to this share and its inverse; below, the term is white noise.
@@ -112,7 +112,7 @@ def coasting_variance(
 
 def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, integrals: int) -> float:
     coast, rest = (max(1, round(t * rate_hz)) for t in (coast_s, rest_s))
-    largest = max(1, round(min(coast, rest) / _BLOCKS), math.ceil((coast + rest) / _MOST_BLOCKS))
+    largest = max(1, round(min(coast, rest) / _BLOCKS), math.ceil((coast + rest) / _MAX_BLOCKS))
     # The block size, down to half the largest, that divides rest and coast with the least remainder.
     sizes = range(largest, largest // 2, -1)[:_TRIED]
     size = min(sizes, key=lambda size: sum(abs(round(n / size) * size - n) / n for n in (coast, rest)))

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 #: Fewest ordinates of the first point and of the others. Fewer would show single spikes; more would hide the
 #: slope at the lowest frequencies. 95 % of roots are within 0.45 to 1.55 and 0.61 to 1.39 times the truth.
-_FIRST, _LEAST = 6.0, 12.0
+_MIN_FIRST_ORDINATES, _MIN_ORDINATES = 6.0, 12.0
 
 
 @frozen_alone
@@ -85,11 +85,11 @@ def _firsts(count: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Return the first bin of each merged bin; the last merged bin includes the remainder."""
     firsts, held = [0], 0.0
     for index, ordinates in enumerate(count.tolist()):
-        if held >= (_FIRST if len(firsts) == 1 else _LEAST):
+        if held >= (_MIN_FIRST_ORDINATES if len(firsts) == 1 else _MIN_ORDINATES):
             firsts.append(index)
             held = 0.0
         held += ordinates
-    if held < _LEAST and len(firsts) > 1:
+    if held < _MIN_ORDINATES and len(firsts) > 1:
         firsts.pop()
     return np.array(firsts, dtype=np.int64)
 

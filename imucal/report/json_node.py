@@ -174,13 +174,13 @@ class Layout(Generic[A]):
                 node[key.name].sized(value, sizes.get(key.like))
         return self.make(**found)
 
-    def write(self, value: A, **said: object) -> JsonObject:
-        """Return the value as an object; `said` contains values of keys that are not attributes."""
+    def write(self, value: A, **others: object) -> JsonObject:
+        """Return the value as an object; `others` contains values of keys that are not attributes."""
         found: JsonObject = {}
         for key in self.keys:
             held = getattr(value, key.attribute) if key.attribute else None
-            if key.name in said or (key.attribute and not (key.optional and held is None)):
-                found[key.name] = said.get(key.name, held)
+            if key.name in others or (key.attribute and not (key.optional and held is None)):
+                found[key.name] = others.get(key.name, held)
         return found
 
 

@@ -26,7 +26,7 @@ _LOUDER = 1.0
 #: A larger change of gravity's direction, in degrees, is a turn, not a drift of a bias.
 _TURN_DEG = 2.0
 #: Windows averaged for a pose, and the smallest gravity, in U, that shows one.
-_POSE_WINDOWS, _LEAST_GRAVITY = 5, 0.5
+_POSE_WINDOWS, _MIN_GRAVITY = 5, 0.5
 
 #: The band of a hand, a walking person or an engine, in Hz.
 _BAND_HZ = (0.5, 10.0)
@@ -188,7 +188,7 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     smooth = np.stack([np.convolve(column, even, "valid") for column in down.T], axis=1)
     usual = down[kept].mean(axis=0)
     lengths = np.linalg.norm(smooth, axis=1) * np.linalg.norm(usual)
-    if not lengths.min() > 0 or np.linalg.norm(usual) < _LEAST_GRAVITY:
+    if not lengths.min() > 0 or np.linalg.norm(usual) < _MIN_GRAVITY:
         return ()
     angles = np.degrees(np.arccos(np.clip(smooth @ usual / lengths, -1, 1)))
     if angles.max() < _TURN_DEG:

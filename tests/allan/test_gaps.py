@@ -113,7 +113,7 @@ def test_long_records_are_looked_at_no_less_than_matters(
     npt.assert_array_equal(found.terms, rows.terms)
     npt.assert_allclose(found.avar, rows.avar, rtol=1e-9)
     monkeypatch.setattr(variance, "_FARTHEST", 1)
-    monkeypatch.setattr(variance, "_FEWEST_INSIDE", n)
+    monkeypatch.setattr(variance, "_MIN_INSIDE", n)
     every = window_variances(series, m)
     npt.assert_array_less(np.abs(rows.avar / every.avar - 1), 0.01 * 4 * np.sqrt(1.5 * m / n))
     assert np.any(rows.avar != every.avar)

@@ -45,7 +45,7 @@ _FLICKER_REACH = 24
 #: The covariance of a term with a time is summed to so many of them beyond the windows.
 _TIMES_REACH = 20.0
 #: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
-_LEAST_RATIO = 1.9
+_MIN_SPACING = 1.9
 
 
 @frozen_alone
@@ -94,10 +94,12 @@ def _computed(
     drift = np.empty((len(random), len(m), len(m)))
     for i, mi in enumerate(m):
         for j, mj in enumerate(m[: i + 1]):
-            lags, weight, of_laws = _laws(mi, mj, n, _reach(max(mi, mj), random), overlapping=overlapping)
+            lags, weight, covariances = _lag_products(
+                mi, mj, n, _reach(max(mi, mj), random), overlapping=overlapping
+            )
             covariance = np.empty((len(random), lags.size))
             for row, term in zip(covariance, random, strict=True):
-                row[:] = of_laws[term] if term in of_laws else _lag_covariance(lags, mi, mj, term)
+                row[:] = covariances[term] if term in covariances else _lag_covariance(lags, mi, mj, term)
             weighted = covariance * weight
             quadratic[..., i, j] = quadratic[..., j, i] = 2 * weighted @ covariance.T
             # The ramp gives d_t at m the mean w m / sqrt(2); sums of covariances below zero are rounding.
@@ -113,7 +115,7 @@ def _every_sum_variance(term: NoiseTerm, size: int) -> FloatArray:
 
 
 @lru_cache(maxsize=512)
-def _laws(
+def _lag_products(
     mi: int, mj: int, n: int, reach: int, *, overlapping: bool
 ) -> tuple[IntArray, FloatArray, dict[NoiseTerm, FloatArray]]:
     """Return lags, their weights n_ij(k) / (M_i M_j), and the covariances of the power laws there."""
@@ -126,8 +128,8 @@ def _laws(
     places = np.minimum(length_i, length_j - lags) - np.maximum(0, -lags)
     weight = trapezoid_weights(lags // step) * np.maximum(places, 0) / math.lcm(stride_i, stride_j)
     laws = unit_terms([symbol for symbol, term in TERMS.items() if issubclass(term, PowerLawTerm)])
-    of_laws = {law: _lag_covariance(lags, mi, mj, law) for law in laws}
-    return lags, weight / (float(terms_i) * float(terms_j)), of_laws
+    covariances = {law: _lag_covariance(lags, mi, mj, law) for law in laws}
+    return lags, weight / (float(terms_i) * float(terms_j)), covariances
 
 
 def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
@@ -227,12 +229,12 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
         raise DataError(msg)
     chosen: list[int] = []
     for index in np.flatnonzero(np.isfinite(curve.avar) & (curve.avar > 0)).tolist():
-        if not chosen or curve.tau[index] >= _LEAST_RATIO * curve.tau[chosen[-1]]:
+        if not chosen or curve.tau[index] >= _MIN_SPACING * curve.tau[chosen[-1]]:
             chosen.append(index)
     used = np.array(chosen, dtype=np.int64)
     if used.size < 2:
         msg = (
-            f"{where}: {used.size} positive Allan variances at averaging times a factor {_LEAST_RATIO} "
+            f"{where}: {used.size} positive Allan variances at averaging times a factor {_MIN_SPACING} "
             "apart; a fit needs at least 2: record for longer"
         )
         raise DataError(msg)

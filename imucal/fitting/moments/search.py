@@ -47,7 +47,7 @@ _FINE, ROUGH = 1e-12, 1e-3
 _STEP = 1e-4
 #: A misfit above this, of all averaging times, starts a search without the shortest ones. Such a fit replaces
 #: the first one if its misfit is smaller by the factor, and leaves out at most this number of octaves.
-_FILTERED, _CURE, _MOST_DROPPED = 5.0, 3.0, 8
+_FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
 #: Largest number of updates of the weight; three are enough in practice.
 _UPDATES = 5
 
@@ -292,7 +292,7 @@ def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tu
     structure = settings.structure
     least = 6 if structure is None else len(structure) + sum(map(is_timed, structure)) + 3
     best, bound = (points, whole), whole.misfit / _CURE
-    for first in range(1, min(points.size - least, points.size // 2, _MOST_DROPPED) + 1):
+    for first in range(1, min(points.size - least, points.size // 2, _MAX_DROPPED_OCTAVES) + 1):
         kept = points.within(first)
         fit = best_fit(kept, eta3[first:, first:], settings)
         if fit.misfit < bound:

@@ -32,9 +32,9 @@ _TOLERANCE = 0.15
 #: Standard error of the slope of a run, at most: half the way to the next slope is two of them.
 _SHARP = 0.125
 #: Points, a factor of about two apart, that a line takes at least.
-LEAST_POINTS = 3
+MIN_POINTS = 3
 #: Points with fewer degrees of freedom show no slope.
-_LEAST_EDF = 3.0
+_MIN_EDF = 3.0
 #: Points within this factor of the lowest are the floor.
 _FLOOR = 1.05
 
@@ -54,7 +54,7 @@ class LogCurve:
     @property
     def sure(self) -> int:
         """How many of the points have enough degrees of freedom to show a slope."""
-        return int(np.sum(self.variance < 1 / (2 * _LEAST_EDF)))
+        return int(np.sum(self.variance < 1 / (2 * _MIN_EDF)))
 
     def among(self, places: IntArray) -> FloatArray:
         """Return the covariance of some of the logarithms, shape (j, j)."""
@@ -122,7 +122,7 @@ def _line(curve: LogCurve, slope: float) -> IntArray:
     on_slope = np.abs(steps - slope) <= _TOLERANCE + 3 * np.sqrt(np.maximum(scatter, 0.0)) / width
     best: tuple[float, float, IntArray] = (0.0, 0.0, np.zeros(0, dtype=np.int64))
     for first in range(curve.sure):
-        for last in range(first + LEAST_POINTS, curve.sure + 1):
+        for last in range(first + MIN_POINTS, curve.sure + 1):
             if not on_slope[first : last - 1].all():
                 break
             places = np.arange(first, last)
@@ -241,15 +241,15 @@ def _share_of_others(
         if symbol in found:
             variance = np.exp(2 * (found[symbol].log_value + 2 * found[symbol].spread))
         else:
-            variance = min(np.exp(2 * tops[symbol]), _beside(curve, reading, symbol))
+            variance = min(np.exp(2 * tops[symbol]), _variance_next_to(curve, reading, symbol))
         share += variance * curve.shape(symbol) / curve.points.avar
     return float(reading.weights @ share)
 
 
-def _beside(curve: LogCurve, reading: Reading, symbol: str) -> float:
+def _variance_next_to(curve: LogCurve, reading: Reading, symbol: str) -> float:
     """Return two standard errors more than the other term that the bend of a line shows, or infinity."""
     places = reading.places
-    if places.size < LEAST_POINTS:
+    if places.size < MIN_POINTS:
         return float("inf")
     both = np.stack([curve.shape(reading.symbol), curve.shape(symbol)], axis=1)
     design = (both / curve.points.avar[:, np.newaxis])[places]

@@ -26,7 +26,7 @@ from imucal.frozen import frozen_alone
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is given this name.
-_ALIKE = 0.02
+_SAME_RESPONSE = 0.02
 #: Lowest and highest starting corner of a response, as fractions of the band, and the number of corners.
 CORNERS = (0.03, 0.97, 24)
 #: Number of bins at the end of the band that show its highest frequencies.
@@ -116,7 +116,7 @@ def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -
     used = frequency < 0.98
     if zeros == poles:
         ratio = np.tan(np.pi / 2 * frequency[used]) / np.tan(np.pi / 2 * corner)
-        if np.max(np.abs(power[used] - 1 / (1 + ratio ** (2 * poles)))) < _ALIKE:
+        if np.max(np.abs(power[used] - 1 / (1 + ratio ** (2 * poles)))) < _SAME_RESPONSE:
             return f"butterworth-{poles}"
     name = f"{_NUMBER[poles]}-pole"
     return name if not zeros else f"{name} {_NUMBER[zeros]}-zero"

@@ -96,7 +96,7 @@ _WITH_ZEROS: list[Order] = [
     *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
 ]
 #: Fewest bins of a band.
-_FEWEST = 24
+_MIN_BINS = 24
 
 
 @frozen_alone
@@ -263,13 +263,13 @@ class _BandSearch:
     def sound(self, near: float | None) -> Band | None:
         """Return a sound description that ends at `near`, or the best of all bands, or None."""
         narrow = self.ordinates.below(_LOW)
-        low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
+        low = self.blind(narrow if narrow.size.size >= _MIN_BINS else self.ordinates)
         if near is not None and (found := _simplest(self.responses(near, low))):
             return self.simplest(found)
         best: tuple[_Trial, _Trial] | None = None
         for fraction in BANDS:
             seen = self.ordinates.below(fraction)
-            if seen.size.size < _FEWEST:
+            if seen.size.size < _MIN_BINS:
                 break
             if best is not None and best[0].deviation < np.sqrt(0.5 / seen.count):
                 break

@@ -26,11 +26,11 @@ from imucal.recording import AxisSeries
 #: Second differences, relative to first differences, below which there is only rounding, no noise.
 _STRAIGHT = 1e-9
 #: Fewest samples of a record and of a block.
-_FEWEST = 64
+_MIN_SAMPLES = 64
 #: Gaps of more samples than this separate blocks; shorter ones are completed.
 _LONG = 64
 #: Largest number of blocks; if there are more long gaps, the shorter ones are completed too.
-_MOST = 48
+_MAX_BLOCKS = 48
 #: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
 #: Largest number of blocks with bins as fine as without gaps.
@@ -100,9 +100,9 @@ def scale_of(series: AxisSeries) -> float:
     Too few samples, equal samples, and a ramp without noise raise a DataError.
     """
     samples = series.samples
-    if samples.size < _FEWEST:
+    if samples.size < _MIN_SAMPLES:
         msg = (
-            f"{series.name}: {samples.size} samples, expected at least {_FEWEST} for a noise model; "
+            f"{series.name}: {samples.size} samples, expected at least {_MIN_SAMPLES} for a noise model; "
             "record for longer"
         )
         raise DataError(msg)
@@ -149,8 +149,8 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     runs, lost = _runs(series)
     if not runs:
         msg = (
-            f"{series.name}: no run of {_FEWEST} samples without a long gap in {series.n} samples; expected "
-            "a recording with few gaps"
+            f"{series.name}: no run of {_MIN_SAMPLES} samples without a long gap in {series.n} samples; "
+            "expected a recording with few gaps"
         )
         raise DataError(msg)
     blocks: list[Block] = []
@@ -174,10 +174,10 @@ def _runs(series: AxisSeries) -> tuple[list[Run], int]:
     every = runs_of(series.clock, bridging=_LONG)
     gaps = [after.first - run.end for run, after in pairwise(every)]
     # Cut at the longest gaps; among equal ones, at the first.
-    cuts = sorted(np.argsort(np.negative(gaps), kind="stable")[: _MOST - 1].tolist())
+    cuts = sorted(np.argsort(np.negative(gaps), kind="stable")[: _MAX_BLOCKS - 1].tolist())
     ends = zip([0, *(cut + 1 for cut in cuts)], [*cuts, len(every) - 1], strict=True)
     joined = [every[a]._replace(stop=every[b].stop, end=every[b].end) for a, b in ends]
-    long = [run for run in joined if run.stop - run.start >= _FEWEST]
+    long = [run for run in joined if run.stop - run.start >= _MIN_SAMPLES]
     return long, series.n - sum(run.stop - run.start for run in long)
 
 
@@ -243,7 +243,7 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     elif completed:
         parts.append(f"{completed} missing samples in short gaps are replaced by their expected values")
     if lost:
-        parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
+        parts.append(f"{lost} samples in runs shorter than {_MIN_SAMPLES} are left out")
     text = f"The fit allows for gaps: {'; '.join(parts)}."
     share = completed / max(sum(run.end - run.first for run in runs), 1)
     if share <= _MANY_COMPLETED:

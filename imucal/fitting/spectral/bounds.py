@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from imucal.fitting.homogeneity import NOUGHT
+from imucal.fitting.homogeneity import NEGLIGIBLE
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.estimates import Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import Fits
@@ -125,18 +125,18 @@ def upper_bound(problem: Problem, fitted: Fits, symbol: str) -> Estimate:
 #: Distances in the criterion from the best: weight 1 up to the first, 0 from the second on.
 _FULL_WEIGHT, _NO_WEIGHT = 6.0, 9.0
 #: Difference in Akaike's criterion within which the data can't distinguish models.
-_ALIKE = 4.0
+_INDISTINGUISHABLE = 4.0
 #: Share of the record; a Gauss-Markov term with a longer correlation time is reported as K.
 _WALK = 1 / 20
 #: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
-#: Gauss-Markov term of some seconds next to a walk resembles flicker; B was shown in 21 of 24 records.
-_FADES = frozenset({"K"})
+#: Gauss-Markov term of some seconds next to a walk resembles flicker; B was detected in 21 of 24 records.
+_LOWERED = frozenset({"K"})
 #: Largest number of models that are completed.
-_MOST = 16
+_MAX_COMPLETED = 16
 
 
 @frozen_alone
-class Opinion:
+class Alternative:
     """The estimates of a model near the best, by their keys.
 
     `weight` is 1 near the best model and 0 far from it; it scales the width of the intervals.
@@ -151,9 +151,9 @@ class Opinion:
         """Whether its K describes a slow Gauss-Markov term."""
         return self.terms["K"].horizon_s < np.inf
 
-    def vetoes(self, key: str) -> bool:
+    def excludes(self, key: str) -> bool:
         """Whether a term may be zero here, and the model has enough weight to bound it."""
-        return _may_be_zero(self.terms[key]) and (self.weight >= 1 or key not in _FADES)
+        return _may_be_zero(self.terms[key]) and (self.weight >= 1 or key not in _LOWERED)
 
 
 def hull_estimates(
@@ -162,18 +162,18 @@ def hull_estimates(
     """Return the model to draw, its own estimates, and estimates whose intervals cover all near models.
 
     A term whose interval reaches down to zero is bounded, even if it is in the chosen model. If N, B or K is
-    shown but not in the chosen model, it is added to the drawn model, so that the printed terms add up to the
-    line. The exception is a K that describes a Gauss-Markov term of the model.
+    detected but not in the chosen model, it is added to the drawn model, so that the printed terms add up to
+    the line. The exception is a K that describes a Gauss-Markov term of the model.
     """
     fitted, own = estimate_or_bound(problem, choice)
-    models = [_opinion(problem, distance, model) for distance, model in _completed(problem, choice)]
-    shown = {key for key in ALWAYS if not any(model.vetoes(key) for model in models)}
+    models = [_alternative(problem, distance, model) for distance, model in _completed(problem, choice)]
+    detected = {key for key in ALWAYS if not any(model.excludes(key) for model in models)}
     walks = "K" not in fitted.structure and models[0].slow
-    drawn = shown - {"K"} if walks else shown
+    drawn = detected - {"K"} if walks else detected
     if drawn - set(fitted.structure):
         fitted, own = _richer(problem, fitted, drawn, own)
     values = {key: models[0].terms[key] for key in ALWAYS} | {e.key: e for e in own}
-    values |= {key: _first_shown(values[key], models) for key in shown}
+    values |= {key: _first_detected(values[key], models) for key in detected}
     found = {key: _hull(value, _span(key, values, models)) for key, value in values.items()}
     if found["N"].value is None:
         found["N"] = _floor(problem, found["N"], [model.fitted for model in models])
@@ -181,7 +181,7 @@ def hull_estimates(
 
 
 def _with_rivals(
-    problem: Problem, choice: RankedModels, found: dict[str, Estimate], models: list[Opinion]
+    problem: Problem, choice: RankedModels, found: dict[str, Estimate], models: list[Alternative]
 ) -> Iterator[Estimate]:
     """Yield estimates with their alternative terms, and K with the longest time for which it is valid."""
     others, markov = _alternatives(choice), GaussMarkov.symbol
@@ -194,19 +194,19 @@ def _with_rivals(
         horizon = min(horizon, problem.tau0 * float(np.exp(problem.limits(rival, [slowest])[0][0])))
     elif horizon < np.inf:
         others["K"] = (*others["K"], markov)
-    if any(model.vetoes("N") for model in models) and markov not in others["N"]:
+    if any(model.excludes("N") for model in models) and markov not in others["N"]:
         others["N"] = (*others["N"], markov)
     for e in found.values():
         yield replace(e, alternatives=others[e.symbol], horizon_s=horizon if e.key == "K" else np.inf)
 
 
-def _first_shown(own: Estimate, models: list[Opinion]) -> Estimate:
+def _first_detected(own: Estimate, models: list[Alternative]) -> Estimate:
     """Return the estimate, or if it has no value, that term in the nearest model with a value."""
     every = (own, *(model.terms[own.key] for model in models))
     return next((e for e in every if e.value is not None), own)
 
 
-def _opinion(problem: Problem, distance: float, model: Fits) -> Opinion:
+def _alternative(problem: Problem, distance: float, model: Fits) -> Alternative:
     """Return the opinion of a model at a `distance` from the best; its slowest term may replace K."""
     weight = min((_NO_WEIGHT - distance) / (_NO_WEIGHT - _FULL_WEIGHT), 1.0)
     reach = weight * quantile(problem.level)
@@ -216,7 +216,7 @@ def _opinion(problem: Problem, distance: float, model: Fits) -> Opinion:
     slowest = max((e for e in terms.values() if e.value), key=_time_of, default=terms["K"])
     if _may_be_zero(terms["K"]) and _time_of(slowest) > _WALK * problem.ordinates.samples * problem.tau0:
         terms["K"] = _walk(slowest, terms["K"].high, reach, model)
-    return Opinion(weight=weight, terms=terms, fitted=model)
+    return Alternative(weight=weight, terms=terms, fitted=model)
 
 
 def _time_of(found: Estimate) -> float:
@@ -267,16 +267,16 @@ def _floor(problem: Problem, bound: Estimate, models: list[Fits]) -> Estimate:
 
 
 def _richer(
-    problem: Problem, fitted: Fits, shown: set[str], own: tuple[Estimate, ...]
+    problem: Problem, fitted: Fits, detected: set[str], own: tuple[Estimate, ...]
 ) -> tuple[Fits, tuple[Estimate, ...]]:
-    """Return the chosen model with the terms that are shown added, and its estimates."""
+    """Return the chosen model plus the detected terms, and its estimates."""
     for symbol in ALWAYS:
-        if symbol in shown and symbol not in fitted.structure:
+        if symbol in detected and symbol not in fitted.structure:
             fitted = add_term(problem, fitted, symbol)
     return fitted, ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, fitted)}).values())
 
 
-def _span(key: str, values: dict[str, Estimate], models: list[Opinion]) -> list[tuple[float, Estimate]]:
+def _span(key: str, values: dict[str, Estimate], models: list[Alternative]) -> list[tuple[float, Estimate]]:
     """Return the weight and the estimate of a term in each model.
 
     For terms other than N, B and K only models with the same such terms count.
@@ -306,7 +306,7 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
     is judged by Akaike's criterion: the data must distinguish the two, not the simplicity of a model.
     """
     fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
-    near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _ALIKE)]
+    near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)]
 
     def replaces(one: str, other: str) -> bool:
         without_one, without_other = ([s for s in near if symbol not in s] for symbol in (one, other))
@@ -318,14 +318,14 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
 def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
     """Return an estimate with the limits of all models, unchanged if no near model has its term.
 
-    A model of weight 1 with the term at zero bounds it; so does any model if the term is not in `_FADES`. For
-    terms in `_FADES` a smaller weight lowers the lower limit.
+    A model of weight 1 with the term at zero bounds it; so does any model if the term is not in `_LOWERED`.
+    For terms in `_LOWERED` a smaller weight lowers the lower limit.
     """
     if not span:
         return own
     high = max(e.high for _, e in span)
     zeros = [weight for weight, e in span if _may_be_zero(e)]
-    if own.value is None or (zeros and (max(zeros) >= 1 or own.key not in _FADES)):
+    if own.value is None or (zeros and (max(zeros) >= 1 or own.key not in _LOWERED)):
         return Estimate.bounded(own.key, own.symbol, high)
     low = min([own.value, *(e.low for _, e in span if not _may_be_zero(e))])
     low *= float(np.prod([1 - weight for weight in zeros]))
@@ -344,14 +344,14 @@ def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
 
 def _may_be_zero(found: Estimate) -> bool:
     """Whether the lower limit is zero, or negligible relative to the upper limit."""
-    return found.low <= NOUGHT * found.high
+    return found.low <= NEGLIGIBLE * found.high
 
 
 def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fits]]:
     """Yield the distances and distinct completions of the near models, the best first."""
     distances = choice.criterion - choice.criterion[0]
     seen = set()
-    for index in np.flatnonzero(distances < _NO_WEIGHT)[:_MOST].tolist():
+    for index in np.flatnonzero(distances < _NO_WEIGHT)[:_MAX_COMPLETED].tolist():
         model = choice.fits[[index]]
         structure = in_order((*model.structure, *model.missing))
         if structure not in seen:

@@ -108,9 +108,9 @@ class Parts:
         Scan scale 2. For each value maximise over scale 1. Keep the points whose drop is below `reach`².
         """
         best = self.at(logs[np.newaxis])
-        tested, beside = np.moveaxis(best.logs[0], -1, 0)
+        tested, others = np.moveaxis(best.logs[0], -1, 0)
         steps = _FIRST_REACH * 1.5 ** np.arange(_WIDER)[:, np.newaxis]
-        tried = np.concatenate([np.exp(np.maximum(beside, -2.0) / 2) * steps, np.exp(beside / 2) / steps])
+        tried = np.concatenate([np.exp(np.maximum(others, -2.0) / 2) * steps, np.exp(others / 2) / steps])
         inside = 2 * (self._at_second(tried, tested).objective - best.objective) < reach**2
         inside[-1] = False
         tried[-1] = 0.0
@@ -189,8 +189,8 @@ class Scales:
         if common:
             left, rest = (np.broadcast_to(x.sum(axis=1, keepdims=True), x.shape) for x in (left, rest))
         tested = np.clip(-left / rest, -_STEP, _STEP)[..., None]
-        beside = -moves[..., 0] - moves[..., 1] * tested
-        return np.concatenate([tested, np.clip(beside, -_STEP, _STEP)], axis=-1)
+        others = -moves[..., 0] - moves[..., 1] * tested
+        return np.concatenate([tested, np.clip(others, -_STEP, _STEP)], axis=-1)
 
 
 def visible(spectra: FloatArray, absent: list[int]) -> FloatArray:

@@ -29,9 +29,9 @@ _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 #: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
 #: Periods per record of cycles: fewer are drifts, more are lines.
-_FEWEST_PERIODS, _MOST_PERIODS = 2.0, 24.0
+_MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
 #: Fewest periods per record of a slow cycle, which resembles a random walk; fewer are a drift.
-_FEWEST_SLOW = 0.7
+_MIN_SLOW_PERIODS = 0.7
 #: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
 #: Spacing of the periods per record, in the search and around its peak.
@@ -62,7 +62,7 @@ _TELLABLE = 65536
 #: contains their power, so the fit gains far more.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
 #: Largest number of shapes to take out.
-_MOST = 8
+_MAX_SHAPES = 8
 
 
 #: Returns a step's exact place from its approximate place, other steps' places and the least distance.
@@ -109,7 +109,7 @@ def find_disturbances(
     doubtful: tuple[Disturbance, ...] = ()
     plain = bin_blocks(low, 1.0, ())
     base = _fits(low, [()])
-    while len(found) < _MOST:
+    while len(found) < _MAX_SHAPES:
         names = tuple(name for one in found for name in one.names)
         whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
         kinds = [*_candidates(whitened, length, found)]
@@ -242,7 +242,7 @@ def _step(
 def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance]:
     """Return the gain and shape of the best cycle, or slow cycle, on a grid, its frequency refined."""
     unit = 2 * np.pi / length
-    fewest, most = (_FEWEST_SLOW, _FEWEST_PERIODS) if slow else (_FEWEST_PERIODS, _MOST_PERIODS)
+    fewest, most = (_MIN_SLOW_PERIODS, _MIN_PERIODS) if slow else (_MIN_PERIODS, _MAX_PERIODS)
     coarse = np.arange(fewest, most + _SPACING / 2, _SPACING)
     lowest = whitened.lowest(_OF_SLOW) if slow else whitened.lowest()
     near = coarse[int(np.argmax(lowest.cycles(unit * coarse)))]

@@ -32,7 +32,7 @@ _ROUNDS = 40
 #: Factor by which steps grow until one passes the limit.
 _STRIDE = 1.7
 #: Lower limit of the degrees of freedom; the expansion about the maximum underestimates them near zero.
-_FEWEST = 10.0
+_MIN_DOF = 10.0
 
 
 def quantile(level: float) -> float:
@@ -45,7 +45,7 @@ def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
 
     The standard error for n degrees of freedom is the root of 2/n.
     """
-    freedom = np.maximum(2 / deviation**2, _FEWEST)
+    freedom = np.maximum(2 / deviation**2, _MIN_DOF)
     return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2), dtype=np.float64)
 
 
@@ -98,9 +98,9 @@ class _ProfileSearch:
             inverse = covariance(fits.information[i], self.models.free[i])
             deviation = float(np.sqrt(max(inverse[column, column], 1e-12)))
             if self.variance[i]:
-                told = 0.5 * deviation * float(self.centre[i])
+                guess = 0.5 * deviation * float(self.centre[i])
                 visible = float(np.exp(0.5 * (low[column] + 12.0)))
-                width[i] = told if deviation < 1 else max(min(told, float(self.centre[i])), visible)
+                width[i] = guess if deviation < 1 else max(min(guess, float(self.centre[i])), visible)
             else:
                 width[i] = min(deviation, 1.0)
         return width

@@ -247,8 +247,8 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     times = np.flatnonzero(models.free[0, first : models.response]).tolist()
     times_of = [level[SHAPED + term] * slopes[first + term] for term in times]
     response = models.response + np.arange(int(models.poles[0]))
-    beside = np.array([*times_of, *(slopes[response] / whole * spectrum)]).reshape(-1, spectrum.size)
-    laws = _laws(np.concatenate([slopes[places], beside]), ordinates.size, spectrum, variance)
+    nuisance = np.array([*times_of, *(slopes[response] / whole * spectrum)]).reshape(-1, spectrum.size)
+    laws = _deviation_laws(np.concatenate([slopes[places], nuisance]), ordinates.size, spectrum, variance)
     result = {}
     for key, value, (deviation, growth) in zip(columns, variance.tolist(), laws, strict=True):
         symbol = symbol_of(key)
@@ -272,7 +272,7 @@ def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatA
     return reference
 
 
-def _laws(
+def _deviation_laws(
     slopes: FloatArray, size: FloatArray, spectrum: FloatArray, variance: FloatArray
 ) -> list[tuple[float, float]]:
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).

@@ -32,7 +32,7 @@ _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
 #: The interval is widened by this factor: the bins next to the run may belong to it and be low by chance.
 _GUARD = 1.2
 #: Fits, and the fewest bins of one.
-_ROUNDS, _FEWEST = 10, 24
+_ROUNDS, _MIN_BINS = 10, 24
 
 
 @frozen
@@ -63,7 +63,7 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
     hump: Hump | None = None
     for _ in range(_ROUNDS):
         seen = ordinates[hump.outside(ordinates.fraction)] if hump else ordinates
-        if seen.size.size < _FEWEST:
+        if seen.size.size < _MIN_BINS:
             return None
         found = fit_blindly(seen, model, keep=(1, 2, 4), tolerance=1e-3)
         spectrum = evaluate(ordinates, model, found.theta).spectrum[0]
@@ -83,7 +83,7 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
         if previous == hump:
             break
     white = (derivatives(ordinates, model, found.theta)[COLUMN["N"]] / spectrum)[order]
-    beside = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
+    edges = np.concatenate([white[max(first - _NEXT, 0) : first], white[last + 1 :][:_NEXT]])
     if hump is None or hump.times < _TIMES:
         return None
     inside = slice(first, last + 1)
@@ -91,7 +91,7 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
         fraction[: last + 1], size[: last + 1], (ratio * spectrum[order])[: last + 1], ratio[inside]
     ):
         return None
-    return hump.wider() if beside.min() >= (_WHITE if hump.times < _STRONG else _WHITE_IF_STRONG) else None
+    return hump.wider() if edges.min() >= (_WHITE if hump.times < _STRONG else _WHITE_IF_STRONG) else None
 
 
 def is_plateau(fraction: FloatArray, size: FloatArray, density: FloatArray, ratio: FloatArray) -> bool:

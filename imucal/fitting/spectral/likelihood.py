@@ -75,14 +75,14 @@ class Fits:
         """Covariance of the parameters, shape (p, p), inf for undetermined ones."""
         return covariance(self.information[0], self.models.free[0])
 
-    def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
-        """Return name and column of each parameter except R, including added power laws (`beside`)."""
-        return self.models.with_laws(beside).columns(self.theta[0])
+    def columns(self, added: Iterable[str] = ()) -> list[tuple[str, int]]:
+        """Return name and column of each parameter except R, including the `added` power laws."""
+        return self.models.with_laws(added).columns(self.theta[0])
 
-    def variances(self, beside: Iterable[str] = ()) -> dict[str, int]:
+    def variances(self, added: Iterable[str] = ()) -> dict[str, int]:
         """Return the column of each term's variance by its key, of the terms in `columns`."""
         first = self.models.variances
-        return {name.partition(".")[0]: at for name, at in self.columns(beside) if at < first}
+        return {name.partition(".")[0]: at for name, at in self.columns(added) if at < first}
 
     def unfiltered(self, ordinates: Ordinates) -> FloatArray:
         """Return the spectrum of the noise before the output filter, shape (b,)."""

@@ -29,11 +29,11 @@ _MEDIAN = 0.4549
 _NEAR, _NEAR_SHARE = 64, 1 / 800
 #: Largest number of lines subtracted as sines; ordinates on each side for the fit of one; largest share of
 #: its power that may remain.
-_MOST_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
+_MAX_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
 #: A line's tail is left out down to this share of the level.
 _TAIL = 0.05
 #: Least number of neighbours left out on each side; largest, as a share of the frequency.
-_LEAST, _MOST = 3, 0.02
+_MIN_SKIP, _MAX_SKIP = 3, 0.02
 
 
 @frozen
@@ -86,7 +86,9 @@ def find_lines(
         of_bin = np.searchsorted(starts, found, side="right") - 1
         excess = square[found] / level[of_bin]
         reach = np.ceil(np.sqrt(excess / _TAIL) / np.pi)
-        reach = np.minimum(np.maximum(reach, _LEAST), np.maximum(_LEAST, _MOST * found)).astype(np.int64)
+        reach = np.minimum(np.maximum(reach, _MIN_SKIP), np.maximum(_MIN_SKIP, _MAX_SKIP * found)).astype(
+            np.int64
+        )
         kept = outside(np.maximum(found - reach, _LOWEST), found + reach + 1, size)
         total, count = (np.add.reduceat(values * kept, starts) for values in (square, np.ones(size)))
     if kept is None:
@@ -154,7 +156,7 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
     The level of 17 bins does not follow a steep filter; the level of the nearest ordinates does. Neighbouring
     ordinates are kept or removed together, by the highest one.
     """
-    apart = np.maximum(_NEAR, _MOST / 2 * found[1:])
+    apart = np.maximum(_NEAR, _MAX_SKIP / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
     kept = [near for near in groups if near.size and _is_line(square, near)]
     return np.concatenate(kept) if kept else found[:0]
@@ -171,9 +173,9 @@ def _is_line(square: FloatArray, near: IntArray) -> bool:
     if top < 4 * _NEAR or _exceeds(square, top, square[max(top - reach, 0) : top + reach + 1]):
         return True
     first, last = int(near[0]), int(near[-1])
-    reach = max(_NEAR, last - first + 1, int(_MOST * last))
+    reach = max(_NEAR, last - first + 1, int(_MAX_SKIP * last))
     sides = square[max(first - reach, 0) : first], square[last + 1 : last + 1 + reach]
-    return last - first < 2 * _MOST * last and all(
+    return last - first < 2 * _MAX_SKIP * last and all(
         side.size and _exceeds(square, top, side) for side in sides
     )
 
@@ -205,7 +207,7 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
     that is not a steady sine is not subtracted.
     """
     found: list[Sine] = []
-    for _ in range(_MOST_SINES):
+    for _ in range(_MAX_SINES):
         total, peaks = _totals_and_peaks(ordinates, bins)
         level, sureness = _level(total, bins.count.astype(np.float64), bins)
         at = int(np.argmax(np.where(bins.first > _LOWEST, peaks / level, 0.0)))
@@ -213,11 +215,11 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
         top = first + int(np.argmax(np.abs(ordinates[first:stop])))
         excess = ordinates[top] ** 2 / level[at]
         sure = excess > float(_limit(sureness[[at]], _CHANCE / max(ordinates.size, 1))[0])
-        if not sure or np.sqrt(excess / _TAIL) / np.pi <= max(_LEAST, _MOST * top) or top < _LOWEST:
+        if not sure or np.sqrt(excess / _TAIL) / np.pi <= max(_MIN_SKIP, _MAX_SKIP * top) or top < _LOWEST:
             break
         sine = _fitted_sine(ordinates, bins.n, top)
         rest = ordinates - sine.ordinates(bins.n, ordinates.size)
-        near = slice(max(top - _LEAST, 0), top + _LEAST + 1)
+        near = slice(max(top - _MIN_SKIP, 0), top + _MIN_SKIP + 1)
         if np.sum(rest[near] ** 2) > _REMAINS * np.sum(ordinates[near] ** 2):
             break
         found.append(sine)
@@ -257,7 +259,7 @@ def with_sines(
     unit = rate_hz / (2 * np.pi)
     whole = [Line(frequency_hz=sine.omega * unit, amplitude=sine.amplitude * scale) for sine in sines]
     places = np.array([line.frequency_hz for line in whole])
-    others = [line for line in lines if not np.any(np.abs(line.frequency_hz / places - 1) < _MOST)]
+    others = [line for line in lines if not np.any(np.abs(line.frequency_hz / places - 1) < _MAX_SKIP)]
     return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))
 
 

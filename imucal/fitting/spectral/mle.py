@@ -170,8 +170,10 @@ def _estimates(
         # A second fit removes the doubtful warm-up or cycle too.
         names = (*view.whole.names, *view.doubtful)
         other = view.band.select(bin_blocks(view.blocks.blocks, view.blocks.scale, names))
-        beside = replace(problem, ordinates=other)
-        estimates = either(estimates, hull_estimates(beside, _choice(beside, view.band, settings))[2])
+        alternative = replace(problem, ordinates=other)
+        estimates = either(
+            estimates, hull_estimates(alternative, _choice(alternative, view.band, settings))[2]
+        )
     return fitted, own, estimates
 
 

@@ -28,17 +28,17 @@ def named_terms(model: NoiseModel) -> tuple[tuple[NoiseTerm, tuple[str, ...]], .
 
 
 def relative_deviations(
-    model: NoiseModel, *, rate_hz: float, duration_s: float, beside: Iterable[str] = ()
+    model: NoiseModel, *, rate_hz: float, duration_s: float, added: Iterable[str] = ()
 ) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
-    The fit has every term of the model and the added power laws (`beside`), whose coefficients are zero. The
+    The fit has every term of the model and the `added` power laws, whose coefficients are zero. The
     result is infinite for a term with coefficient 0, and for a record with fewer samples than parameters.
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
     # The size of the added terms has no effect on the deviations of the others.
-    terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in beside)]
+    terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in added)]
     if n <= len(names) + len(terms) - len(model.terms) + 1:
         return dict.fromkeys(names, math.inf)
     bins = dct_bins(n, singles=64, per_octave=12)
@@ -60,8 +60,8 @@ def relative_deviations(
             half = bins.omega / 2
             squares = 2 / bins.n * np.cos(half) ** 2 / (4 * np.sin(half) ** 4)
             odd = np.where(bins.count == 1, bins.first % 2, bins.count / 2)
-            told = float(1 / np.sqrt(np.sum(odd * squares / spectrum))) if np.all(spectrum > 0) else 0.0
-            result["R"] = told * rate_hz / abs(term.value)
+            ramp = float(1 / np.sqrt(np.sum(odd * squares / spectrum))) if np.all(spectrum > 0) else 0.0
+            result["R"] = ramp * rate_hz / abs(term.value)
     return result
 
 

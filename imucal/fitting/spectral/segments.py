@@ -32,9 +32,9 @@ from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
 #: Fewest samples of a segment, and of its parts between long gaps.
-_FEWEST, _FEWEST_IN_PART = 2048, 64
+_MIN_SAMPLES, _MIN_PART_SAMPLES = 2048, 64
 #: Least number of segments for the tests.
-_LEAST = 3
+_MIN_SEGMENTS = 3
 #: Single bins and bins per octave: coarse, because the model's mean over a bin is exact.
 _SINGLES, _PER_OCTAVE = 16, 12
 #: Least number of ordinates to leave out on each side of a line.
@@ -57,8 +57,8 @@ class SegmentOrdinates:
 
 def number_of_segments(samples: int, wanted: int) -> int:
     """Return the number of segments of a record: fewer if it is short, 0 for none."""
-    count = min(wanted, samples // _FEWEST)
-    return count if count >= min(_LEAST, wanted) > 1 else 0
+    count = min(wanted, samples // _MIN_SAMPLES)
+    return count if count >= min(_MIN_SEGMENTS, wanted) > 1 else 0
 
 
 def segment_ordinates(
@@ -82,7 +82,7 @@ def segment_ordinates(
             low, high = max(start, block.offset), min(stop, block.offset + block.bins.n)
             piece = _piece(series, block, drift=drift, scale=blocks.scale, place=low, size=high - low)
             pieces += [piece] if piece else []
-        if sum(piece.bins.n for piece in pieces) >= _FEWEST // 2:
+        if sum(piece.bins.n for piece in pieces) >= _MIN_SAMPLES // 2:
             parts.append(band.select(bin_blocks(pieces, blocks.scale, ())))
             kept.append(number)
     if len(kept) < 2:
@@ -103,7 +103,7 @@ def _piece(
     size = fast_length(max(size, 0))
     clock = series.clock
     first, stop = clock.index_from(place), clock.index_from(place + size)
-    if stop - first < max(_FEWEST_IN_PART, size // 2):
+    if stop - first < max(_MIN_PART_SAMPLES, size // 2):
         return None
     seen = slice(first, stop)
     samples = series.samples[seen] / scale
@@ -212,8 +212,8 @@ class _Tests:
         # Free parameters: white noise in a term's test, a factor of all slower terms in white noise's.
         n = COLUMN["N"]
         white, slower = (set(rows).difference(absent) for rows in ([n], range(n + 1, len(spectra))))
-        beside = [spectra[sorted(slower if at == n else white)].sum(axis=0) for at in columns.values()]
-        varied = np.stack([spectra[list(columns.values())], beside], axis=1)
+        others = [spectra[sorted(slower if at == n else white)].sum(axis=0) for at in columns.values()]
+        varied = np.stack([spectra[list(columns.values())], others], axis=1)
         inside = [column not in absent for column in columns.values()]
         held = whole - varied[:, 1] - np.where(np.array(inside)[:, np.newaxis], varied[:, 0], 0.0)
         self.parts = Parts(
@@ -275,8 +275,8 @@ class _Tests:
         if not slow:
             return n, None, np.nan
         # Few ordinates determine the slow part: use Student's quantile.
-        (tested, both), (_, beside) = np.moveaxis(sure.matrix[row], 0, -1)
-        reach = student_quantile(self.problem.level, np.sqrt(tested / (tested * beside - both**2)))
+        (tested, both), (_, others) = np.moveaxis(sure.matrix[row], 0, -1)
+        reach = student_quantile(self.problem.level, np.sqrt(tested / (tested * others - both**2)))
         sums = self.parts.of(row).sum_limits(self.free.logs[row], np.array([shares["N"], slow]), reach)
         value, low, high = np.log(np.array(sums) + shares.get("Q", 0.0)) / 2
         shape = z * self._shape_error(row, shares, slow) / 2

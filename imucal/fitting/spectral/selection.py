@@ -19,7 +19,7 @@ from imucal.noise.model import structure_text
 #: is larger: the response was found with other terms and adapts only in this fit.
 _REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
 #: Largest number of models fitted on all bins.
-_MOST_REFINED = 16
+_MAX_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
 _LISTED_WITHIN = 6.0
 #: Twice the log-likelihood below which a second maximum is as good as the first.
@@ -90,7 +90,7 @@ def choose(
     value = best + cost
     order = np.argsort(value, kind="stable")
     reach = _REFINED_BEHIND if poles else _REFINED_WITHIN
-    near = order[value[order] <= value[order[0]] + reach][:_MOST_REFINED]
+    near = order[value[order] <= value[order[0]] + reach][:_MAX_REFINED]
     rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
     fine = maximize(ordinates, models[owner[index]], rough.theta[index])

@@ -22,7 +22,7 @@ _OF_SMOOTH = 512
 #: Share of a block at each end where a step can't be distinguished from the block's mean.
 _CLEAR = 0.005
 #: Remainder of a shape, after subtracting the fit's regressors, below which it is collinear with them.
-_ALIKE = 1e-6
+_COLLINEAR = 1e-6
 
 
 @frozen_alone
@@ -64,7 +64,7 @@ class Whitened:
         """Return twice the log-likelihood that regressors gain together."""
         columns = self.columns(names)
         columns -= self.base @ (self.base.T @ columns)
-        solution = np.linalg.lstsq(columns, self.rest, rcond=_ALIKE)[0]
+        solution = np.linalg.lstsq(columns, self.rest, rcond=_COLLINEAR)[0]
         return float(self.rest @ (columns @ solution))
 
     def lowest(self, count: int = _OF_SMOOTH) -> "Whitened":
@@ -82,7 +82,9 @@ class Whitened:
         whole = np.sum(columns**2, axis=0)
         columns -= self.base @ (self.base.T @ columns)
         size = np.sum(columns**2, axis=0)
-        return np.where(size > _ALIKE**2 * whole, (self.rest @ columns) ** 2 / np.maximum(size, 1e-300), 0.0)
+        return np.where(
+            size > _COLLINEAR**2 * whole, (self.rest @ columns) ** 2 / np.maximum(size, 1e-300), 0.0
+        )
 
     def cycles(self, omega: FloatArray) -> FloatArray:
         """Return the gain of a cycle of each angular frequency, rad/sample, shape of `omega`."""
@@ -98,8 +100,10 @@ class Whitened:
         size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
         # Use the principal axes of each pair, without nearly empty ones.
         along = np.einsum("wij,wi->wj", vectors, products)
-        told = size > _ALIKE**2 * size[:, -1:]
-        return np.asarray(np.sum(np.where(told, along**2 / np.where(told, size, 1.0), 0.0), axis=-1))
+        independent = size > _COLLINEAR**2 * size[:, -1:]
+        return np.asarray(
+            np.sum(np.where(independent, along**2 / np.where(independent, size, 1.0), 0.0), axis=-1)
+        )
 
     def step(self, taken: Sequence[float] = (), apart: float = 0.0) -> tuple[float, float, float]:
         """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
@@ -155,7 +159,7 @@ def _best_step(
     slope = 0.5 * (np.sum(slope) + of_twice(slope))
     left = power - np.sum(along((base * size[:, None]).T) ** 2, axis=0)
     product = along(rest * size)
-    gain = np.where(left > _ALIKE * power + 1e-300, product**2 / np.maximum(left, 1e-300), 0.0)
+    gain = np.where(left > _COLLINEAR * power + 1e-300, product**2 / np.maximum(left, 1e-300), 0.0)
     clear = int(_CLEAR * places) + 1
     gain[:clear] = gain[gain.size - clear :] = 0.0
     where = block.offset + np.arange(1, places) * n / places

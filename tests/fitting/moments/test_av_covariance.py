@@ -36,10 +36,10 @@ def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -
     quick = avar_covariance(m, 5_000, TERMS, overlapping=True)
     monkeypatch.setattr(module, "_ALL_LAGS", 10**9)
     module._computed.cache_clear()
-    module._laws.cache_clear()
+    module._lag_products.cache_clear()
     every = avar_covariance(m, 5_000, TERMS, overlapping=True)
     module._computed.cache_clear()
-    module._laws.cache_clear()
+    module._lag_products.cache_clear()
     for p in range(len(TERMS)):
         scale = np.sqrt(np.diag(every.quadratic[p, p]))
         difference = (quick.quadratic[p, p] - every.quadratic[p, p]) / np.outer(scale, scale)
@@ -160,7 +160,7 @@ def test_a_slow_gauss_markov_term_keeps_its_digits(mi: int, mj: int) -> None:
     """
     time = 786_432
     reach = module._reach(max(mi, mj), [_markov(time)])
-    lags, weights, _ = module._laws(mi, mj, 4 * time, reach, overlapping=True)
+    lags, weights, _ = module._lag_products(mi, mj, 4 * time, reach, overlapping=True)
     with localcontext(prec=60):
         phi = (Decimal(-1) / time).exp()
 

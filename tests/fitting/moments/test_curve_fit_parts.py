@@ -22,7 +22,7 @@ from imucal.fitting.moments.search import (
     time_grid,
     whitening,
 )
-from imucal.fitting.moments.slope import LogCurve, Reading, _beside, _floor, _line, read_term
+from imucal.fitting.moments.slope import LogCurve, Reading, _floor, _line, _variance_next_to, read_term
 from imucal.fitting.noise_fit import Goodness
 from imucal.recording import AxisSeries
 from tests.fitting.moments.curves import simulated_curve
@@ -279,7 +279,7 @@ def test_a_bend_is_read_from_three_points(size: int, *, known: bool) -> None:
     avar = white + 0.01 * walk
     curve = LogCurve(replace(plain.points, avar=avar), plain.covariance)
     weights = np.where(np.arange(4) < size, 1 / size, 0.0)
-    found = _beside(curve, Reading(symbol="N", weights=weights, log_value=0.0, spread=0.01), "K")
+    found = _variance_next_to(curve, Reading(symbol="N", weights=weights, log_value=0.0, spread=0.01), "K")
     if not known:
         assert found == np.inf
         return

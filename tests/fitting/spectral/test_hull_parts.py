@@ -44,8 +44,8 @@ def _estimate(key: str, low: float, value: float, high: float, time: Interval | 
     )
 
 
-def _opinion(weight: float, *terms: Estimate) -> bounds.Opinion:
-    return bounds.Opinion(weight=weight, terms={e.key: e for e in terms}, fitted=cast("Fits", None))
+def _alternative(weight: float, *terms: Estimate) -> bounds.Alternative:
+    return bounds.Alternative(weight=weight, terms={e.key: e for e in terms}, fitted=cast("Fits", None))
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_a_model_has_less_weight_the_farther_it_is(
         return (_estimate("K", 1.0, 2.0, 3.0),)
 
     monkeypatch.setattr(bounds, "estimate", estimates_of)
-    found = bounds._opinion(PROBLEM, distance, cast("Fits", None))
+    found = bounds._alternative(PROBLEM, distance, cast("Fits", None))
     assert found.weight == pytest.approx(weight, abs=1e-3)
     assert levels == pytest.approx([level], abs=1e-3)
     assert not found.slow
@@ -149,8 +149,8 @@ def test_a_walk_is_bounded_by_a_model_of_full_weight_only(weight: float, low: fl
     own, zero = _estimate("K", 2.0, 3.0, 4.0), Estimate.bounded("K", "K", 5.0)
     found = bounds._hull(own, [(1.0, own), (weight, zero)])
     assert found == (Estimate.bounded("K", "K", 5.0) if low is None else _estimate("K", low, 3.0, 5.0))
-    assert _opinion(weight, zero).vetoes("K") == (weight == 1.0)
-    assert _opinion(weight, replace(zero, key="B")).vetoes("B")
+    assert _alternative(weight, zero).excludes("K") == (weight == 1.0)
+    assert _alternative(weight, replace(zero, key="B")).excludes("B")
 
 
 @pytest.mark.parametrize(("low", "shown"), [(0.079, False), (0.081, True)])
@@ -163,7 +163,7 @@ def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> 
 def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
     """GM1 of two is another thing than GM of one; N is N in every model."""
     n, one, first, second = (_estimate(key, 1.0, 2.0, 3.0) for key in ("N", "GM", "GM1", "GM2"))
-    models = [_opinion(1.0, n, one), _opinion(0.5, n, first, second), _opinion(0.2, n)]
+    models = [_alternative(1.0, n, one), _alternative(0.5, n, first, second), _alternative(0.2, n)]
     assert bounds._span("N", {"N": n, "GM": one}, models) == [(1.0, n), (0.5, n), (0.2, n)]
     assert bounds._span("GM", {"N": n, "GM": one}, models) == [(1.0, one)]
 
