@@ -23,7 +23,7 @@ from imucal.grading import remedy
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
-from imucal.report.exports.config_numbers import vague_axes
+from imucal.report.exports.config_numbers import INFLATABLE, vague_axes
 from imucal.report.exports.target import name_key
 from imucal.report.json_file import load
 from imucal.report.result import Report
@@ -62,8 +62,8 @@ def _factors(text: str) -> dict[str, float]:
             factors[name] = float(number)
         except ValueError:
             factors[name] = 0.0
-        if name not in exports.INFLATABLE or not 0 < factors[name] < math.inf:
-            names = ", ".join(exports.INFLATABLE)
+        if name not in INFLATABLE or not 0 < factors[name] < math.inf:
+            names = ", ".join(INFLATABLE)
             raise ValueError(f"{part!r} is not a factor of {names}; write such as white=2,walk=10")
     return factors
 

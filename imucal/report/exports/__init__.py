@@ -6,7 +6,6 @@ from pathlib import Path
 from imucal.atomic import write_configs
 from imucal.report.exports.config_numbers import (
     DEFAULT_OPTIONS,
-    INFLATABLE,
     AxisPolicy,
     Basis,
     ExportOptions,
@@ -16,7 +15,6 @@ from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
 __all__ = [
-    "INFLATABLE",
     "TARGETS",
     "AxisPolicy",
     "Basis",
