@@ -92,20 +92,20 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
     reach = max(_MIN_SPIKE, -float(scipy.special.ndtri(_FALSE_ALARMS / (2 * samples.size))))
     distance = _distance(samples)
-    # Where half of the samples lie so far out that the farthest is in reach, none is a spike: no median.
+    # If the farthest sample is within reach of the median distance, there is no spike: skip the median.
     near = float(distance.max()) / (reach * _DEVIATION)
     if 2 * np.count_nonzero(distance < near) < samples.size:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
     baseline = _baseline(samples)
     deviation = _DEVIATION * float(np.median(distance))
     if deviation == 0:
-        # More than half of the samples lie on the baseline: coarse steps, of which one is no spike.
+        # More than half of the samples are on the baseline: the steps are coarse, and one step is no spike.
         deviation = step_size(samples) or 0.0
     if deviation == 0:
         return np.zeros(samples.size, dtype=bool), baseline, 0.0
     spike = distance > reach * deviation
     if spike.any():
-        # Coarse steps put the median deviation on a step; the others' root mean square is not.
+        # Coarse steps round the median deviation to a step, but not the root mean square.
         spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
         wide = max(deviation, spread)
         spike = distance > _end_of_tail(distance / deviation, reach * wide / deviation) * deviation
@@ -123,7 +123,7 @@ def _end_of_tail(distance: FloatArray, reach: float) -> float:
     normal = 2 * n * float(scipy.special.ndtr(-_BODY))
     freedom = _GAUSSIAN
     if count > normal + 3 * np.sqrt(normal) + 3:
-        # Those of the Student's t of which as many samples lie beyond 3 deviations.
+        # Find the Student's t with the same number of samples beyond 3 deviations.
         grid = np.geomspace(3.0, _GAUSSIAN, 64)
         of_body = 2 * n * scipy.special.stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
         freedom = float(np.interp(-count, -of_body, grid))
@@ -195,7 +195,7 @@ def _baseline(samples: FloatArray) -> FloatArray:
 
 
 def _distance(samples: FloatArray) -> FloatArray:
-    """Return how far the samples are from the baseline, shape (n,)."""
+    """Return the distances of the samples from the baseline, shape (n,)."""
     distance = np.empty(samples.size)
     for part, line in _baseline_parts(samples):
         np.abs(samples[part] - line, out=distance[part])
@@ -209,7 +209,7 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
     medians = _medians(samples, block)
     half = block // 2
     yield slice(0, half), np.full(half, medians[0])
-    # Interpolated block by block: a fraction of a median's rise for each place in the block.
+    # Interpolate all places of a block between its median and the next.
     fraction = (np.arange(block) + 0.5) / block
     for first in range(0, medians.size - 1, _BLOCKS):
         rise = np.diff(medians[first : first + _BLOCKS + 1])

@@ -1,8 +1,8 @@
-"""pool: several records of one unit -> one fit, from the bins that their fits carry.
+"""pool: several records of one unit -> one fit, from the bins stored with their fits.
 
-The records' likelihoods multiply, as those of the blocks of one record between long gaps do. Each term is
-tested for being the same in all of them; where it is not, what one would expect of yet another record is
-the mean of the records with their spread, and never the narrow interval of one coefficient.
+The likelihood is the product of the records' likelihoods, as for the blocks of one record between long gaps.
+Each term is tested for equality in all records. If a term differs, its estimate is the mean of the records,
+with an interval that includes their spread.
 
 Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial sensor
 calibration", fit several records of one sensor; Hartung & Knapp (2001), Statistics in Medicine 20, 1771, give
@@ -38,24 +38,23 @@ from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 
-#: Chance, for each term, that records of one coefficient are found to differ.
+#: False alarm rate of the test of equality, per term.
 CHANCE = 0.05
-#: Relative difference of two sampling rates, and of two filters' corners, that is none.
+#: Largest relative difference of equal sampling rates, and of equal corners of a filter.
 _SAME_RATE, _SAME_CORNER = 1e-3, 0.15
-#: Standard error of a logarithm below which each record tells a term by itself.
-_TOLD = 0.3
+#: Largest standard error of the logarithm of a precise coefficient.
+_PRECISE = 0.3
 
 
 @frozen
 class Homogeneity:
-    """Whether records have one coefficient of the term `key`, whose kind is `symbol`.
+    """Test of whether records have the same coefficient of the term `key`, with the `symbol` of its kind.
 
-    `statistic` is twice the log-likelihood ratio of one coefficient for each record against one for all,
-    chi-squared with `dof` degrees of freedom where there is one, and `p_value` the chance of so much. A weak
-    term's is smaller, because no variance is negative: it is found to differ more rarely. `values` has the
-    coefficient in each record, in SI, 0 where its data want none; `spread` is its relative standard deviation
-    between records, beyond what chance gives. Where the records are found to differ (`differs`), the estimate
-    is widened.
+    `statistic` is twice the log-likelihood ratio of one coefficient for each record to one for all. Under
+    equality it is chi-squared with `dof` degrees of freedom; the statistic of a weak term is smaller, because
+    variances are not negative. `values` are the coefficients of the records in SI, 0 if the data prefer that.
+    `spread` is the relative standard deviation between records beyond chance. If a term `differs`, its
+    estimate is widened.
     """
 
     key: str
@@ -72,12 +71,10 @@ class Homogeneity:
 class PooledFit:
     """The noise model of one axis of one unit, from a number of `records`.
 
-    `sensor`, `rate_hz` and `level` are as in each record's fit; `model` has the terms found, with their
-    values. `estimates` has one for each term of the model that was asked for, and for N, B and K always.
-    Where the records differ its limits are those of the mean over records, and `widening` says by what factor
-    they lie farther apart than those of one common coefficient. `homogeneity` is the test of each term but
-    the ramp, empty for a single record; `goodness` says how well the model describes all records together,
-    and `findings` are what is to be said of them.
+    `model` contains the detected terms. `estimates` has an entry for each term of the given model and for N,
+    B and K. If the records differ, the limits are for the mean over records, and `widening` is the ratio of
+    their distance to the one of a common coefficient. `homogeneity` contains the test of each term except the
+    ramp; it is empty for a single record. `goodness` is the fit of the model to all records.
     """
 
     sensor: Sensor | None
@@ -98,22 +95,18 @@ class PooledFit:
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
     """Fit several records of one axis of one unit together, from the bins of their fits.
 
-    Without the samples: the likelihood is evaluated from what each of the `fits` carries in `NoiseFit.bins`.
-    They are by `imucal.fit`, `imucal.characterize`, or read back from a report that was written with bins.
-    The terms of `model` are the same for every unit that is to be compared: ``auto`` would choose by the
-    record. `level` is that of the limits, profile limits of the joint likelihood as those of `imucal.fit`.
+    The samples are not needed: each of the `fits` contains bins (`NoiseFit.bins`) if it was made by
+    `imucal.fit` or `imucal.characterize`, or read from a report written with bins. `model` must not be
+    ``auto``, so that all units have the same terms. The limits are profile limits at the confidence `level`.
 
-    It is a DataError if a fit has no bins, or the records are not of one sensor, one sampling rate and one
-    output filter; a ValueError if there is no fit, `model` is no sum of terms, or `level` is not between 0
-    and 1.
+    Raises a DataError if a fit has no bins, or if the records differ in sensor, sampling rate or output
+    filter. Raises a ValueError if there is no fit, if `model` is not a sum of terms, or if `level` is not
+    between 0 and 1.
 
-    Of stationary records without spikes, lines apart, it equals the fit with ``segments=1`` of the one
-    record that has them one after the other with gaps of more than 64 samples between, to rounding: such
-    gaps part the blocks of a record, whose likelihoods multiply. That holds for up to four blocks in all (a
-    record of more has wider bins, and the pooled fit is the finer one), and not for shorter gaps, which a fit
-    completes by expectation. Steps, cycles and the effect of temperature are taken out of each record by
-    itself; heavy tails and spikes are judged by record, and an output filter that no record shows by itself
-    is none. A ramp, where `model` has one, is common to all records.
+    For up to four stationary records the result equals the fit (``segments=1``) of one record that contains
+    them with gaps of more than 64 samples in between. Steps, cycles, effects of temperature, spikes and heavy
+    tails are treated in each record separately. An output filter is only used if a record shows it alone. A
+    ramp is common to all records.
     """
     structure, every = _structure_of(model, level), _bins_of(fits)
     _refuse_different(fits)
@@ -123,10 +116,10 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
 def pool_bins(
     every: Sequence[Bins], structure: tuple[str, ...], *, sensor: Sensor | None, rate_hz: float, level: float
 ) -> PooledFit:
-    """Return the fit of records of one unit, one rate and one output filter; as `pool` from there on."""
+    """Return the joint fit of records with the same unit, rate and output filter; see `pool`."""
     found = fit_bins(every, structure, level=level)
     tests = record_tests(found)
-    # Where records differ in one term, the others are means over them, too.
+    # If the records differ in one term, all terms are means over the records.
     differ = any(test.p_value < CHANCE for test in tests)
     widened = _means(every, structure, tests, found.estimates, level) if differ else {}
     estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
@@ -159,31 +152,31 @@ def _means(
     estimates: Sequence[Estimate],
     level: float,
 ) -> dict[str, tuple[Estimate, float]]:
-    """Return the mean over records of each term, with its relative spread between them.
+    """Return for each term the mean over records and its relative spread.
 
-    The interval is never inside that of one common coefficient.
+    The interval contains the interval of a common coefficient.
     """
     joint = {e.key: e for e in estimates}
     alone: list[dict[str, SquaredCoefficient]] = []
     means = {}
     for test in (test for test in tests if test.key in joint):
         differs, shared = test.p_value < CHANCE, joint[test.key]
-        if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
+        if np.all((test.log_deviations < _PRECISE) & (test.values > 0)):
             *limits, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
             value, low, high = map(math.exp, limits)
         else:
             alone = alone or [squared_coefficients(fit_bins([one], structure, level=level)) for one in every]
             squares = [record[test.key] for record in alone]
             values = np.array([square.value for square in squares])
-            # At one place for all: at its own, a large square has a large deviation, the small more weight.
+            # Compute all deviations at the same square. At its own square, a large estimate would get less
+            # weight than a small one.
             common = max(float(values.mean()), 0.0)
             deviations = np.array([square.deviation + square.growth * common for square in squares])
             if differs:
                 deviations = np.full(len(squares), np.sqrt(np.mean(deviations**2)))
             *limits, spread = _mean(values, deviations, level, random=differs)
             value, low, high = (math.sqrt(max(limit, 0.0)) for limit in limits)
-            # Of the square, relative to the upper end where the mean is not told from zero; that of the
-            # common coefficient where all limits of the mean are below it.
+            # Relative to half the upper limit if the mean is not distinguishable from zero.
             spread = 0.5 * spread / max(value, 0.5 * max(high, shared.high)) ** 2
         low, high = min(low, shared.low), max(high, shared.high)
         mean = replace(shared, status="estimated", value=value, low=low, high=high)
@@ -197,7 +190,7 @@ def _means(
 def _mean(
     values: FloatArray, deviations: FloatArray, level: float, *, random: bool
 ) -> tuple[float, float, float, float]:
-    """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
+    """Return the mean of values, shape (r,), its limits, and their spread beyond their deviations."""
     if not random:
         weight = deviations**-2.0
         mean, spread = float(np.average(values, weights=weight)), 0.0
@@ -245,14 +238,14 @@ def log_values(
     model: str = "N + B + K",
     level: float = 0.95,
 ) -> dict[str, LogValue]:
-    """Return what one log says of each term, for `imucal.population`; from the bins of its fit, as `pool`.
+    """Return the value of each term in one log, for `imucal.population`, from the bins of its fit.
 
-    Every term has its value and limits, from a fit of the same `model` for every log, and its squared
-    coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak
-    logs together are right. A ramp has limits only. It raises what `pool` does.
+    `model` must be the same for all logs. Each term except the ramp also has an unbiased estimate of its
+    squared coefficient, which may be negative, so that averages over many weak logs are unbiased. Raises the
+    errors of `pool`.
     """
     bins, structure = _bins_of([fit]), _structure_of(model, level)
-    # The band of a fit of the same given terms is the one that a search would find again, if it is not flat.
+    # A fit of the same given terms has already found the band, unless it is flat.
     fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_poles"))
     same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
     near = fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
@@ -276,7 +269,7 @@ def log_values(
 
 
 def _structure_of(model: str, level: float) -> tuple[str, ...]:
-    """Return the symbols of a sum of terms, the same for every record."""
+    """Return the symbols of the terms of a given model."""
     structure = FitSettings(model=model, level=level).structure
     if structure is None:
         raise ArgumentError("pool: model 'auto' depends on the record; give the terms, such as 'N + B + K'")
@@ -284,7 +277,7 @@ def _structure_of(model: str, level: float) -> tuple[str, ...]:
 
 
 def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
-    """Return the bins that fits carry."""
+    """Return the bins of fits."""
     if not fits:
         raise ArgumentError("pool: found no fits, expected at least one")
     for number, fit in enumerate(fits, 1):
@@ -296,7 +289,7 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
 
 
 def _refuse_different(fits: Sequence[NoiseFit]) -> None:
-    """Refuse what is not of one sensor, one rate and one filter."""
+    """Refuse fits that differ in sensor, rate or filter."""
     first = fits[0]
     for number, fit in enumerate(fits[1:], 2):
         corners = [one.response.cutoff_hz if one.response else 0.0 for one in (fit, first)]

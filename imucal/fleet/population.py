@@ -1,14 +1,13 @@
-"""The population that a fleet's units are drawn from: the coefficient of a sensor model, not of one unit.
+"""The distribution of a coefficient over the units of a sensor model.
 
-A unit is odd by what the others are like, so that it can't hide by widening the spread that it is judged by;
-over all units Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289, hold the
+Each unit is compared with the other units, because an outlier would widen a spread that includes it. The
+procedure of Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289, controls the
 false discovery rate.
 
-Where the logs of a whole fleet only bound a coefficient, the mean of the units' squares is still measured
-without bias, whatever the spread between them. It bounds the median unit's square, and through it each share
-of the units: of all lognormal laws with root mean square r, exp(m + t²) = r, a share p lies below
-exp(m + z t), which is r exp(z t - t²) ≤ r exp(z² / 4) for the quantile z of p. So the bound needs no spread,
-which such logs do not tell.
+If all logs of a fleet only bound a coefficient, the mean of the units' squares is still estimated without
+bias. It bounds a share of the units for any spread: for a lognormal distribution with root mean square r =
+exp(m + t²), a share p is below exp(m + z t) = r exp(z t - t²) ≤ r exp(z² / 4), with the normal quantile z of
+p.
 """
 
 import math
@@ -28,15 +27,16 @@ from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLik
 from imucal.fleet.values import LogValue, LogValues
 from imucal.frozen import frozen
 
-#: Fewer units tell no spread.
+#: Minimum number of units for a spread.
 MIN_UNITS = 3
-#: Expected share of false ones among the units that are called odd.
+#: False discovery rate of odd units.
 FALSE_SHARE = 0.05
-#: Share of bounds, in per cent, above which they are worth a sentence.
+#: Percentage of bounded logs above which a finding is reported.
 _MANY_BOUNDS = 50.0
-#: Units that are judged by the others alone at most, and up to which chance at a quick look.
+#: Maximum number of units that are tested exactly, and the largest p-value of the quick test that leads to
+#: an exact test.
 _SUSPECTS, _SUSPECT = 5, 0.2
-#: Probability with which the next unit lies in its limits.
+#: Probability that the next unit is within its limits.
 _CONTENT = 0.95
 _MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would help more than more units."
 _ALL_BOUNDED = (
@@ -47,17 +47,17 @@ _TOO_FEW = (
     "{}: the spread between units, the next unit and a tolerance bound need at least "
     f"{MIN_UNITS}; test about 10."
 )
-#: Points of a mean square's likelihood, up to where its logarithm is so far below the peak; how often its
-#: reach is doubled at most; and units that are added at a time.
+#: Grid points of the log-likelihood of a mean square, its value at the end relative to the peak, the number
+#: of times that the end is doubled at most, and the number of units added at a time.
 _POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 
 
 @frozen
 class UnitValue:
-    """One unit of a fleet: its coefficient from all of its logs, None where they only bound it.
+    """The coefficient of one unit of a fleet, from all of its logs; the value is None if it is only bounded.
 
-    `p_value` is the chance that one of the others is so far off, None where it was not tested; `p_odd` is
-    adjusted for the number of units, and `odd` says that it does not belong to the others.
+    `p_value` is the p-value of the comparison with the other units, None if it was not tested. `p_odd` is
+    adjusted for the number of units. `odd` is True if the unit differs from the others.
     """
 
     unit: str
@@ -72,19 +72,19 @@ class UnitValue:
 
 @frozen
 class Population:
-    """What a coefficient is like over the units of one sensor model.
+    """The distribution of a coefficient over the units of one sensor model.
 
-    `units` are in the order of their first log; `logs` is how many there are. `median` is the coefficient of
-    the median unit, with its 95 % interval. It is `bounded` where the logs, all together, do not tell it from
-    that of a unit without this term: its interval then begins at 0, value and high are its upper limit, and
-    the spreads are not known either.
+    `units` are in the order of their first log; `logs` is the number of logs. `median` is the coefficient of
+    the median unit with its 95 % interval. It is `bounded` if all logs together do not show the term: the
+    interval then begins at 0, value and high are the upper limit, and the spreads are None.
 
-    `spread` is the standard deviation between units, in the logarithm (0.1: 10 %), None below three units;
-    `within` that between logs of one unit, None where no unit has two. `prediction` are limits that hold the
-    next unit with probability 0.95, and `next_log` is where a log of it lies; None below three units.
+    `spread` is the standard deviation between units, in the logarithm (0.1 is 10 %), and `within` the one
+    between logs of a unit, None if no unit has two logs. `prediction` are limits that contain the next unit
+    with probability 0.95; `next_log` is the distribution of a log of the next unit. With fewer than three
+    units, all but `median` are None.
 
-    A share `content` of all units stays below `quantile`, by its median estimate, and with `confidence` below
-    `tolerance`, which is the number for the config of every unit. `findings` should be known with these.
+    `quantile` is the median estimate of the coefficient below which a share `content` of all units is.
+    `tolerance` is its upper bound at `confidence`: the number for a config file that suits every unit.
     """
 
     units: tuple[UnitValue, ...]
@@ -103,16 +103,16 @@ class Population:
 
     @property
     def middle(self) -> float | None:
-        """The median unit's coefficient; None where the logs only bound it."""
+        """The median unit's coefficient; None if it is bounded."""
         return None if self.bounded else self.median.value
 
 
 @takes("imucal.population(values)", logs=[LogValue])
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
-    """Return what the units of a fleet are like, by what each log says, any number of `logs` a unit.
+    """Return the distribution of a coefficient over the units of a fleet, from any number of `logs` per unit.
 
-    The tolerance bound holds a share `content` of all units with probability `confidence`. It is a ValueError
-    if there is no log, or a probability is not between 0 and 1.
+    A share `content` of all units is below the tolerance bound with probability `confidence`. Raises a
+    ValueError if there is no log, or if a probability is not between 0 and 1.
     """
     if not logs:
         raise ArgumentError("a population needs at least one log")
@@ -147,7 +147,6 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         prediction=(low, high),
         quantile=quantile,
         tolerance=tolerance,
-        # The median then leans on the bounds.
         findings=(Finding("info", "weak-term", _MOSTLY_BOUNDED.format(share)),)
         if share > _MANY_BOUNDS
         else (),
@@ -155,10 +154,10 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
 
 
 def membership(found: Population, new: LogValue) -> float:
-    """Return the two-sided chance that a unit of the fleet `found` gives a log like a `new` one.
+    """Return the two-sided p-value of a `new` log of a unit of the fleet `found`.
 
-    The spread between units, the scatter between logs of a unit and the error of the new log are all in it,
-    and how badly the first two are known. A fleet of fewer than three units is a `ValueError`.
+    It includes the spread between units, the scatter between logs of a unit, the uncertainty of both, and the
+    error of the new log. Raises a ValueError for a fleet of fewer than three units.
     """
     if found.next_log is None:
         raise ArgumentError(
@@ -168,7 +167,7 @@ def membership(found: Population, new: LogValue) -> float:
 
 
 def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population:
-    """Return one or two units as they are: they tell nothing of a spread between units."""
+    """Return the population of one or two units, without a spread."""
     units = _units(values, UnitLikelihoods(values, 0.0))
     determined = [unit.value for unit in units if unit.value is not None]
     low, high = min(unit.low for unit in units), max(unit.high for unit in units)
@@ -183,7 +182,7 @@ def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population
 
 
 def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
-    """Return each unit by itself; those that only bound the coefficient have no value."""
+    """Return the value of each unit; the value is None if the unit is only bounded."""
     determined, limits = units.limits()
     columns = (determined.tolist(), *np.exp(limits).tolist(), np.bincount(values.unit).tolist())
     return tuple(
@@ -193,10 +192,11 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
 
 
 def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> tuple[UnitValue, ...]:
-    """Return each unit with the chance of being so odd.
+    """Return each unit with its p-values.
 
-    A unit is new to the posterior of the others, so that allows for how badly the spreads between and within
-    units are known. The quick look is Student's t of well told units, else the posterior of all.
+    The exact test compares a unit with the posterior of the other units, which includes the uncertainty of
+    both spreads. The quick test is Student's t if all units are precise, and the posterior of all units if
+    not.
     """
     determined = bool(units.normal.all())
     squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
@@ -226,9 +226,9 @@ def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> 
 
 
 def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int], float]) -> FloatArray:
-    """Return p-values of units, shape (units,): of the oddest by the others alone; the rest can only pass.
+    """Return p-values of units, shape (units,).
 
-    The oddest have a p-value below `suspect` at a quick look.
+    Units whose `quick` p-value is below `suspect` are tested with `by_others`; the other ones get 1.
     """
     result = np.ones(quick.size)
     for unit in np.argsort(quick)[:_SUSPECTS].tolist():
@@ -238,21 +238,21 @@ def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int
 
 
 def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> FloatArray:
-    """Return two-sided p-values of the units, each against the mean and the spread of the others.
+    """Return two-sided p-values of the units, each compared with the mean and the spread of the others.
 
     `centre` and `deviation`, shape (units,), are the logarithm of each unit's coefficient and its standard
     error. The standard deviation `tau` between units sets their weights, not the scale of the test.
     """
     n = centre.size
     if n <= MIN_UNITS:
-        # No degrees of freedom are left to judge one by the others.
+        # No degrees of freedom are left.
         return np.ones(n)
     w = 1 / (deviation**2 + max(tau, 1e-12) ** 2)
     total = w.sum()
     rest = total - w
     off = centre - np.sum(w * centre) / total
     apart = off * total / rest
-    # Squares about the mean of the others: those about the mean of all, less the unit's own share.
+    # The sum of squares about the mean of the others, from the sum about the mean of all.
     squares = np.sum(w * off**2) - w * off * apart
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
     result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)
@@ -268,9 +268,9 @@ def adjusted(p_values: Sequence[float] | FloatArray) -> list[float]:
 
 
 def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
-    """Return the mean of values, shape (n,), that differ; its standard error, and their spread.
+    """Return the random-effects mean of values, shape (n,), its standard error, and their spread.
 
-    The spread beyond their standard errors is by moments, 0 at least; it is in the weights.
+    The spread beyond the standard `errors` is the moment estimate, at least 0.
     Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
     """
     weight = errors**-2.0
@@ -283,7 +283,7 @@ def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, f
 
 
 class MeanSquare:
-    """What all logs of a fleet tell of the mean of its units' squared coefficients, at zero and above."""
+    """Bounds of the mean of the units' squared coefficients."""
 
     def __init__(self, values: LogValues) -> None:
         self._units = values.squares.mean_by(values.unit, 0.0)
@@ -291,26 +291,26 @@ class MeanSquare:
 
     @property
     def shows(self) -> bool:
-        """Whether all logs together show the coefficient; one unit alone does not decide."""
+        """Whether all logs together show the coefficient, without any single unit too."""
         weight = self._units.sd**-2.0
         share = weight * self._units.estimate
         others = (np.sum(share) - share) / np.sqrt(np.sum(weight) - weight)
         return self._known_by_limits or bool(others.min() >= TWO_SIDED)
 
     def share_bound(self, content: float, confidence: float) -> float:
-        """Return what a share `content` of all units stays below with a probability `confidence`."""
+        """Return the bound of a share `content` of all units at a `confidence`."""
         return self.bound(confidence) * math.exp(max(float(scipy.special.ndtri(content)), 0.0) ** 2 / 4)
 
     def bound(self, confidence: float) -> float:
-        """Return the value that the units' root mean square stays below with a probability `confidence`.
+        """Return the upper bound of the units' root mean square at a `confidence`.
 
-        Of one square for all units, or of the mean of squares that differ, whichever is larger; neither is
-        below zero (flat prior).
+        It is the larger of the bounds for equal squares and for different squares, with a flat prior above
+        zero.
         """
         return math.sqrt(max(self._of_one(confidence), self._of_different(confidence)))
 
     def _of_one(self, confidence: float) -> float:
-        """Return the bound of a square that is the same for all units, from its likelihood."""
+        """Return the bound of a square that is equal for all units, from its likelihood."""
         units, reach = self._units, float(self._units.sd.min())
         for _ in range(_DOUBLINGS):
             square = np.linspace(0.0, reach, _POINTS)
@@ -325,7 +325,7 @@ class MeanSquare:
         return float(np.interp(confidence, total / total[-1], square))
 
     def _of_different(self, confidence: float) -> float:
-        """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
+        """Return the bound of the mean of different squares; 0 if they scatter no more than their errors."""
         units = self._units
         at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
         mean, error, spread = random_mean(units.estimate, units.deviation(at))

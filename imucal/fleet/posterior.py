@@ -1,15 +1,13 @@
-"""The posterior of a fleet's median, of the spread between its units and of the scatter within them.
+"""The posterior of a fleet's median mu, the spread tau between units and the scatter omega within them.
 
-In the logarithm of a coefficient, each log of unit u has ``mu + tau b_u + omega c_ul`` with b and c standard
-normal, known through its own likelihood. Logs of a unit scatter by omega: temperature, mounting and the day
-are never the same. A unit whose logs are all well told is a normal law; any other stands on a grid, to which
-a bound is as welcome as an estimate.
+The logarithm of the coefficient in log l of unit u is ``mu + tau b_u + omega c_ul``. b and c are standard
+normal. Each log contributes its likelihood. omega describes changes of temperature, mounting and day. The
+likelihood of a unit is normal if all of its logs are precise, and is tabulated on a grid if not.
 
-Where the units are well told mu is flat and tau has Jeffreys' prior: where all are exact, the tolerance bound
-is then the noncentral-t factor. Where they are only bounded, flat would be an answer: the likelihood does not
-fall towards zero, nor for a wide spread about a small median. There the square of the median is flat instead,
-as a measured variance asks for, and tau is as likely as units of one model are alike. omega is on a short
-grid. Each tau has a grid of mu of its own, and both are narrowed until they fit the support.
+If the units are precise, the prior of mu is flat and tau has Jeffreys' prior. For exact units the tolerance
+bound is then the noncentral-t bound. If the units are only bounded, a flat prior would determine the result,
+because the likelihood does not fall towards zero. The prior is then flat in the square of the median, and the
+prior of tau is the usual spread of units of one model.
 
 Hardy & Thompson (1996), Statistics in Medicine 15, p. 619, give the likelihood of random effects; Tiao & Tan
 (1965), Biometrika 52, p. 37, the prior for a one-way layout; Krishnamoorthy & Mathew (2009), Statistical
@@ -27,35 +25,36 @@ from imucal.fitting.noise_fit import Interval
 from imucal.fleet.values import LogValues, Squares
 from imucal.frozen import frozen
 
-#: Grid points of the coefficient of weakly told units, of mu, of tau and of omega.
+#: Grid points of the coefficient of imprecise units, of mu, of tau and of omega.
 _POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
-#: How often a grid is narrowed at most.
+#: Maximum number of times that a grid is narrowed.
 _ROUNDS = 6
-#: How far below the first guess of the median the grid of units reaches, and how far from it that of mu, in
-#: the logarithm: a coefficient 50 times smaller shows nowhere.
+#: Extent of the grids of units and of mu about the first guess of the median, in the logarithm. A coefficient
+#: 50 times smaller is invisible.
 _DEEPEST = 4.0
-#: Spread of units of one model where the data do not tell it, also between logs of a unit; and the largest
-#: that is thought of; in the logarithm.
+#: Usual spread between units of one model and between logs of a unit, and the largest spread considered, in
+#: the logarithm.
 _USUAL, _WIDEST = 0.5, 2.0
-#: A scatter within a unit that the logs show so rarely is not considered; one that is so much less probable
-#: than the most probable is left out at second sight.
+#: Tail probability beyond which a scatter within units is left out, and the ratio to the largest posterior
+#: weight below which it is left out of the finer grid.
 _RARE, _LITTLE = 1e-3, 1e-4
-#: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
+#: Points this far below the peak of the log-posterior are ignored.
 _NOTHING = 16.0
-#: They keep finite the logarithm of a probability that underflows, and the exponential of what is larger.
+#: Limits that keep logarithms of small probabilities and exponentials finite.
 _TINY, _LARGEST = math.exp(-690), 600.0
-#: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
-#: than this, against the most probable, say nothing of the latter.
+#: Points of the distributions of the next unit and the next log. Points of the posterior below this share of
+#: the largest weight are ignored.
 _GRID, _UNLIKELY = 801, 1e-7
-#: Normal laws whose widths differ by this share, and whose centres by that share of a width, are one.
+#: Normal distributions are merged if their widths differ by less than this share and their centres by less
+#: than this share of a width.
 _SAME_NORMAL, _SAME_CENTRE = 0.02, 0.2
-#: How far the law of the next log reaches, in deviations.
+#: Extent of the distribution of the next log, in standard deviations.
 _FARTHEST = 6.0
-#: Points of the predictive law that a weak unit is judged by.
+#: Points of the predictive distribution with which an imprecise unit is compared.
 _DRAWS = 4000
-#: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
+#: Multiples of the golden ratio modulo 1 fill the unit interval evenly and look random.
 _GOLDEN = (math.sqrt(5) - 1) / 2
-#: Quantile of the normal law at 95 %, two-sided; where an interval begins, the median, and where it ends.
+#: Two-sided normal quantile of 95 %; probabilities of the lower limit, the median and the upper limit.
 TWO_SIDED = 1.959963984540054
 TAILS = (0.025, 0.5, 0.975)
 
@@ -67,12 +66,12 @@ def interval_of(quantiles: FloatArray) -> Interval:
 
 
 class UnitLikelihoods:
-    """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
+    """Likelihoods of the logarithms of the units' coefficients, if logs of one unit scatter by `omega`.
 
-    Units that are `normal` have a `centre` and a `deviation`, shape (units,); `constant` is the logarithm of
-    what all of this leaves out: the scatter of logs about their units, and the peaks of the others. Of those
-    `centre` and `deviation` are for weights only, and hold `about` a logarithm; their likelihoods against
-    their peaks are `weak`, shape (weak units, points), at the logarithms `theta`, shape (points,).
+    The likelihoods of `normal` units have a `centre` and a `deviation`, shape (units,). For other units these
+    two are only used in priors, and the likelihoods divided by their peaks are `weak`, shape (weak units,
+    points), at `theta`, shape (points,). `constant` is the rest of the log-likelihood: the scatter of logs
+    about their units, and the peaks. `about` is the first guess of mu.
     """
 
     def __init__(self, logs: LogValues, omega: float) -> None:
@@ -104,9 +103,9 @@ class UnitLikelihoods:
         self.constant = 0.5 * float(scatter) + float(peaks.sum())
 
     def limits(self) -> tuple[BoolArray, FloatArray]:
-        """Return which units are told, and each unit's most likely logarithm between its limits, (3, units).
+        """Return which units are estimated, and the 95 % limits and maxima of all units, shape (3, units).
 
-        The limits hold 95 %; of a unit that is not told only the upper one holds.
+        The rows are lower limit, maximum and upper limit. The others have only an upper limit.
         """
         values, limits = self.normal.copy(), self.centre + np.outer((-1, 0, 1), TWO_SIDED * self.deviation)
         for unit, curve in zip(np.flatnonzero(~values).tolist(), self.weak, strict=True):
@@ -116,9 +115,10 @@ class UnitLikelihoods:
         return values, limits
 
     def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
-        """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau.
+        """Return the log-posterior, shape (tau, mu), as a density in log tau.
 
-        `blurs` are the matrices that take the weak units' likelihoods to each tau's row of mu.
+        `mu` has the shape (tau, mu). `blurs` contains for each tau the matrix that averages likelihoods at
+        `theta` over units around its row of mu.
         """
         v = self.deviation[self.normal] ** 2 + tau[:, None] ** 2
         y, offset = self.centre[self.normal] - mu[:, :1], mu - mu[:, :1]
@@ -131,7 +131,7 @@ class UnitLikelihoods:
         return result + self._prior(tau)[:, None]
 
     def _prior(self, tau: FloatArray) -> FloatArray:
-        """Return the logarithm of the prior of log tau and of the scatter: Jeffreys' where told."""
+        """Return the log-prior of log tau and omega: Jeffreys' prior for precise units."""
         t2, variance = tau**2, self.deviation**2
         values = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
         usual = np.log(tau) - 0.5 * (t2 + self.omega**2) / _USUAL**2
@@ -140,19 +140,19 @@ class UnitLikelihoods:
         return result
 
     def _prior_of_median(self, mu: FloatArray) -> FloatArray:
-        """Return the logarithm of Jeffreys' prior of mu at a usual spread; of weak units in exp(2 mu)."""
+        """Return Jeffreys' log-prior of mu at the usual spread; for weak units it is flat in exp(2 mu)."""
         variance = self.deviation**2
         values = float(np.sum(1 / (variance[self.normal] + _USUAL**2)))
-        # One deviation for all: a prior need not be more exact.
+        # One deviation for all units is accurate enough for a prior.
         weak, precision = len(self.weak), float(np.mean(1 / variance[~self.normal]))
         at = np.exp(np.minimum(-4 * (mu - self.about), _LARGEST)) / precision
         return 0.5 * np.log((values + weak / (at + _USUAL**2)) / (values + weak / _USUAL**2))
 
 
 def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
-    """Return the matrix that takes the mean of a function on `theta` over a normal law about `theta_to`.
+    """Return the matrix of means of a function on `theta` over normal distributions about `theta_to`.
 
-    Beyond the ends of the grid the function is what it is there.
+    The function is constant beyond the ends of the grid.
     """
     step = float(theta[1] - theta[0])
     wide = max(width, step / 2)
@@ -165,27 +165,26 @@ def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
 
 
 def two_sided(chance: FloatArray) -> FloatArray:
-    """Return the chance of lying as far out on either side, from that of lying on one."""
+    """Return two-sided p-values from lower tail probabilities."""
     return 2 * np.minimum(chance, 1 - chance)
 
 
 @frozen
 class NextLog:
-    """Where a log of a unit that was not seen lies, its own error aside.
+    """Distribution of the logarithm of the coefficient in a log of a new unit, without the log's own error.
 
-    `points` are logarithms of the coefficient, ascending, as dense as the law itself; `below` is the chance
-    of less, at each of them.
+    `below` is the distribution function at the ascending `points`.
     """
 
     points: tuple[float, ...]
     below: tuple[float, ...]
 
     def p_value(self, new: LogValues) -> float:
-        """Return the two-sided chance of one log like this."""
+        """Return the two-sided p-value of a new log."""
         step, weight = np.diff(self.points), np.diff(self.below)
         at = np.asarray(self.points[1:]) - step / 2
         if new.narrow.all():
-            # Between two points what is there lies evenly.
+            # The distribution is uniform between two points.
             error = np.hypot(new.deviation[0], step / math.sqrt(12))
             less = scipy.special.ndtr((new.centre[0] - at) / error)
         else:
@@ -194,10 +193,9 @@ class NextLog:
 
 
 class Posterior:
-    """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one.
+    """Weights on a grid of omega, tau and mu, which are broadcast against each other; their sum is 1.
 
-    The scatters within a unit are given, or all that the logs allow; tau and mu are narrowed until they fit
-    their support.
+    `omegas` defaults to all values that the logs allow. The grids of tau and mu are narrowed to the support.
     """
 
     def __init__(self, values: LogValues, omegas: FloatArray | None = None) -> None:
@@ -217,7 +215,7 @@ class Posterior:
 
     @classmethod
     def whole(cls, values: LogValues) -> "Posterior":
-        """Return that over all scatters within a unit; of weak logs on a finer grid, at second sight."""
+        """Return the posterior over all values of omega, on a finer second grid for imprecise logs."""
         found = cls(values)
         if values.narrow.all() or len(found.omega) < 2:
             return found
@@ -235,17 +233,17 @@ class Posterior:
         return result
 
     def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
-        """Return quantiles of the logarithm of a unit that was not seen."""
+        """Return quantiles of the logarithm of the coefficient of a new unit."""
         return _Law(self.mu[0], self.tau[0], self.weight.sum(axis=0)).quantiles(at)
 
     def next_log(self) -> NextLog:
-        """Return where a log of a unit that was not seen lies."""
+        """Return the distribution of a log of a new unit."""
         law = _Law(self.mu, np.hypot(self.tau, self.omega), self.weight)
         points = np.unique(law.quantiles(scipy.special.ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
         return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
 
     def p_value(self, unit: LogValues) -> float:
-        """Return the two-sided chance of the logs of one new unit, all of them narrow."""
+        """Return the two-sided p-value of the logs of one new unit, all of them narrow."""
         weight = 1 / (unit.deviation**2 + self.omega**2)
         total = weight.sum(axis=-1, keepdims=True)
         apart = weight @ unit.centre[:, None] / total - self.mu
@@ -253,9 +251,10 @@ class Posterior:
         return float(two_sided(np.sum(self.weight * scipy.special.ndtr(score))))
 
     def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
-        """Return the two-sided chance of estimates of squared coefficients like these.
+        """Return two-sided p-values of estimates of the squared coefficients of new units, shape (units,).
 
-        `scatter`, shape (units,), is that of the mean of a unit's logs about the unit, in the logarithm.
+        `scatter`, shape (units,), is the standard deviation of the mean of a unit's logs about the unit, in
+        the logarithm.
         """
         at = (np.arange(_DRAWS) + 0.5) / _DRAWS
         log, moved = self.prediction(at), scipy.special.ndtri((at * _DRAWS * _GOLDEN) % 1)
@@ -263,13 +262,16 @@ class Posterior:
 
 
 class _Law:
-    """Normal laws about `mu`, `wide`, with weights, broadcast; `points` are where they lie."""
+    """A mixture of normal distributions with centres `mu`, widths `wide` and weights.
+
+    `points` are dense in the centre and sparse in the tails.
+    """
 
     def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
         keep = weight > _UNLIKELY * weight.max()
         mu, wide, weight = (np.broadcast_to(part, weight.shape)[keep] for part in (mu, wide, weight))
         weight /= weight.sum()
-        # Laws that are nearly the same are one, with the mean and the variance of all of them.
+        # Replace nearly equal distributions by one with their common mean and variance.
         widths = np.floor(np.log(wide) / _SAME_NORMAL)
         places = np.floor(mu / (_SAME_CENTRE * np.exp(widths * _SAME_NORMAL)))
         same = np.unique(widths + 1j * places, return_inverse=True)[1]
@@ -277,25 +279,24 @@ class _Law:
         self._mu = np.bincount(same, weight * mu) / self._weight
         apart = np.bincount(same, weight * (wide**2 + (mu - self._mu[same]) ** 2))
         self._wide = np.sqrt(apart / self._weight)
-        # Dense where most of it lies, and far apart in the tails of the widest.
         middle, usual = float(self._mu @ self._weight), float(self._wide @ self._weight)
         reach = 6 * float(self._wide.max()) + np.array([middle - self._mu.min(), self._mu.max() - middle])
         ends = np.arcsinh(reach / usual)
         self.points = middle + usual * np.sinh(np.linspace(-ends[0], ends[1], _GRID))
 
     def below(self, points: FloatArray) -> FloatArray:
-        """Return the chance of less at each point."""
-        # A point at a time: all of them would take more memory than the posterior itself.
+        """Return the distribution function at each point."""
+        # One point at a time, because all together would need more memory than the posterior.
         apart = ((at - self._mu) / self._wide for at in points)
         return np.array([float(scipy.special.ndtr(one) @ self._weight) for one in apart])
 
     def quantiles(self, at: Sequence[float] | FloatArray) -> FloatArray:
-        """Return where the chance of less is `at`."""
+        """Return the quantiles of the probabilities `at`."""
         return np.interp(at, self.below(self.points), self.points)
 
 
 def _scatters(values: LogValues) -> FloatArray:
-    """Return the scatters within a unit to consider, evenly spaced; only 0 where no unit has two logs."""
+    """Return evenly spaced values of omega; only 0 if no unit has two logs."""
     counts = np.bincount(values.unit)
     degrees = values.unit.size - counts.size
     if degrees == 0:
@@ -311,7 +312,7 @@ def _scatters(values: LogValues) -> FloatArray:
 
 
 def support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
-    """Return the range of the likely points of a grid and one more to each side."""
+    """Return the range of the likely points of a grid, extended by one point on each side."""
     places = np.flatnonzero(likely)
     return float(grid[max(places[0] - 1, 0)]), float(grid[min(places[-1] + 1, grid.size - 1)])
 
@@ -319,15 +320,12 @@ def support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
 def _over_mu(
     values: LogValues, units: list[UnitLikelihoods], tau: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return for each tau the grid of mu that fits it, (tau, mu), and the posterior, (omega, tau, mu).
-
-    The less the spread, the better the median is known.
-    """
+    """Return a grid of mu for each tau, shape (tau, mu), and the log-posterior, shape (omega, tau, mu)."""
     reach = min(9 * values.scale, _DEEPEST) + 6 * tau
     ends = np.column_stack([values.middle - reach, values.middle + reach])
     for _ in range(_ROUNDS):
         mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
-        # The same for every omega, and what takes the time where units are weak.
+        # Slow, and the same for every omega.
         weak = len(units[0].weak) > 0
         blurs = [blur(row, units[0].theta, t) for t, row in zip(tau.tolist(), mu, strict=True) if weak]
         height = np.array([of_omega.log_posterior(tau, mu, blurs) for of_omega in units])

@@ -1,7 +1,7 @@
-"""What each log says of one coefficient: an estimate with limits, a bound, or the square of the coefficient.
+"""The result of each log for one coefficient: an estimate with limits, a bound, or the squared coefficient.
 
-The power of a few bins is a scaled chi-square on top of a known background, and so is, nearly, an estimate
-of a squared coefficient: normal about a weak term, its deviation in proportion to a strong one.
+An estimate of a squared coefficient is nearly a scaled chi-square plus a known background: it is normal for a
+weak term, and its standard deviation is proportional to a strong one.
 """
 
 import math
@@ -16,13 +16,13 @@ import scipy
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.frozen import frozen
 
-#: A deviation that grows by less is constant.
+#: Growth below which a deviation is constant.
 _NO_GROWTH = 1e-4
-#: A square that is small beside a deviation, relative to it.
+#: A small square, relative to its deviation.
 _SMALL = 1e-3
-#: Logarithms above this are as large as they need to be; keeps their exponentials finite.
+#: Upper limit of logarithms, so that their exponentials are finite.
 _LARGEST = 50.0
-#: An estimate is taken as normal in the logarithm up to this standard error; a square's, up to that.
+#: Largest standard error of the logarithm of an estimate, and of a square, that is treated as normal.
 _NARROW, _NARROW_SQUARE = 0.3, 0.1
 #: Numbers of a `LogValue` in `LogValues`.
 _NUMBERS = attrgetter("value", "low", "high", "level", "variance", "variance_sd", "variance_growth")
@@ -43,11 +43,11 @@ class Squares:
         return Squares(*(part[which] for part in (self.estimate, self.sd, self.growth)))
 
     def deviation(self, square: float | FloatArray) -> FloatArray:
-        """Return the standard deviation of each, were its squared coefficient `square`."""
+        """Return the standard deviation of each estimate if the squared coefficient is `square`."""
         return self.sd + self.growth * square
 
     def log_likelihood(self, square: FloatArray) -> FloatArray:
-        """Return the log-likelihood of squared coefficients, shape (n, squares), against the most likely."""
+        """Return the log-likelihood of squared coefficients minus its maximum, shape (n, squares)."""
         own = self[:, None]
 
         def depth(square: FloatArray) -> FloatArray:
@@ -59,11 +59,10 @@ class Squares:
         return depth(np.maximum(own.estimate, 0.0)) - depth(square)
 
     def below(self, square: FloatArray) -> FloatArray:
-        """Return the chance of an estimate below each, were the squares those, shape (n, squares).
+        """Return the probability of a smaller estimate for each true square, shape (n, squares).
 
-        Wilson & Hilferty (1931), Proc. National Academy of Sciences 17, p. 684: the cube root of a
-        chi-square is nearly normal. An estimate may lie below what its background alone would be, since
-        the other terms are not known: far down it is normal.
+        The cube root of a chi-square is nearly normal (Wilson & Hilferty 1931, Proc. National Academy of
+        Sciences 17, p. 684). Far below zero the estimate is normal, because the background is also estimated.
         """
         own = self[:, None]
         apart = (own.estimate - square) / own.deviation(square)
@@ -73,7 +72,7 @@ class Squares:
         return scipy.special.ndtr(np.where(own.growth < _NO_GROWTH, apart, root))
 
     def mean_by(self, group: IntArray, at: float) -> "Squares":
-        """Return the mean of each group, shape (groups,), with weights that are best at a square `at`."""
+        """Return the mean of each group, shape (groups,), with the optimal weights for the square `at`."""
         weight = self.deviation(at) ** -2.0
         share = weight / np.bincount(group, weight)[group]
 
@@ -81,7 +80,7 @@ class Squares:
             return np.sqrt(np.bincount(group, (share * self.deviation(square)) ** 2))
 
         sd = error(0.0)
-        # The deviation of a mean is nearly linear too; any small square tells how it begins.
+        # The deviation of a mean is nearly linear in the square, too.
         far = at or _SMALL * float(sd.min())
         mean: FloatArray = np.bincount(group, share * self.estimate).astype(np.float64)
         return Squares(mean, sd, (error(far) - sd) / far)
@@ -89,18 +88,18 @@ class Squares:
 
 @frozen
 class LogValue:
-    """What one log of the `unit`, such as its serial number, says of a coefficient.
+    """The result of one log of a `unit` (such as its serial number) for a coefficient.
 
-    `value` is the coefficient, None where the log only bounds it; `low` and `high` are its limits at the
-    confidence `level`, 0 and the upper limit where it is bounded. A ValueError says that the limits are out
-    of order, not positive, or that a variance comes without its deviation.
+    `value` is the coefficient, None if it is only bounded; `low` and `high` are its limits at the confidence
+    `level`, 0 and the upper limit of a bound. Raises a ValueError if the limits are not positive or not in
+    order, or if a variance has no deviation.
 
-    `variance` is the estimate of the squared coefficient, which may be negative. It says more than value and
-    limits, which are no more than a first guess where there is one. Its standard deviation is
-    ``variance_sd + variance_growth * v`` where the squared coefficient is v; these two must not follow the
-    estimate, or weights would: high ones would count for less.
+    `variance` is an estimate of the squared coefficient, which may be negative. If it is given, value and
+    limits are only a first guess. Its standard deviation is ``variance_sd + variance_growth * v`` if the
+    squared coefficient is v. Do not compute these two from the estimate: large estimates would then get less
+    weight.
 
-    `correlation_time`, in s, belongs to a Gauss-Markov term that the log estimates; None otherwise.
+    `correlation_time`, in s, is the time of an estimated Gauss-Markov term.
     """
 
     unit: str
@@ -128,13 +127,13 @@ class LogValue:
 class LogValues:
     """The logs of a fleet as columns, shape (logs,); logarithms are natural.
 
-    `names` are the units in the order of their first log, `unit` the index of each log's. The fleet lies
-    about the logarithm `middle`, a robust first guess, with a spread like `scale`. `centre` and
-    `deviation` are the logarithm of the estimate and its standard error, infinite where the log only bounds
-    it; `low_sd` and `high_sd` the standard errors below and above it, from its limits. `narrow` logs are
-    normal in the logarithm; `bounded` ones have no value; `weighed` ones have an estimate of the squared
-    coefficient, which is in `squares`: without one there is the square of the value, or zero for a bound.
-    Logs `by_limits` have only a value and its limits.
+    `names` are the units in the order of their first log, `unit` the index of each log's unit. `middle` and
+    `scale` are robust first guesses of the fleet's median and spread, in the logarithm. `centre` and
+    `deviation` are the logarithm of the estimate and its standard error, infinite for a bound; `low_sd` and
+    `high_sd` are the standard errors below and above it, from its limits. `narrow` logs are normal in the
+    logarithm, `bounded` logs have no value, and `weighed` logs have an estimate of the squared coefficient in
+    `squares`. For others `squares` contains the square of the value, or zero for a bound. Logs `by_limits`
+    have only a value and its limits.
     """
 
     names: tuple[str, ...]
@@ -162,7 +161,7 @@ class LogValues:
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
         known = ~bounded & (low > 0)
         low_sd = np.where(known, np.maximum((centre - np.log(np.where(known, low, 1.0))) / z, 1e-9), high_sd)
-        # The logarithm of a chi-square has a mean below that of its mean: by half its relative variance.
+        # The mean logarithm of a chi-square is below the logarithm of its mean by half the relative variance.
         positive = weighed & (variance > 0)
         square = np.where(positive, variance, 1.0)
         error = np.where(positive, (sd + growth * variance) / (2 * square), np.inf)
@@ -194,7 +193,7 @@ class LogValues:
         )
 
     def take(self, which: BoolArray | IntArray) -> "LogValues":
-        """Return some of the logs, and the units that they are of; about where all of the fleet lies."""
+        """Return some of the logs and their units; `middle` and `scale` stay those of the whole fleet."""
         units, unit = np.unique(self.unit[which], return_inverse=True)
         columns = {f.name: getattr(self, f.name)[which] for f in fields(self)[4:]}
         return replace(self, names=tuple(self.names[i] for i in units.tolist()), unit=unit, **columns)

@@ -1,21 +1,19 @@
-"""The points of an Allan curve that a fit is made of, and their covariance in closed form.
+"""The points of an Allan curve that a fit uses, and their covariance in closed form.
 
-Everything a fit of a curve computes is relative to a typical Allan variance of it and to the
-sampling period, so that the unit of the samples changes nothing but the unit of the result.
+Variances are relative to a typical Allan variance of the curve, and times to the sampling period, so that
+results do not depend on the unit of the samples.
 
-An Allan variance is a mean of squares of d_t, the second differences of the summed signal, so for
-Gaussian noise every covariance of two of them is a sum of squared covariances of d_t. Those follow
-from V(n), the generalised variance of a sum of n samples, of each term of the model, which may miss
-a multiple of n²:
+An Allan variance is a mean of squares of d_t, the second differences of the summed signal. For Gaussian
+noise the covariance of two Allan variances is therefore a sum of squared covariances of d_t. They follow from
+V(n), the generalised variance of a sum of n samples, of each term (a multiple of n² cancels):
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
 
-The sum is quadratic in the terms' variances. Its coefficients are computed once for a set of terms;
-the covariance of any model made of them is then a small contraction.
+The sum is quadratic in the terms' variances, with coefficients that are computed once for a set of terms.
 
-Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite differences",
-for one averaging time; the same argument holds for two.
+Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite differences", for one
+averaging time; two averaging times are analogous.
 """
 
 import math
@@ -36,15 +34,15 @@ from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
 _SIGNS = np.array([1.0, -2.0, 1.0])
-#: Up to so many lags are summed one by one.
+#: Maximum number of lags that are all summed.
 _ALL_LAGS = 300
-#: About each kink all lags so near are summed; beyond, four an octave.
+#: All lags up to this distance from a kink are summed; beyond it, four per octave.
 _NEAR = 6
-#: The covariance of flicker falls as the fourth power of the lag: it is summed to so many times m.
+#: Largest lag, in averaging times: the covariance of flicker falls with the fourth power of the lag.
 _FLICKER_REACH = 24
-#: The covariance of a term with a time is summed to so many of them beyond the windows.
+#: Largest lag beyond the windows of a term with a correlation time, in such times.
 _TIMES_REACH = 20.0
-#: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
+#: Smallest ratio of neighbouring averaging times of a fit; closer ones add almost no information.
 _MIN_SPACING = 1.9
 
 
@@ -52,9 +50,9 @@ _MIN_SPACING = 1.9
 class AvarCovariance(ReadOnlyArrays):
     """The covariance of Allan variances, as a function of the terms' variances per sample.
 
-    `ramp`, shape (p,), says which terms are ramps, which do not scatter. Of the other q variances,
-    `quadratic`, shape (q, q, k, k), holds the coefficients of the products of two, and `drift`, shape
-    (q, k, k), of those with the square of the ramp per sample.
+    `ramp`, shape (p,), is the mask of the ramps, which do not scatter. `quadratic`, shape (q, q, k, k),
+    contains the coefficients of products of two of the other q variances, and `drift`, shape (q, k, k), those
+    of products of a variance and the squared ramp per sample.
     """
 
     ramp: BoolArray
@@ -73,10 +71,10 @@ class AvarCovariance(ReadOnlyArrays):
 def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapping: bool) -> AvarCovariance:
     """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
 
-    The factors, shape (k,), are from 1 to n // 2, and the model's terms of unit variance, with times in
-    samples; a factor out of range is a ValueError. The Allan variances are the `overlapping` ones (MOAV) or
-    those of adjacent windows. Lags are summed on a grid that is dense where the covariance has its kinks, so
-    a pair of averaging times costs some thousand evaluations whatever the record; relative error below 1e-3.
+    The factors, shape (k,), are from 1 to n // 2; others raise a ValueError. `terms` have unit variances, and
+    times in samples. If not `overlapping`, the Allan variances are those of adjacent windows. Lags are summed
+    on a grid that is dense near the kinks of the covariance: about a thousand evaluations per pair of
+    averaging times, with a relative error below 1e-3.
     """
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
         raise ValueError(f"averaging factors must be in 1..{n // 2} for {n} samples")
@@ -87,7 +85,7 @@ def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapp
 def _computed(
     m: tuple[int, ...], n: int, terms: tuple[NoiseTerm, ...], *, overlapping: bool
 ) -> AvarCovariance:
-    """Return the covariance; the axes of a log ask for the same ones."""
+    """Return the covariance, cached because the axes of a log need the same one."""
     ramp = np.array([isinstance(term, RateRamp) for term in terms], dtype=bool)
     random = [term for term in terms if not isinstance(term, RateRamp)]
     quadratic = np.empty((len(random), len(random), len(m), len(m)))
@@ -102,7 +100,7 @@ def _computed(
                 row[:] = covariances[term] if term in covariances else _lag_covariance(lags, mi, mj, term)
             weighted = covariance * weight
             quadratic[..., i, j] = quadratic[..., j, i] = 2 * weighted @ covariance.T
-            # The ramp gives d_t at m the mean w m / sqrt(2); sums of covariances below zero are rounding.
+            # A ramp gives d_t at m the mean w m / sqrt(2). Negative sums of covariances are rounding errors.
             drift[..., i, j] = 2 * mi * mj * np.maximum(weighted.sum(axis=1), 0.0)
             drift[..., j, i] = drift[..., i, j]
     return AvarCovariance(ramp=ramp, quadratic=quadratic, drift=drift)
@@ -110,7 +108,7 @@ def _computed(
 
 @lru_cache(maxsize=8)
 def _every_sum_variance(term: NoiseTerm, size: int) -> FloatArray:
-    """Return V(n) up to a multiple of n², n = 0 … size-1, of a term that has no closed form for it."""
+    """Return V(n) up to a multiple of n², n = 0 … size-1, of a term without a closed form."""
     return read_only(term.sum_variance(np.arange(size, dtype=np.float64), 1.0))
 
 
@@ -133,7 +131,7 @@ def _lag_products(
 
 
 def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
-    """Return how far from 0 lags are summed: by powers of two, so that few different grids are made."""
+    """Return the largest lag, which grows by powers of two, so that few different grids are cached."""
     reach = _FLICKER_REACH * longest
     for time in (time for term in terms for time in term.values[1:]):
         while reach < 2 * longest + _TIMES_REACH * time:
@@ -142,7 +140,7 @@ def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
 
 
 def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
-    """Return lags from `low` to `high`: all, or dense about the nine kinks and ever sparser beyond."""
+    """Return lags from `low` to `high`: all of them, or a grid that is dense near the nine kinks."""
     if high - low <= _ALL_LAGS:
         return np.arange(low, high + 1, dtype=np.int64)
     kinks = np.unique([a * mi - b * mj for a in range(3) for b in range(3)])
@@ -152,18 +150,18 @@ def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
 def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatArray:
     """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k, shape (l,).
 
-    Of a Gauss-Markov process in windows that do not meet, with g samples from the end of one to the start of
-    the other, with phi = exp(-1/T), it is -phi phi^g (1 - phi^mi)² (1 - phi^mj)² / (2 mi mj (1 - phi)²).
+    For a Gauss-Markov process and windows g samples apart it is
+    -phi phi^g (1 - phi^mi)² (1 - phi^mj)² / (2 mi mj (1 - phi)²) with phi = exp(-1/T).
     """
     shifts = np.array([b * mj - a * mi for a in range(3) for b in range(3)], dtype=np.float64)
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
-    # Windows that do not meet: the sum would leave rounding errors, the larger the farther apart.
+    # For windows that do not meet, the sum would have rounding errors that grow with their distance.
     apart = np.maximum(lags - 2 * mi, -2 * mj - lags)
     meet = np.ones(lags.size, dtype=bool)
     if isinstance(term, GaussMarkov):
         meet = apart < 0
     elif isinstance(term, PowerLawTerm) and term.law is not PowerLaw.FLICKER:
-        # Windows that touch may share a value.
+        # Adjacent windows may share a value.
         meet = apart <= 0
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
@@ -182,12 +180,12 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatA
 
 @frozen_alone
 class AvarPoints:
-    """Allan variances to fit, at rising averaging factors `m`; arrays have shape (k,).
+    """Allan variances to fit, at increasing averaging factors `m`; arrays have the shape (k,).
 
-    `avar` are the variances over `scale`, which is in the square of the sample unit, and `used` their indices
-    in the curve. They were made from `n` samples, where that was known; else it is the least that allows the
-    longest averaging time. `tau0` is in s; `overlapping` says which Allan variances they are; `excess` is the
-    excess kurtosis of the white part of the samples, 0 where it is Gaussian or unknown.
+    `avar` are the variances divided by `scale`, in U², and `used` their indices in the curve. `n` is the
+    number of samples; if it is not known (`known_n`), the smallest that allows the longest averaging time.
+    `tau0` is in s. `excess` is the excess kurtosis of the white part of the samples, 0 if it is Gaussian or
+    unknown.
     """
 
     m: IntArray
@@ -210,15 +208,15 @@ class AvarPoints:
         return replace(self, m=self.m[first:], avar=self.avar[first:], used=self.used[first:])
 
     def coefficient(self, symbol: str, variance: float) -> float:
-        """Return a term's coefficient in SI, from its variance per sample over `scale`."""
+        """Return a term's coefficient in SI from its variance per sample, divided by `scale`."""
         deviation = float(np.sqrt(variance * self.scale))
         return deviation / TERMS[symbol].per_sample(self.tau0)
 
 
 def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
-    """Return the points of `curve` that are worth fitting.
+    """Return the points of `curve` that a fit uses.
 
-    A DataError refuses a curve of another estimator, or with fewer than 2 positive Allan variances.
+    A curve of another estimator, or with fewer than 2 positive Allan variances, raises a DataError.
     """
     where = series.name if series is not None else "the curve"
     if curve.estimator not in {"overlapping", "standard"}:
@@ -255,12 +253,12 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
 
 
 def is_timed(symbol: str) -> bool:
-    """Say whether a term has a time beside its coefficient."""
+    """Return whether a term has a correlation time."""
     return len(TERMS[symbol].parameters()) > 1
 
 
 def unit_terms(symbols: Sequence[str], times: Iterable[float] = ()) -> tuple[NoiseTerm, ...]:
-    """Return terms of unit variance per sample; `times` in samples, one for each of those that have one."""
+    """Return terms of unit variance per sample; `times`, in samples, has one for each term with a time."""
     given = iter(times)
     return tuple(TERMS[s].of(1.0, float(next(given))) if is_timed(s) else TERMS[s].of(1.0) for s in symbols)
 
@@ -275,8 +273,8 @@ def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
 def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
     """Return the covariance of the points, for any variances of a set of terms.
 
-    White noise of excess kurtosis g adds g avar_i avar_j / n, avar its own Allan variance: each Allan
-    variance is a mean of squares in which every sample weighs the same.
+    White noise of excess kurtosis g and Allan variances avar adds g avar_i avar_j / n, because every sample
+    has the same weight in them.
     """
     gaussian = avar_covariance(points.m, points.n, terms, overlapping=points.overlapping)
     random = [term for term in terms if not isinstance(term, RateRamp)]
@@ -288,15 +286,15 @@ def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
 
 
 def _excess_kurtosis(series: AxisSeries) -> float:
-    """Return the excess kurtosis of the white part; 0 where it does not differ from 0 for sure.
+    """Return the excess kurtosis of the white part, or 0 if it is not significant.
 
-    Differences of neighbours hold white noise twice and hardly anything else, and their excess
-    kurtosis is half of it. What has lighter tails than a uniform distribution is a tone, no noise.
+    Differences of neighbouring samples are mostly white noise, with half of its excess kurtosis. Tails
+    lighter than those of a uniform distribution belong to a tone, so the result is limited to that.
     """
     steps = series.n - 1
     if steps < 100:
         return 0.0
     excess = excess_kurtosis(series.samples)
-    # Neighbouring differences share a sample: their squares correlate by 1/4.
+    # Neighbouring differences share a sample, so their squares have a correlation of 1/4.
     deviation = np.sqrt(24 / steps * 1.5)
     return max(2 * excess, LIGHTEST) if abs(excess) > 4 * deviation else 0.0

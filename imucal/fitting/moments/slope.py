@@ -1,10 +1,9 @@
-"""The classical reading of slopes: each term where the Allan deviation runs at its slope.
+"""The classical reading of slopes: each term where the Allan deviation has its slope.
 
-N is read on the line of slope -1/2 at tau = 1 s, K on slope +1/2 at 3 s, B at the floor over 0.664,
-Q and R on slopes -1 and +1; always with the exact Allan variance of the sampled term. Two things
-make a reading unsure, and its interval holds both: the scatter of the points, whose covariance is
-known, and what the other terms add to them, which is as much as their own readings say or, where
-they have none, as the curve allows.
+N is read on a line of slope -1/2 at tau = 1 s, K on slope +1/2 at 3 s, B at the floor divided by 0.664, and Q
+and R on slopes -1 and +1, with the exact Allan variance of the sampled term. The interval of a reading
+includes the scatter of the points, whose covariance is known, and the contribution of the other terms: their
+own readings, or their largest values that the curve allows.
 
 Source: IEEE Std 952-1997, Annex C.
 """
@@ -27,15 +26,15 @@ from imucal.recording import AxisSeries
 
 #: Slope of the Allan deviation of each term that can be read.
 SLOPES = {symbol: term.slope for symbol, term in TERMS.items() if term.slope is not None}
-#: A run of points has a slope if its line is within so much of it, half the way to the next slope at most.
+#: Largest difference of the slope of a run of points from a term's slope.
 _TOLERANCE = 0.15
-#: Standard error of the slope of a run, at most: half the way to the next slope is two of them.
+#: Largest standard error of the slope of a run: a quarter of the distance to the next slope.
 _SHARP = 0.125
-#: Points, a factor of about two apart, that a line takes at least.
+#: Minimum number of points of a line; they are a factor of about two apart.
 MIN_POINTS = 3
-#: Points with fewer degrees of freedom show no slope.
+#: Minimum degrees of freedom of the points of a line.
 _MIN_EDF = 3.0
-#: Points within this factor of the lowest are the floor.
+#: Points within this factor of the lowest point are the floor.
 _FLOOR = 1.05
 
 
@@ -53,7 +52,7 @@ class LogCurve:
 
     @property
     def sure(self) -> int:
-        """How many of the points have enough degrees of freedom to show a slope."""
+        """Number of points with enough degrees of freedom for a line."""
         return int(np.sum(self.variance < 1 / (2 * _MIN_EDF)))
 
     def among(self, places: IntArray) -> FloatArray:
@@ -67,9 +66,9 @@ class LogCurve:
 
 @frozen_alone
 class Reading:
-    """One term's line: the logarithm of its coefficient, the points' logarithms by `weights`, shape (k,).
+    """The reading of one term: `log_value` is the logarithm of the coefficient, `spread` its standard error.
 
-    Weights are 0 beside the line. `spread` is the standard error of `log_value`.
+    It is the mean of the points' logarithms with `weights`, shape (k,), which are 0 outside the line.
     """
 
     symbol: str
@@ -91,7 +90,7 @@ class Reading:
 def read_term(
     curve: LogCurve, symbol: str, windows: Mapping[str, tuple[float, float]] | None
 ) -> Reading | None:
-    """Return the reading of one term, or None where the curve has no such slope."""
+    """Return the reading of one term, or None if the curve has no such slope."""
     if windows is not None and symbol in windows:
         (first, last), tau = windows[symbol], curve.points.m * curve.points.tau0
         places = np.flatnonzero((tau >= first * (1 - 1e-9)) & (tau <= last * (1 + 1e-9)))
@@ -114,7 +113,7 @@ def read_term(
 
 
 def _line(curve: LogCurve, slope: float) -> IntArray:
-    """Return the longest run of points on a line of that slope; of equals, the surest."""
+    """Return the longest run of points on a line of that slope; of equally long ones, the most precise."""
     x, y = np.log(curve.points.m.astype(np.float64)), np.log(curve.points.avar) / 2
     variance, width = curve.variance, np.diff(x)
     steps = np.diff(y) / width
@@ -140,7 +139,7 @@ def _line(curve: LogCurve, slope: float) -> IntArray:
 
 
 def _floor(curve: LogCurve) -> IntArray:
-    """Return the points about the lowest, if the curve rises on both sides of it."""
+    """Return the points near the lowest one if the curve rises on both sides."""
     adev = np.sqrt(curve.points.avar[: curve.sure])
     lowest = int(np.argmin(adev)) if adev.size else 0
     if lowest in {0, adev.size - 1}:
@@ -159,13 +158,12 @@ def fit_slope(
     *,
     windows: Mapping[str, tuple[float, float]] | None = None,
 ) -> NoiseFit:
-    """Read terms off the slopes of Allan variances, overlapping or standard.
+    """Read terms from the slopes of overlapping or standard Allan variances; `series` may be None.
 
-    Where they are all that is left, `series` is None. Model ``auto`` reads all terms that have their slope
-    somewhere; N, B and K are always among the estimates. A term without its slope, or one that the others
-    explain, is bounded: alone it would lie above the curve. `windows`, a symbol -> the first and the last
-    averaging time in s of the line it is read on, take the place of those found; one without a point is a
-    ValueError. A curve with fewer than 2 averaging times, or not of Allan variances, is a DataError.
+    Model ``auto`` reads all terms whose slope the curve has. A term without its slope, or one that the others
+    explain, is bounded by the curve. `windows` maps symbols to the first and last averaging time in s of
+    their lines, instead of a search; a window without points raises a ValueError. A curve with fewer than 2
+    averaging times, or not of Allan variances, raises a DataError.
     """
     structure, level = settings.structure, settings.level
     points = avar_points(series, curve)
@@ -204,10 +202,10 @@ def fit_slope(
 def _estimates(
     curve: LogCurve, found: Mapping[str, Reading], structure: tuple[str, ...] | None, level: float
 ) -> tuple[tuple[Estimate, ...], list[Reading]]:
-    """Return the estimates and the readings that are not explained by the others."""
+    """Return the estimates, and the readings that the other terms do not explain."""
     quantile = float(scipy.special.ndtri((1 + level) / 2))
-    # The logarithm of a term that was not read may still be as large as the curve lets it: alone it stays
-    # below chi-squared limits that hold for all points together (Bonferroni).
+    # A term that was not read may be as large as the curve allows: below the chi-squared limits of all
+    # points together (Bonferroni).
     edf, avar = 1 / (2 * curve.variance), curve.points.avar
     least = scipy.special.chdtri(edf, 1 - (1 - level) / (2 * curve.points.size))
     tops = {s: float((np.log(avar / curve.shape(s) * edf / least) / 2).min()) for s in SLOPES}
@@ -233,7 +231,7 @@ def _estimates(
 def _share_of_others(
     curve: LogCurve, reading: Reading, found: Mapping[str, Reading], tops: Mapping[str, float]
 ) -> float:
-    """Return how much of a line's Allan variance the others, at two standard errors more, may explain."""
+    """Return the share of a line's Allan variance that the other terms plus two standard errors explain."""
     share = np.zeros(curve.points.size)
     for symbol in SLOPES:
         if symbol == reading.symbol:
@@ -247,7 +245,7 @@ def _share_of_others(
 
 
 def _variance_next_to(curve: LogCurve, reading: Reading, symbol: str) -> float:
-    """Return two standard errors more than the other term that the bend of a line shows, or infinity."""
+    """Return the upper limit (two standard errors) of another term from the bend of a line, or infinity."""
     places = reading.places
     if places.size < MIN_POINTS:
         return float("inf")
