@@ -8,6 +8,7 @@ Gyroscope, accelerometer and their times may be in separate files: apps of phone
 """
 
 import re
+import shlex
 import zipfile
 import zlib
 from collections import Counter
@@ -17,12 +18,11 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, repeat
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias, cast, get_args
+from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -33,20 +33,19 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable
 from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
-from imucal.readers.tables.dialects import find_messages, name_columns
+from imucal.readers.tables.dialects import find_json, name_columns
 from imucal.readers.tables.file_sets import FileHead, chosen_files
 from imucal.readers.tables.layout import (
     BLANKS,
     Rows,
     TextLayout,
     find_layout,
-    is_number,
     row_pattern,
     rows_of_tag,
     split_line,
 )
-from imucal.readers.tables.names import Role, parse_column
-from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
+from imucal.readers.tables.names import Role
+from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import (
     SensorColumns,
@@ -57,15 +56,9 @@ from imucal.readers.tables.tabular import (
     with_more,
 )
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
-from imucal.readers.ways_out import CURVES, TEXTS, way_out
+from imucal.readers.ways_out import CURVES, LOGGERS, TEXTS, way_out
 from imucal.recording import Recording, Sensor, span_ns
 from imucal.resources import column_limit
-from imucal.units import TIME_UNITS_NS, parse_time_unit
-
-#: A tag that marks the rows of an inertial sensor.
-_INERTIAL = re.compile(
-    r"\$?(imu|gyr|acc|raw_?imu|scaled_?imu|inertial|sensor_combined|ins)\w*", re.IGNORECASE
-)
 
 
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
@@ -74,11 +67,10 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     Raises ReadError if it has no rows of numbers or no samples, ChoiceError if its header does not fit them.
     """
     start = "\n".join(lines).encode()
-    if way := way_out(path, start, CURVES):
+    if way := way_out(path, start, CURVES if options.columns else (*CURVES, *LOGGERS)):
         raise refused(path, way)
-    messages = find_messages(lines)
-    if messages is not None:
-        return messages
+    if objects := find_json(lines):
+        return objects
     layout = find_layout(lines)
     way = way_out(path, start, TEXTS)
     if layout is None or (way and not layout.headers):
@@ -87,37 +79,15 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
         raise refused(path, f"found no rows of numbers; the first line is {first[:80]!r}; {expected}")
     layout = name_columns(layout)
     if options.columns is None and not layout.headers:
-        raise _unnamed(path, lines, layout, options)
+        problem = f"the {layout.width} columns have no header"
+        if layout.mismatch is not None:
+            problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
+        raise NamedTable.of(path, [""] * layout.width, layout.cells).ask(problem)
     return layout
 
 
-def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
-    """Return the error for a table without names, with a columns text for it if one is known."""
-    problem = f"the {layout.width} columns have no header"
-    if layout.mismatch is not None:
-        problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
-    tags = _inertial_tags(lines, layout.delimiter)
-    rows = rows_of_tag(lines, layout.delimiter, (-1, tags[0])) if tags else ()
-    table = _nameless(path, find_layout(rows) or layout)
-    numeric = [column.index for column in table.columns if all(map(is_number, column.cells))]
-    gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
-    both = []
-    if gyro and accel and len(numeric) == 4:
-        axes = f"{numeric[1]}:{numeric[1] + 3}"
-        both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    example = propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
-    return _nameless(path, layout).ask(problem, example=example)
-
-
-def _nameless(path: str, layout: TextLayout) -> NamedTable:
-    return NamedTable.of(path, [""] * layout.width, layout.cells)
-
-
-def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
-    """Return the texts of cells that name an inertial sensor, the most frequent first."""
-    cells = (cell.strip("\"'") for line in lines for cell in split_line(line, delimiter)[:3])
-    return [tag for tag, _ in Counter(filter(_INERTIAL.fullmatch, cells)).most_common()]
-
+#: Advice for a file of times next to files of samples.
+_ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
 #: Types of cells: numbers, or one of the kinds of time as text.
 Kind: TypeAlias = Literal["integer", "float"] | TextKind
@@ -305,31 +275,18 @@ def _number(cell: str, kind: Kind) -> int | float | str | None:
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
-#: The index of times in a separate file.
-EXTERNAL = -1
-
-
-class ExternalTime(NamedTuple):
-    """The times of a table's rows, shape (n,), from the file at `path`; `choice` has the index `EXTERNAL`."""
-
-    path: str
-    choice: TimeChoice
-    values: FloatArray
-
 
 def read_table(
     source: TextSource,
     options: ReadOptions,
     *,
     name: str = "",
-    stamps: ExternalTime | None = None,
     head: bool = False,
 ) -> Recording:
     """Read the table of an opened text; only its first lines if `head`.
 
-    `name` is the file name, which may name the sensor; `stamps` are times of the rows from a separate file.
-    Raises ChoiceError if columns, units or time are not clear, ReadError if the text is not a table,
-    DataError if it has no samples.
+    `name` is the file name, which may name the sensor. Raises ChoiceError if columns, units or time are not
+    clear, ReadError if the text is not a table, DataError if it has no samples.
     """
     # Reuse the memory of blocks.
     keep_freed_memory()
@@ -341,8 +298,7 @@ def read_table(
     # Read sensors of the same rows together.
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
+        groups.setdefault(sensor.triad.rows, []).append(sensor)
     how: dict[str, Any] = {"temperature": plan.temperature, "limit": options.memory_limit}
     how["expected"] = 0 if head else source.expected_rows
     readers = [_reader(source.head, layout, group, **how) for group in groups.values()]
@@ -352,11 +308,6 @@ def read_table(
     sensors = []
     for reader, group in zip(readers, groups.values(), strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
-        if stamps is not None:
-            if reader.bad or reader.good != stamps.values.size:
-                found = f"{stamps.values.size} times for the {reader.good} good and {reader.bad} bad rows"
-                raise refused(stamps.path, f"{found} of {source.name}; expected one time for each row")
-            values[EXTERNAL] = stamps.values
         if reader.good:
             sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
     if not sensors:
@@ -378,6 +329,10 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
     layout = lay_out(source.name, source.head, options)
     names = layout.headers or [""] * layout.width
     table = NamedTable.of(source.name, names, layout.cells, units=layout.units, preamble=layout.preamble)
+    if all(column.role is Role.TIME for column in table.columns):
+        joined = f"{shlex.quote(source.name)} SAMPLES > log.csv"
+        way = f"{_ONLY_TIMES} {joined}, or leave it out and give the sampling rate"
+        raise refused(source.name, way, ChoiceError)
     return layout, make_plan(table, options, name=name)
 
 
@@ -391,7 +346,7 @@ def _reader(
     expected: int,
 ) -> BlockReader:
     """Return the reader of some sensors' columns in the same rows; `lines` are the first rows."""
-    rows = sensors[0].triad.rows or layout.tag
+    rows = sensors[0].triad.rows
     layout = _of_rows(lines, layout, rows)
     kinds: dict[int, Kind] = {}
     times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
@@ -399,7 +354,7 @@ def _reader(
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
     for time in times:
         text = time.kind == "text"
-        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices if index != EXTERNAL}
+        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices}
     # A row without its last cell was cut, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
@@ -418,7 +373,7 @@ def _reader(
 
 def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
     """Return the layout of some of the rows: tagged rows differ in width."""
-    if rows is None or rows == layout.tag:
+    if rows is None:
         return layout
     lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
     cells = [tuple(split_line(line, layout.delimiter)) for line in lines]
@@ -565,28 +520,27 @@ def _head_of(name: str, opened: Callable[[], TextSource], options: ReadOptions) 
 
 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
-    """Read files with one sensor each, perhaps with a file of times; None for other files.
+    """Read files with one sensor each; None for other files.
 
-    Raises ReadError if a file can't be read.
+    Raises ReadError if a file can't be read, ChoiceError if one has only times.
     """
-    found = {path: times_of(path) for path in paths}
-    tables = [path for path in paths if found[path] is None]
-    times = [stamps for stamps in found.values() if stamps is not None]
     sensors = []
-    for path in tables:
+    for path in paths:
         try:
             with open_text(path) as source:
                 _, plan = plan_of_head(source, options, path.name)
-        except ImucalError:
+        except ImucalError as error:
+            if _ONLY_TIMES in str(error):
+                raise
             return None
         sensors += [sensor.triad.sensor for sensor in plan.sensors]
-    if len(times) > 1 or not tables or not len(sensors) == len(set(sensors)) == len(tables):
+    if not len(sensors) == len(set(sensors)) == len(paths):
         return None
     parts = []
-    for path in tables:
+    for path in paths:
         with open_text(path, progress=options.progress) as source:
-            parts.append(read_table(source, options, stamps=next(iter(times), None)))
-    return merge(parts, [path.name for path in tables], ", ".join(map(str, paths)))
+            parts.append(read_table(source, options))
+    return merge(parts, [path.name for path in paths], ", ".join(map(str, paths)))
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
@@ -619,29 +573,6 @@ def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recordi
     if len(spans) == len(parts) and min(end for _, end in spans) < max(spans)[0]:
         apart = f"{' and '.join(names)} were not recorded at the same time"
         raise refused(path, f"{apart}; expected one recording; read one file at a time", ChoiceError)
-
-
-def times_of(path: Path) -> ExternalTime | None:
-    """Return the times in a file of one column with a header; None for other files."""
-    try:
-        source = open_text(path)
-    except ImucalError:
-        return None
-    with source:
-        lines = [line.strip() for line in source.head if line.strip()]
-        column = parse_column(lines[0], 0)
-        if len(lines) < 3 or column.role is not Role.TIME or not all(map(is_number, lines[1:])):
-            return None
-        cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
-    unit = parse_time_unit(column.unit) if column.unit else None
-    choice = TimeChoice(
-        kind="stamp",
-        indices=(EXTERNAL,),
-        name=column.header,
-        ns=TIME_UNITS_NS[unit] if unit else None,
-        ns_source=f"from the header of {path.name}" if unit else "",
-    )
-    return ExternalTime(str(path), choice, np.array([float(cell) for cell in cells if is_number(cell)]))
 
 
 #: Largest unpacked text that `describe` reads completely, in less than half a second.
