@@ -1,7 +1,7 @@
 """Read delimited text (CSV, TSV, blanks) from a file, standard input, or an app's set of files.
 
-The first lines determine the layout, and names of columns the sensors. Polars parses blocks of rows; if that
-fails, a tolerant parser does. Ambiguous columns are not guessed: the error lists them with a columns text.
+The first lines determine the layout, and names of columns the sensors. Polars parses blocks of rows.
+Ambiguous columns are not guessed: the error lists them.
 
 Gyroscope, accelerometer and their times may be in separate files: apps of phones write a zip or a folder
 (phyphox, Sensor Logger), simulators several files.
@@ -16,14 +16,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, repeat
+from itertools import chain
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
+from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
@@ -94,6 +94,10 @@ Kind: TypeAlias = Literal["integer", "float"] | TextKind
 _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
 _QUOTED = re.compile(rb'"[^"\n]*"')
+_UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
+
+#: Name of the column behind those of the layout.
+_LONGER = "longer"
 
 _COMMENTS = ("#", "%", "//", ";")
 
@@ -140,137 +144,95 @@ class BlockReader:
             block = self.layout.prepare(block)
         if self._pattern is not None:
             block = b"\n".join(self._pattern.findall(block)) + b"\n"
-        plain = self._plain(block)
-        if not plain or plain.isspace():
+        block = self._plain(block)
+        if not block or block.isspace():
             return
-        values = self._by_polars(plain)
-        if values is None:
-            # Search for blank lines only now: it takes as long as parsing.
-            plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
-            values = self._by_polars(plain, last_try=True) or self._by_hand(plain)
+        table = self._parsed(block)
+        values: dict[int, NDArray[Any]] = {}
+        bad = table[_LONGER].is_not_null().to_numpy().copy()
+        for index in self.needed or self.kinds:
+            if table[str(index)].null_count():
+                bad |= table[str(index)].is_null().to_numpy()
+        for index, kind in self.kinds.items():
+            series = table[str(index)]
+            if kind in _TEXTS:
+                cells, text = series.fill_null("").to_list(), cast("TextKind", kind)
+                values[index] = parse_texts(cells, text, by_day=self.by_day)
+                bad |= values[index] == NO_STAMP
+            else:
+                full = series.fill_null(0) if series.dtype.is_integer() and series.null_count() else series
+                values[index] = np.asarray(full.to_numpy())
+        if bad.any():
+            self._count_bad(block.split(b"\n"), np.flatnonzero(bad))
+            values = {index: array[~bad] for index, array in values.items()}
         self.good += len(next(iter(values.values())))
         for index, column in self.columns.items():
             column.append(values[index])
 
     def _plain(self, block: bytes) -> bytes:
-        """Return a block for the parser: one delimiter, decimal points, no blank lines."""
-        delimiter = self.layout.delimiter
+        """Return a block for the parser: one delimiter, decimal points, no quotation marks."""
+        delimiter, mark = self.layout.delimiter, self._mark.encode()
+        commas = self.layout.decimal == ","
         if delimiter == BLANKS:
             block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
             block = re.sub(rb"[ \t]+", b",", block)
         elif b" " in block:
-            mark = delimiter.encode()
             block = block.replace(mark + b" ", mark)
             # Keep a blank in a cell, or two numbers would become one.
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
-        if self.layout.decimal != ",":
-            return block
-        # If the delimiter is a comma, decimal commas are in quotes.
-        if delimiter == ",":
-            return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
-        return block.replace(b",", b".")
-
-    def _by_polars(self, block: bytes, *, last_try: bool = False) -> dict[int, NDArray[Any]] | None:
-        """Return the wanted columns of a block; None where it holds something that is no row.
-
-        Rows that lack a cell are such before the last try: they may be blank lines.
-        """
-        table = self._parsed(block)
-        if table is None:
-            return None
-        values: dict[int, NDArray[Any]] = {}
-        lacking = np.zeros(table.height, dtype=np.bool_)
-        for index in self.needed or self.kinds:
-            if table[str(index)].null_count():
-                lacking |= table[str(index)].is_null().to_numpy()
-        for index, kind in self.kinds.items():
-            series = table[str(index)]
-            if kind in _TEXTS:
-                values[index] = self._times(series.fill_null("").to_list(), kind)
-                lacking |= values[index] == NO_STAMP
-            else:
-                full = series.fill_null(0) if kind == "integer" and series.null_count() else series
-                values[index] = np.asarray(full.to_numpy())
-        if lacking.any():
-            if not last_try:
-                return None
-            first = block.split(b"\n")[int(np.argmax(lacking))]
-            self._note_bad(int(lacking.sum()), first.decode("utf-8", "replace"))
-            values = {index: array[~lacking] for index, array in values.items()}
-        return values
+        if self.layout.quoted:
+            inner = b"." if commas else b" "
+            block = _QUOTED.sub(lambda match: match[0][1:-1].replace(mark, inner), block)
+            # A mark without a partner makes its line one cell, which is no number.
+            block = _UNCLOSED.sub(lambda match: match[0].replace(mark, b" "), block)
+        # If the delimiter is a comma, decimal commas were in quotes.
+        if commas and delimiter != ",":
+            block = block.replace(b",", b".")
+        return block
 
     def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
-        """Return a block as polars' table of the columns that are looked at; None where it can't be one."""
+        """Return a block as polars' table of the columns that are looked at; cells without a value are null.
+
+        Rows with more cells than the layout have a value in the column `_LONGER`.
+        """
         import polars as pl
 
-        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
-        width, quoted = self.layout.width, self.layout.quoted
+        names = [*map(str, range(self.layout.width)), _LONGER]
         looked_at = sorted(self.needed | self.kinds.keys())
-        try:
-            table = pl.read_csv(
-                block,
-                has_header=False,
+        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
+
+        def parsed() -> pl.DataFrame:
+            return pl.read_csv(
+                self._mark.join(names).encode() + b"\n" + block,
                 separator=self._mark,
-                quote_char='"' if quoted else None,
-                schema={str(index): types.get(self.kinds.get(index), pl.String) for index in range(width)},
-                columns=looked_at if len(looked_at) < width else None,
+                quote_char=None,
+                schema={name: types.get(self.kinds.get(at), pl.String) for at, name in enumerate(names)},
+                columns=[*map(str, looked_at), _LONGER],
+                ignore_errors=True,
+                truncate_ragged_lines=True,
+                encoding="utf8-lossy",
             )
-        except (pl.exceptions.PolarsError, UnicodeDecodeError):
-            return None
-        # An unclosed quotation mark may swallow lines.
-        swallowed = quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n"))
-        return None if swallowed else table
 
-    def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
-        """Return the wanted columns of the good rows of a block, row by row."""
+        table = parsed()
+        integers = [str(index) for index, kind in self.kinds.items() if kind == "integer"]
+        if any(table[name].null_count() for name in integers):
+            types["integer"] = pl.Float64
+            floats = parsed()
+            for name in integers:
+                # Numbers that a float rounds are damaged stamps.
+                gained = floats[name].filter(table[name].is_null()).drop_nulls()
+                if gained.len() and bool((gained.abs() < 2**53).any()):
+                    table = table.with_columns(floats[name])
+        return table
+
+    def _count_bad(self, lines: Sequence[bytes], indices: NDArray[np.int64]) -> None:
+        """Count rows that can't be read, except blank lines, comments and headers; keep the first."""
         header = self._mark.join(self.layout.headers).replace(" ", "")
-        rows = []
-        for line in block.decode("utf-8", "replace").split("\n"):
-            text = line.strip("\r\n")
-            if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
-                continue
-            row = self._row(split_line(text, self._mark))
-            if row is None:
-                self._note_bad(1, text)
-            else:
-                rows.append(row)
-        columns = zip(*rows, strict=True) if rows else repeat((), len(self.kinds))
-        return {
-            index: self._times(cells, kind)
-            if kind in _TEXTS
-            else np.array(cells, None if cells else np.int64)
-            for (index, kind), cells in zip(self.kinds.items(), columns, strict=True)
-        }
-
-    def _row(self, cells: Sequence[str]) -> list[Any] | None:
-        """Return the wanted cells of a row as numbers; None for a bad row."""
-        missing = self.layout.width - len(cells)
-        cells = [*cells, *[""] * missing]
-        if missing < 0 or any(not cells[index] for index in self.needed):
-            return None
-        row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
-        return None if None in row else row
-
-    def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
-        return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
-
-    def _note_bad(self, count: int, first: str) -> None:
-        self.first_bad = self.first_bad if self.bad else first[:120]
-        self.bad += count
-
-
-def _number(cell: str, kind: Kind) -> int | float | str | None:
-    """Return a cell's value; an empty cell of floats is NaN; None if it is invalid."""
-    if kind in _TEXTS or "_" in cell:
-        return cell if kind in _TEXTS else None
-    with suppress(ValueError):
-        if kind == "integer":
-            value = int(cell)
-            return value if -(2**63) <= value < 2**63 else None
-    with suppress(ValueError):
-        return float(cell or ("nan" if kind == "float" else ""))
-    return None
+        texts = (lines[index].decode("utf-8", "replace").strip("\r") for index in indices.tolist())
+        found = [t for t in texts if t and not t.startswith(_COMMENTS) and t.replace(" ", "") != header]
+        self.first_bad = self.first_bad if self.bad or not found else found[0][:120]
+        self.bad += len(found)
 
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -317,7 +279,13 @@ def read_table(
     work = RecordingBuilder(
         path=source.name, format="csv", options=options, rate_hz=layout.rate_hz, findings=findings
     )
-    assemble(work, [plan], sensors)
+    try:
+        assemble(work, [plan], sensors)
+    except ChoiceError as error:
+        if not source.findings:
+            raise
+        damage = [ChoiceError(f"{source.name}: {finding.text}") for finding in source.findings]
+        raise as_one(source.name, [error, *damage]) from error
     return work.build(topics=plan.topics)
 
 
