@@ -211,9 +211,12 @@ _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 #: Range of seconds since 1970 or 1980.
 _EPOCH = (5e8, 4e9)
 
-#: Words of a column of minutes, and of the seconds and their fractions next to it.
-_MINUTES = frozenset({"minute", "minutes"})
-_SECONDS = frozenset({"second", "seconds", "sec", "nano", "nanos", "nanosecond", "nanoseconds", "nsec", "ns"})
+#: Words of columns of hours or minutes, and of columns that restart every hour or minute next to them.
+_DATED = frozenset({"hour", "hours", "minute", "minutes"})
+_RESTARTED = frozenset(
+    {"minute", "minutes", "min", "second", "seconds", "sec"}
+    | {"nano", "nanos", "nanosecond", "nanoseconds", "nsec", "ns"}
+)
 
 
 def _points(text: str) -> dict[str, int]:
@@ -335,9 +338,9 @@ def _steps(columns: Sequence[NamedColumn]) -> str:
 
 
 def _parts_of_dates(table: NamedTable) -> tuple[list[NamedColumn], list[NamedColumn]]:
-    """Return the columns of minutes and of seconds within a minute, and the other columns."""
-    dated = any(_MINUTES.intersection(column.words) for column in table.columns)
-    parts = [c for c in table.columns if dated and (_MINUTES | _SECONDS).intersection(c.words)]
+    """Return the columns of minutes, and of seconds within a minute, and the other columns."""
+    dated = any(_DATED.intersection(column.words) for column in table.columns)
+    parts = [column for column in table.columns if dated and _RESTARTED.intersection(column.words)]
     return parts, [column for column in table.columns if column not in parts]
 
 

@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.arrays import BoolArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -147,9 +148,21 @@ class BlockReader:
         block = self._plain(block)
         if not block or block.isspace():
             return
-        table = self._parsed(block)
+        values, bad = self._values(self._parsed(block))
+        if bad.any():
+            self._count_bad(block.split(b"\n"), np.flatnonzero(bad))
+            values = {index: array[~bad] for index, array in values.items()}
+        self.good += len(next(iter(values.values())))
+        for index, column in self.columns.items():
+            column.append(values[index])
+
+    def _values(self, table: Any) -> tuple[dict[int, NDArray[Any]], BoolArray]:  # noqa: ANN401 - of polars
+        """Return the wanted columns of polars' table, and which rows can't be read."""
         values: dict[int, NDArray[Any]] = {}
-        bad = table[_LONGER].is_not_null().to_numpy().copy()
+        bad = np.zeros(table.height, np.bool_)
+        # Counts are known; masks take as long as a tenth of the parsing.
+        if table[_LONGER].null_count() < table.height:
+            bad |= table[_LONGER].is_not_null().to_numpy()
         for index in self.needed or self.kinds:
             if table[str(index)].null_count():
                 bad |= table[str(index)].is_null().to_numpy()
@@ -162,12 +175,7 @@ class BlockReader:
             else:
                 full = series.fill_null(0) if series.dtype.is_integer() and series.null_count() else series
                 values[index] = np.asarray(full.to_numpy())
-        if bad.any():
-            self._count_bad(block.split(b"\n"), np.flatnonzero(bad))
-            values = {index: array[~bad] for index, array in values.items()}
-        self.good += len(next(iter(values.values())))
-        for index, column in self.columns.items():
-            column.append(values[index])
+        return values, bad
 
     def _plain(self, block: bytes) -> bytes:
         """Return a block for the parser: one delimiter, decimal points, no quotation marks."""

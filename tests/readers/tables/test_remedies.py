@@ -134,6 +134,15 @@ def proposed(message: str) -> str:
     return match[1]
 
 
+def test_a_log_of_one_axis_without_names(tmp_path: Path) -> None:
+    """The form in the error has one axis, and reads it."""
+    path = tmp_path / "log.csv"
+    path.write_text(lines("", [f"{0.01 * i:.2f}" for i in range(N)], sensors()[2]), encoding="utf-8")
+    assert "in a columns text of the form t=TIME,gz=Z (names" in refused(path)
+    recording = read(path, columns="t=0,gz=1", gyro_unit="rad/s")
+    np.testing.assert_array_equal(recording.axis("gyroscope", "z").samples, truth().gyro[:, 2])
+
+
 @pytest.mark.parametrize("wrong", ["g=1:3", "g=gx+gy+gq", "t=0", "gyro=1:4", "g=4:9,a=0", "g=1:4,a=90:93"])
 def test_a_wrong_columns_text_is_put_right(wrong: str, tmp_path: Path) -> None:
     """The text that is proposed instead takes the columns that the names tell."""

@@ -165,6 +165,8 @@ DATE = ("year", "month", "day", "hour", "minute", "second")
         (dict.fromkeys(DATE, ON), []),
         (dict.fromkeys((*DATE, "nano"), ON), []),
         (dict.fromkeys(DATE[3:], ON), []),
+        (dict.fromkeys(("hour", "min", "sec"), ON), []),
+        (dict.fromkeys(("min", "max", "sec"), ON), ["sec"]),
         (dict.fromkeys(DATE, ON) | {"utc_time": ON}, ["utc_time"]),
         (dict.fromkeys(DATE, ON) | {"uptime [s]": ON}, ["uptime [s]"]),
         ({"second": ON}, ["second"]),
