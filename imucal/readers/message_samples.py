@@ -71,7 +71,7 @@ def _with_times(topic: Topic, first: SensorPlan, sensor: SensorPlan, options: Re
     if sensor.triad.rows != first.triad.rows:
         raise _of_other_rows(topic)
     # The log time is better than a count of samples, or their steps.
-    own = first.time is not None and first.time.kind not in {"counter", "steps"} and options.time != "log"
+    own = first.time is not None and first.time.kind != "counter" and options.time != "log"
     return replace(sensor, time=first.time if own else LOG, log_time=LOG)
 
 

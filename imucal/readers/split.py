@@ -111,7 +111,7 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     ordered = sorted(paths, key=natural)
     formats = [detect(path) for path in ordered]
     if all(entry.name == "text" for entry in formats) and (found := read_many(ordered, options)):
-        # A gyroscope's file and an accelerometer's, perhaps with one of their times.
+        # A gyroscope's file and an accelerometer's.
         return _named(found, ordered)
     # Half of what may be held is for the parts, half for what they become.
     limit = options.memory_limit or column_limit()

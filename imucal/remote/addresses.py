@@ -195,19 +195,20 @@ TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
 #: Seconds without an answer before a connection is given up.
 _PATIENCE = 30.0
 
-_CREDENTIALS = frozenset({
-    "NoCredentialsError", "PartialCredentialsError", "CredentialRetrievalError", "TokenRetrievalError",
-    "ProfileNotFound", "DefaultCredentialsError", "RefreshError", "ClientAuthenticationError",
+#: What an error means -> names of such errors, whose libraries may not be installed. The first match counts.
+_ERRORS = {
+    "missing": "FileNotFoundError ResourceNotFoundError NoSuchBucket NoSuchKey",
+    "forbidden": "PermissionError",
+    "login": "NoCredentialsError PartialCredentialsError CredentialRetrievalError TokenRetrievalError "
+    "ProfileNotFound DefaultCredentialsError RefreshError ClientAuthenticationError "
     "CredentialUnavailableError",
-})  # fmt: skip
-#: Names of connection errors and timeouts; the libraries that define them may not be installed.
-_CONNECTION = frozenset({
-    "EndpointConnectionError", "ClientConnectionError", "ConnectionError", "ServiceRequestError",
-    "ServiceResponseError", "HTTPClientError", "ClientPayloadError", "ResponseStreamingError",
-    "IncompleteReadError", "IncompleteRead", "SSLError",
-})  # fmt: skip
-_LATE = frozenset({"TimeoutError", "ConnectTimeoutError", "ReadTimeoutError", "ServerTimeoutError"})
-_MISSING = frozenset({"FileNotFoundError", "ResourceNotFoundError", "NoSuchBucket", "NoSuchKey"})
+    "certificate": "SSLCertVerificationError",
+    "host": "gaierror ClientConnectorDNSError",
+    "late": "TimeoutError ConnectTimeoutError ReadTimeoutError ServerTimeoutError",
+    "connection": "EndpointConnectionError ClientConnectionError ConnectionError ServiceRequestError "
+    "ServiceResponseError HTTPClientError ClientPayloadError ResponseStreamingError IncompleteReadError "
+    "IncompleteRead SSLError",
+}
 _NO_BUCKET = re.compile(r"NoSuchBucket|(specified )?(bucket|container) does not exist", re.IGNORECASE)
 #: What to do about credentials, by scheme.
 _LOG_IN = {
@@ -296,30 +297,22 @@ def explained(error: Exception, url: str) -> Exception:
         return error
     names = {kind.__name__ for cause in _chain(error) for kind in type(cause).__mro__}
     text = without_secrets(" ".join(str(error).split())[:200], url)
-    if names & _MISSING:
+    kind = next((kind for kind, known in _ERRORS.items() if names.intersection(known.split())), "")
+    if kind == "missing":
         return missing(url, "bucket" if _NO_BUCKET.search(f"{names} {text}") else "object")
-    if "PermissionError" in names:
+    if kind == "forbidden":
         return forbidden(url)
-    passing = _passing(names, text)
-    if passing:
-        return PassingError(passing)
-    what = f"can't be read: {text or type(error).__name__}"
-    if names & _CREDENTIALS or "Must provide either a connection_string" in text:
-        what = f"no credentials, or wrong ones; {_LOG_IN.get(scheme_of(url), 'log in')}"
-    elif "SSLCertVerificationError" in names:
-        what = f"the server's certificate is not trusted: {text}"
-    return refused(url, what)
-
-
-def _passing(names: set[str], text: str) -> str:
-    """Return a description of a temporary failure; empty for other errors."""
-    if names & (_CREDENTIALS | {"SSLCertVerificationError"}):
-        return ""
-    if names & {"gaierror", "ClientConnectorDNSError"}:
-        return "host not found: no network, or a mistake in its name"
-    if names & _LATE:
-        return f"no answer within {timeout():g} s"
-    return f"the connection failed: {text}" if names & _CONNECTION else ""
+    passing = {
+        "host": "host not found: no network, or a mistake in its name",
+        "late": f"no answer within {timeout():g} s",
+        "connection": f"the connection failed: {text}",
+    }
+    if kind in passing:
+        return PassingError(passing[kind])
+    if kind == "login" or "Must provide either a connection_string" in text:
+        return refused(url, f"no credentials, or wrong ones; {_LOG_IN.get(scheme_of(url), 'log in')}")
+    untrusted = "the server's certificate is not trusted" if kind == "certificate" else "can't be read"
+    return refused(url, f"{untrusted}: {text or type(error).__name__}")
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:

@@ -138,7 +138,7 @@ def outcome(action: Callable[[Path], object], path: Path, count: Counter[str], k
 def main() -> None:
     warnings.simplefilter("ignore")
     cases = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    texts = ["EuRoC", "phyphox decimal comma", "VectorNav $VNYMR"]
+    texts = ["EuRoC", "phyphox decimal comma", "ustime"]
     names = sys.argv[2:] or [*CONTAINERS, *texts, *TYPED]
     print(
         f"{'format':24} {'cases':>6} {'read':>6} {'refused':>8} {'foreign':>8} {'hangs':>6} {'prints':>7}  s"

@@ -9,6 +9,7 @@ Files are made where they are not there yet (under a temporary folder that is de
 - ``rows.csv.gz``: as many rows, a block of 256 again and again, with a counter and no time;
 - ``stamped.csv.gz``: 20 million rows with times in seconds;
 - ``day.mcap``: 17.3 million messages, 24 h at 200 Hz, zstd;
+- ``day.parquet``, ``day.h5``: as many rows;
 - ``long.npz``: six axes of 100 million samples, 4.8 GB, only where it is asked for.
 
 Each job runs in a process of its own, with the default limit and with ``IMUCAL_MEMORY=500M``. Printed are its
@@ -148,6 +149,30 @@ def make_day(path: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
+def _columns() -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    """Return a day of times and samples."""
+    rng, names = np.random.default_rng(13), ("gx_rads", "gy_rads", "gz_rads", "ax_ms2", "ay_ms2", "az_ms2")
+    columns = {"t_s": np.arange(DAY) / 200, **{name: rng.normal(0, 2e-3, DAY).round(4) for name in names}}
+    columns["az_ms2"] += 9.81
+    return columns
+
+
+def make_parquet(path: Path) -> None:
+    """Write a day of rows."""
+    import polars as pl
+
+    pl.DataFrame(_columns()).write_parquet(path)
+
+
+def make_hdf5(path: Path) -> None:
+    """Write a day of rows, a dataset for each column."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, values in _columns().items():
+            file.create_dataset(name, data=values, chunks=(1 << 16,), compression="gzip", compression_opts=1)
+
+
 #: Name -> how a file is made, and the options that it needs to be read.
 FILES: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "zeros": ("zeros.csv.gz", make_zeros, ["--rate", "200"]),
@@ -155,6 +180,8 @@ FILES: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "rows": ("rows.csv.gz", make_rows, ["--rate", "200"]),
     "stamped": ("stamped.csv.gz", make_stamped, []),
     "day": ("day.mcap", make_day, []),
+    "parquet": ("day.parquet", make_parquet, []),
+    "hdf5": ("day.h5", make_hdf5, []),
     "long": ("long.npz", make_long, ["--gyro-unit", "rad/s", "--accel-unit", "m/s^2"]),
 }
 _HEAD = "log                   MB  job            limit exit   CPU s  wall s  peak MB  own MB"

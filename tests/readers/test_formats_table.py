@@ -126,8 +126,8 @@ READ = (
         files=(
             "formats/gnss_ins_sim_gyro_deg.csv",
             "formats/gnss_ins_sim_accel.csv",
-            "formats/gnss_ins_sim_time.csv",
         ),
+        options={"rate_hz": 100.0},
         n=1000,
         rate=100,
         first=((-1.655572222222310985e-03, DEG), (-1.197099999999999970e-01, 1)),
@@ -241,14 +241,14 @@ REFUSED = (
     Known(files=("formats/st_unico_datalog.txt",), message=("no time column", NO_RATE)),
     Known(files=("formats/gnss_ins_sim_gyro_deg.csv",), message=("no time column", NO_RATE)),
     Known(files=("formats/gnss_ins_sim_accel.csv",), message=("no time column", NO_RATE)),
-    Known(files=("formats/gnss_ins_sim_time.csv",), message=("no column has the name of a gyroscope",)),
+    Known(files=("formats/gnss_ins_sim_time.csv",), message=("it contains only times; write them",)),
     Known(
         files=("formats/px4_ecl_replay_iris_gps.csv",),
-        message=("the 8 columns", "such as t=0,g=5:8@imu,a=2:5@imu"),
+        message=("the 8 columns", "found columns: 0 4000, 1 imu, 2 -0.190396"),
     ),
     Known(
         files=("formats/invariant_ekf_tagged.txt",),
-        message=("the 8 columns", "such as t=1,g=2:5@IMU,a=5:8@IMU"),
+        message=("the 8 columns", "found columns: 0 IMU, 1 0.004500"),
     ),
     Known(files=("formats/manifest.csv",), message=("the header has 7 names and the rows 8 cells",)),
     Known(files=("formats/euroc_kimera_sensor.yaml",), message=("columns have no header",)),

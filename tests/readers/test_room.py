@@ -14,7 +14,7 @@ from imucal.readers.clocks.from_stamps import _filled
 from imucal.readers.message_samples import steps_back, unsorted
 from imucal.readers.store import Room, copy_to, count, equal, extremes, is_constant
 from imucal.readers.tables.dates import DAY
-from imucal.readers.tables.stamps import date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps
+from imucal.readers.tables.stamps import pair_stamps, rolled, to_ns, unwrapped
 
 RNG = np.random.default_rng(2026)
 VALUES = RNG.integers(-1000, 1000, 500)
@@ -123,9 +123,6 @@ def test_counters_and_times_of_day_go_on(room: Room) -> None:
         lambda room: to_ns(VALUES / 7, 10**9, room),
         lambda room: to_ns(VALUES + (1 << 61), 1000, room),
         lambda room: pair_stamps(np.arange(500), VALUES + 1000, 1, room),
-        lambda room: week_stamps(np.arange(500) // 100, VALUES + 1000, 10**6, room),
-        lambda room: week_stamps(np.full(500, 9), np.arange(500), 10**6, room),
-        lambda room: date_stamps([np.full(500, k) for k in (2024, 2, 29, 13)] + [VALUES, VALUES / 9], room),
         lambda room: _filled(np.where(KEEP, 0, np.arange(500) ** 2), room),
         lambda room: _filled(np.where(np.arange(500) % 490 < 6, 0, np.arange(500) * 3), room),
     ],

@@ -15,7 +15,7 @@ from imucal.errors import ReadError
 from imucal.readers import describe, read
 from imucal.readers.scales import infer_accel_unit
 from imucal.screening import screen_units
-from tests.readers.tables.texts import STYLES, N, lines, truth, write, xyz
+from tests.readers.tables.texts import N, lines, truth, xyz
 from tests.readers.ulog.test_ulog import two_sensors
 
 SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
@@ -99,12 +99,3 @@ def test_linear_acceleration_is_said_of_what_was_read(tmp_path: Path) -> None:
     assert [finding.code for finding in screen_units(read(path))] == ["no-gravity"]
     path.write_text(lines(f"t_s,{SI}", [i / 100 for i in range(N)], *xyz(truth().gyro), *xyz(truth().accel)))
     assert screen_units(read(path)) == ()
-
-
-def test_each_sensor_is_shown_with_its_own_columns(tmp_path: Path) -> None:
-    """A comment names the fields of each kind of row."""
-    (style,) = [style for style in STYLES if style.name == "GnssLogger"]
-    decisions = dict(read(write(style, tmp_path)).source.decisions)
-    assert decisions["gyroscope columns"].startswith("UncalGyroXRadPerSec, UncalGyroYRadPerSec")
-    assert decisions["accelerometer columns"].startswith("UncalAccelXMps2, UncalAccelYMps2, UncalAccelZMps2")
-    assert decisions["accelerometer unit"].startswith("m/s^2, from the column header")

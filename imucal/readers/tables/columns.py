@@ -159,10 +159,12 @@ class NamedTable:
 
     def ask(self, problem: str, *, example: str = "") -> ColumnsError:
         """Return the error that lists the columns, with an example of a columns text if there is one."""
+        single = sum(column.role is not Role.TIME for column in self.columns) in {1, 2}
+        form = "t=TIME,gz=Z" if single else "t=TIME,g=X+Y+Z,a=X+Y+Z"
         how = (
             f"such as {example} (numbers from 0 without the end, or three names joined by +)"
             if example
-            else "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
+            else f"of the form {form} (names of columns, or their numbers from 0)"
         )
         found = f"{self.path}: {problem}; found columns: {self.listed}"
         message = f"{found}; name them in a columns text {how}"

@@ -134,9 +134,9 @@ _TIME_WORDS = _words(
     "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
     "utc ustime mstime nstime ts yyyy sow gpst millisecond milliseconds microsecond microseconds"
 )
-#: Names of columns with the time since the previous sample.
+#: Names of columns of steps from sample to sample.
 STEPS = (("dt",), ("delta", "t"), ("delta", "time"))
-_NOT_TIME = _words("dt relative offset flags flag exposure zone type id duration")
+_NOT_TIME = _words("dt delta relative offset flags flag exposure zone type id duration")
 _COUNTER_WORDS = _words(
     "counter count packet index idx sample samples n frame seq number no iteration f row line cnt"
 )
@@ -303,7 +303,7 @@ def _either(gyro: object, accel: object) -> Sensor | None:
 def _is_time(words: list[str]) -> bool:
     stems, starts, ends = _stems(words), ("timestamp", "datetime"), ("time", "stamp")
     spelled = any(stem in _TIME_WORDS or stem.startswith(starts) or stem.endswith(ends) for stem in stems)
-    return tuple(words) in STEPS or (spelled and not _NOT_TIME.intersection(stems))
+    return spelled and not _NOT_TIME.intersection(stems)
 
 
 def sensor_of_name(name: str) -> Sensor | None:

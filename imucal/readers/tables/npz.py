@@ -11,13 +11,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import release
 from imucal.readers.store import allocated
+from imucal.readers.tables.passed import fill
 from imucal.resources import column_limit
 
 _SUFFIX = ".npy"
-#: Bytes that are read at a time.
-_PIECE = 1 << 24
 
 
 def npz_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
@@ -43,7 +41,8 @@ def npz_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
                     declared = f"declares {n * dtype.itemsize} bytes and contains {held}"
                     raise ValueError(f"{info.filename} {declared}")
                 flat = allocated(n, dtype, 0 if large else held)
-                _fill(flat.view(np.uint8), cast("zipfile.ZipExtFile", member))
+                # `zipfile` checks the checksum at the end.
+                fill(flat.view(np.uint8), member)
             arrays[name] = flat.reshape(shape, order="F" if fortran else "C")
     return arrays, objects
 
@@ -54,16 +53,3 @@ def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], bool, np.dtype
     read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(member)
     return tuple(shape), bool(fortran), np.dtype(dtype)
-
-
-def _fill(target: NDArray[np.uint8], member: zipfile.ZipExtFile) -> None:
-    """Read the bytes of an array; `zipfile` checks their checksum at the end."""
-    for start in range(0, target.size, _PIECE):
-        piece = target[start : start + _PIECE]
-        at = 0
-        while at < piece.size:
-            got = member.readinto(piece[at:].data)
-            if not got:
-                raise ValueError(f"an array ends after {start + at} of {target.size} bytes")
-            at += got
-        release(target)

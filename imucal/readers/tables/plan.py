@@ -1,12 +1,12 @@
 """Choose the columns to read from a table: sensors, times and temperature, with the reasons.
 
-Columns are chosen by name. A text column or the file name may name the sensor of a row. Other evidence only
-leads to a columns text that is proposed to the user. If a sensor was not found, a finding lists the columns
-that were not read.
+Columns are chosen by name. A text column or the file name may name the sensor of a row. If a sensor was not
+found, a finding lists the columns that were not read.
 """
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import PurePath
@@ -21,9 +21,16 @@ from imucal.readers.scales import UnitGuess
 from imucal.readers.tables.columns import ColumnsError, NamedTable, Triad, parse_columns_text
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, listed, parse_column, plain_name, sensor_of_name
-from imucal.readers.tables.proposals import likely, may_be_samples, proposal
-from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
+from imucal.readers.tables.names import (
+    NamedColumn,
+    Role,
+    is_of_something_else,
+    listed,
+    parse_column,
+    plain_name,
+    sensor_of_name,
+)
+from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns, why_no_time
 from imucal.recording import AXES, Sensor
 
 #: The columns of each sensor found, gyroscope first.
@@ -58,13 +65,15 @@ _MOST_TAGS = 8
 class SensorPlan:
     """The columns of one sensor: its axes, its stamps and the time of recording.
 
-    `stated` is the unit of the samples in the header or the dialect; None if there is none.
+    `stated` is the unit of the samples in the header or the dialect; None if there is none. `untimed` is the
+    reason why there is no time.
     """
 
     triad: Triad
     time: TimeChoice | None
     log_time: TimeChoice | None = None
     stated: UnitGuess | None = None
+    untimed: str = ""
 
 
 @frozen
@@ -92,19 +101,18 @@ def make_plan(table: NamedTable, options: ReadOptions, *, name: str = "", shape:
     `name`, of the file or the table, may contain the sensor. `shape` describes the columns in messages.
     Raises ChoiceError if the choice is not clear; the message lists the columns.
     """
+    name = name or PurePath(table.path).name
+    if options.columns is None:
+        return _by_name(table, options, name, shape)
     try:
-        if options.columns is not None:
-            return _as_asked(table, options.columns, options)
-        return _by_name(table, options, name or PurePath(table.path).name, shape)
+        sensors, indices, temperature = parse_columns_text(options.columns, table)
+        time = time_of_columns(table, indices) if indices else None
     except ColumnsError as error:
-        if error.example:
-            raise
-        raise table.ask(error.problem, example=propose(table, options)) from None
-
-
-def _as_asked(table: NamedTable, text: str, options: ReadOptions) -> TablePlan:
-    sensors, indices, temperature = parse_columns_text(text, table)
-    time = time_of_columns(table, indices) if indices else None
+        with suppress(ChoiceError):
+            named = _by_name(table, options, name, shape)
+            text = table.columns_text(*(sensor.triad for sensor in named.sensors))
+            error = table.ask(error.problem, example=text)
+        raise error from None
     return _plan(table, sensors, temperature, "as given", options, time=time)
 
 
@@ -170,7 +178,7 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
-    return SensorPlan(triad=triad, time=next(iter(times), None))
+    return SensorPlan(triad=triad, time=next(iter(times), None), untimed="" if stamps else why_no_time(table))
 
 
 def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
@@ -372,8 +380,9 @@ def _in_rows(
     names, triad = tags[sensor], found.get(sensor)
     if triad is None and names:
         # The header names these columns for the other sensor, so its unit does not apply.
-        cells, (other,) = _names_of_rows(table, names[0]), found.values()
-        triad = Triad(sensor=sensor, columns=tuple(parse_column(cells[at], at) for at in other.indices))
+        (other,) = found.values()
+        columns = tuple(parse_column(f"column {at}", at) for at in other.indices)
+        triad = Triad(sensor=sensor, columns=columns)
     if triad is None or len(names) == 1:
         return triad and replace(triad, rows=(column.index, names[0]))
     texts = sorted({*column.filled})
@@ -382,13 +391,6 @@ def _in_rows(
     which = f"{len(names)} tags name" if names else "no tag names"
     said = f"column {column.header or column.index} has tags of rows ({', '.join(texts)})"
     raise table.ask(f"{said}; {which} the {sensor}", example=" or ".join(examples))
-
-
-def _names_of_rows(table: NamedTable, tag: str) -> list[str]:
-    """Return the names of a tagged row's cells from a comment, or such as ``column 3``."""
-    comments = ([cell.strip() for cell in line.lstrip("#% ").split(",")] for line in table.preamble)
-    plain = [f"column {column.index}" for column in table.columns]
-    return next((names for names in comments if names[0] == tag and len(names) >= len(plain)), plain)
 
 
 def _refuse_instances(table: NamedTable, found: Found) -> None:
@@ -419,40 +421,42 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
     Other columns are listed in a remark.
     """
     used = {index for triad in found.values() for index in triad.indices}
-    left = [column for column in table.columns if column.index not in used and may_be_samples(column)]
+    left = [column for column in table.columns if column.index not in used and _may_be_samples(column)]
     if not left:
         return ()
     shown = [f"{column.index} {column.header or '(no name)'}" for column in left[:_LISTED]]
     shown += [f"… {len(left) - _LISTED} more"] if len(left) > _LISTED else []
     listed = f"unused columns: {', '.join(shown)}."
-    guessed = likely(table, found)
     findings = []
-    for sensor, triad in guessed.items():
-        if sensor not in found:
+    for sensor in Sensor:
+        triad = found.get(sensor)
+        if triad is None:
             text = f"No {sensor} was found in the table; {listed}"
             missing = Finding("info", "sensor-missing", text, axis=sensor.short)
-            if triad is not None:
-                ready = table.columns_text(*_each((found | {sensor: triad}).get).values())
+            if guessed := _only_axes(table, left, sensor):
+                ready = table.columns_text(*_each((found | {sensor: guessed}).get).values())
                 advice = f"If it is one of them, give a columns text such as {ready}."
                 missing = replace(missing, level="warning", advice=advice)
             findings.append(missing)
-        elif triad is not None and triad.axes != AXES:
+        elif triad.axes != AXES:
             text = f"Only {' and '.join(triad.axes)} of the {sensor} was found in the table; {listed}"
             findings.append(Finding("info", "axis-missing", text, axis=sensor.short))
     return tuple(findings)
 
 
-def propose(table: NamedTable, options: ReadOptions, *, first: Sequence[str] = (), rows: str = "") -> str:
-    """Return a columns text that works on a table: one of `first`, or the likeliest; empty if none works.
+def _only_axes(table: NamedTable, left: Sequence[NamedColumn], sensor: Sensor) -> Triad | None:
+    """Return the only x, y, z of unused columns, or single axes of a sensor; None if there are several."""
+    rest = replace(table, columns=tuple(left))
+    with suppress(ChoiceError):
+        sets = _families(rest, Role.VECTOR, Role.OTHER, Role(str(sensor)))
+        whole = [axes for axes in sets if axes.keys() == {0, 1, 2}]
+        return Triad.of(sensor, whole[0]) if len(whole) == 1 else _single_axes(rest, sensor)
+    return None
 
-    A columns text works if its columns are numeric and include a time.
-    """
-    for text in filter(None, (*first, proposal(table, name=PurePath(table.path).name, rows=rows))):
-        try:
-            plan = _as_asked(table, text, options)
-        except ChoiceError:
-            continue
-        indices = [index for sensor in plan.sensors for index in sensor.triad.indices]
-        if all(is_number(cell) for index in indices for cell in table.columns[index].cells if cell):
-            return text
-    return ""
+
+def _may_be_samples(column: NamedColumn) -> bool:
+    """Return whether a column contains numbers and its name does not exclude samples."""
+    counts = column.role is Role.COUNTER and column.counts
+    if counts or column.role in {Role.TIME, Role.TEMPERATURE} or is_of_something_else(column):
+        return False
+    return column.is_numeric

@@ -6,7 +6,7 @@ Includes joined columns, counters that wrap, texts, and units inferred from the 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from operator import itemgetter
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,33 +22,17 @@ from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.dates import DAY, HALF_DAY, day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import STEPS, NamedColumn, Role, listed, plain_name
+from imucal.readers.tables.names import STEPS, NamedColumn, Role, plain_name
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 _SECOND = 10**9
-WEEK = 7 * DAY
 
 #: Counts examined for the usual step, at each of three places.
 _LOOKED_AT = 1 << 20
 
 #: A column of counts or values.
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
-
-
-def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
-    """Return times as ns since 1970 from year, month, day, hour, minute, second and perhaps nanosecond."""
-
-    def of(at: slice) -> IntArray:
-        year, month, day, hour, minute = (np.asarray(part[at], dtype=np.int64) for part in parts[:5])
-        months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
-        days = months.astype("datetime64[D]").astype(np.int64) + day - 1
-        whole = ((days * 24 + hour) * 60 + minute) * 60 * _SECOND
-        for part, ns in zip(parts[5:], (_SECOND, 1), strict=False):
-            whole += _ns_of(part[at], ns)
-        return whole
-
-    return room.made(parts[0].size, np.int64, of, *parts)
 
 
 def pair_stamps(
@@ -67,28 +51,6 @@ def pair_stamps(
     return _sum(whole, to_ns(fine, ns, room), room)
 
 
-def step_counts(steps: Numbers, room: Room) -> Numbers:
-    """Return the cumulative sum of steps, each from the previous sample."""
-    done = steps.dtype.type(0)
-
-    def of(part: slice) -> NDArray[Any]:
-        nonlocal done
-        times = np.cumsum(steps[part]) + done
-        done = times[-1]
-        return times
-
-    return cast("Numbers", room.made(steps.size, steps.dtype, of, steps))
-
-
-def week_stamps(weeks: Numbers, of_week: Numbers, ns: int, room: Room) -> IntArray:
-    """Return times in ns from weeks, and times of the week counted in units of `ns` ns."""
-    tow = to_ns(of_week, ns, room)
-    whole = to_ns(weeks, WEEK, room)
-    # A receiver without a fix leaves the week at zero or at its last value.
-    low, high = extremes(whole) if whole.size else (0, 0)
-    return rolled(tow, WEEK, room) if low == high else _sum(whole, tow, room)
-
-
 def text_stamps(columns: Sequence[IntArray], room: Room) -> IntArray:
     """Return times in ns from the texts of dates and times in one column, or of dates, times, AM and PM."""
     if len(columns) == 1:
@@ -104,7 +66,7 @@ def _sum(first: IntArray, second: IntArray, room: Room) -> IntArray:
 
 
 def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
-    """Return times of day or of week in ns, with a period added at each restart."""
+    """Return times of day in ns, with a period added at each restart."""
     if not stamps_ns.size:
         return stamps_ns
     low, high = extremes(stamps_ns)
@@ -235,14 +197,9 @@ def typical_step(values: Numbers) -> float:
     return period.tau_ns / scale if period is not None else 0.0
 
 
-TimeKind: TypeAlias = Literal["ns", "stamp", "pair", "week", "date", "text", "steps", "counter"]
+TimeKind: TypeAlias = Literal["ns", "stamp", "pair", "text", "counter"]
 #: Descriptions of some kinds.
-_KINDS = {
-    "ns": "complete time stamps",
-    "week": "GPS week and time of week",
-    "text": "date and time",
-    "steps": "steps from sample to sample",
-}
+_KINDS = {"ns": "complete time stamps", "text": "date and time"}
 
 #: Time as text: dates with times in one column, or dates, times and optional AM or PM in several.
 _TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
@@ -251,17 +208,15 @@ _TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
 _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
-#: Words of a time of the week; the first counts seconds.
-_OF_WEEK = ("sow", "tow")
-#: Ranges of seconds since 1970 or 1980, and of GPS weeks.
-_EPOCH, _WEEKS = (5e8, 4e9), (1000, 9999)
+#: Range of seconds since 1970 or 1980.
+_EPOCH = (5e8, 4e9)
 
-#: Words of the columns of a date, in order; nanoseconds are optional.
-_DATE_PARTS = (
-    *("year yyyy", "month", "day", "hour hours", "minute minutes min", "second seconds sec"),
-    "nano nanos nanosecond nanoseconds nsec ns",
+#: Words of columns of hours or minutes, and of columns that restart every hour or minute next to them.
+_DATED = frozenset({"hour", "hours", "minute", "minutes"})
+_RESTARTED = frozenset(
+    {"minute", "minutes", "min", "second", "seconds", "sec"}
+    | {"nano", "nanos", "nanosecond", "nanoseconds", "nsec", "ns"}
 )
-_DATE_NEEDED = 6
 
 
 def _points(text: str) -> dict[str, int]:
@@ -275,10 +230,9 @@ _PREFERENCE = _points("""
 75 stamp timestamp realtime
 65 time chiptime
 62 t ts ustime mstime
-60 sow gpst
+60 sow tow gpst
 55 uptime elapsed
 50 tick ticks
-45 tow
 """)
 #: Preference of a time whose name has none of these words.
 _UNKNOWN = 40
@@ -301,13 +255,11 @@ _BONUS = _points("""
 class TimeChoice:
     """The time of a sensor's samples: the indices of its columns, and its name in the log.
 
-    ``ns`` is stamps in ns; ``pair`` seconds, or a text, and a finer column; ``week`` GPS week and time of
-    week; ``date`` year, month, day, hour, minute, second and perhaps nanosecond; ``text`` dates or times of
-    day, in one column or in columns of dates, times and perhaps AM and PM; ``steps`` the times since the
-    previous sample; ``counter`` a count of samples. `ns` per count (of the finer column) is None if the data
-    determine it;
-    `ns_source` describes its source. Dates with the year last begin with the month, or with the day if
-    `by_day`. If the cells do not decide (`open_date`), the month is assumed.
+    ``ns`` is stamps in ns; ``pair`` seconds, or a text, and a finer column; ``text`` dates or times of day,
+    in one column or in columns of dates, times and perhaps AM and PM; ``counter`` a count of samples. `ns`
+    per count (of the finer column) is None if the data determine it; `ns_source` describes its source. Dates
+    with the year last begin with the month, or with the day if `by_day`. If the cells do not decide
+    (`open_date`), the month is assumed.
     """
 
     kind: TimeKind
@@ -330,10 +282,11 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 
     Stamps come before counters. Columns that are empty or constant in the first rows come last.
     """
-    found = [*_pairs(table), *_weeks(table), *_dates(table)]
+    columns = _parts_of_dates(table)[1]
+    found = _pairs(columns)
     found += [(_score(columns[1], sensor), _joined(*columns, **_TEXTS)) for columns in dates_and_times(table)]
     taken = {index for _, choice in found for index in choice.indices}
-    times = [c for c in table.columns if c.role is Role.TIME and c.index not in taken]
+    times = [c for c in columns if c.role is Role.TIME and c.index not in taken]
     found += [(_score(c, sensor), choice) for c in times if (choice := _single(table, c))]
     found.sort(key=itemgetter(0), reverse=True)
     choices = [choice for score, choice in found if score > 0]
@@ -354,7 +307,12 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     if len(columns) > 1 and text_kind(column.cells) == "date":
         return _joined(*columns, **_TEXTS)
     if len(columns) == 2:
-        return _week(*columns) if _is_week(*columns) else _pair(*columns)
+        if "week" in column.words:
+            problem = f"{column.header} counts weeks, which imucal does not add to a time"
+            raise table.ask(f"{problem}; use column {columns[1].index} ({columns[1].header}) alone")
+        return _pair(*columns)
+    if steps := _steps([column]):
+        raise table.ask(steps)
     choice = _single(table, column)
     if len(columns) > 2 or choice is None:
         held = next(filter(None, column.cells), "nothing")
@@ -363,6 +321,27 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
             problem = f"columns {', '.join(map(str, indices))} are not a date, a time of day, and AM or PM"
         raise table.ask(problem)
     return _joined(column, kind="counter") if column.role is Role.COUNTER else choice
+
+
+def why_no_time(table: NamedTable) -> str:
+    """Return why a table with times has no usable time column, and what to do; empty if it has no times."""
+    if parts := _parts_of_dates(table)[0]:
+        shown = ", ".join(column.header for column in parts)
+        return f"{shown}: parts of a date; write date and time in one column, such as 2026-11-22 10:00:00.01"
+    return _steps(table.columns)
+
+
+def _steps(columns: Sequence[NamedColumn]) -> str:
+    """Return what to do with a column of steps from sample to sample; empty if there is none."""
+    header = next((column.header for column in columns if column.words in STEPS), "")
+    return header and f"{header} contains steps, not times; write their running sum in a column time"
+
+
+def _parts_of_dates(table: NamedTable) -> tuple[list[NamedColumn], list[NamedColumn]]:
+    """Return the columns of minutes, and of seconds within a minute, and the other columns."""
+    dated = any(_DATED.intersection(column.words) for column in table.columns)
+    parts = [column for column in table.columns if dated and _RESTARTED.intersection(column.words)]
+    return parts, [column for column in table.columns if column not in parts]
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
@@ -394,7 +373,7 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     filled = column.filled
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
-        return _joined(column, kind="steps" if column.words in STEPS else "stamp", ns=ns, source=source)
+        return _joined(column, kind="stamp", ns=ns, source=source)
     texts = filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled)
     return _joined(column, **_TEXTS) if texts else None
 
@@ -406,7 +385,7 @@ def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | No
         return ns, f"as in logs of {dialect.name}"
     if name == "sampletimefine":
         return 100_000, "as in logs of Xsens"
-    if _OF_WEEK[0] in column.words:
+    if "sow" in column.words:
         return _SECOND, "seconds of the week"
     # Words of several letters may be units, also with a suffix such as ustime.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
@@ -423,8 +402,6 @@ def _spelled_ns(*words: str) -> int | None:
 def _score(column: NamedColumn, sensor: Sensor) -> float:
     """Return the preference of a time from its words, its sensor, its unit and its filled cells."""
     words = column.words
-    if words in STEPS:
-        return 3.0
     owners = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
     if owners and sensor not in owners:
         return -1.0
@@ -451,14 +428,14 @@ def _with_cells(score: float, filled: Sequence[str]) -> float:
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
 
-def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+def _pairs(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
     """Return whole seconds with a finer column whose name differs only in the unit.
 
     A column named only by a unit belongs to the only column of seconds.
     """
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
-    for column in (column for column in table.columns if column.role is Role.TIME):
+    for column in (column for column in columns if column.role is Role.TIME):
         counts = column.counts
         stem = tuple(word for word in column.words if parse_time_unit(word) is None)
         ns = _spelled_ns(column.unit or "", *column.words)
@@ -490,41 +467,6 @@ def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
     text = any(map(is_text_stamp, coarse.filled))
     source = f"{'text' if text else 'seconds'} + {beside}"
     return _joined(coarse, fine, kind="pair", ns=ns if ns != _SECOND else None, source=source)
-
-
-def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    of_week = [column for column in table.columns if not set(_OF_WEEK).isdisjoint(column.words)]
-    times = [column for column in of_week if column.role is Role.TIME]
-    weeks = [c for c in table.columns if "week" in c.words and c.axis is None and c not in of_week]
-    return [(60.0, _week(weeks[0], times[0]))] if weeks and times else []
-
-
-def _is_week(first: NamedColumn, second: NamedColumn) -> bool:
-    """Return whether columns are GPS weeks and times of the week, from their names or cells."""
-    if "week" in first.words or not set(_OF_WEEK).isdisjoint(second.words):
-        return True
-    weeks, times = first.counts, [float(cell) for cell in second.filled if is_number(cell)]
-    is_one = len(set(weeks)) == 1 and _WEEKS[0] <= weeks[0] <= _WEEKS[1]
-    return is_one and bool(times) and max(times) >= (10**6 if second.counts else 1)
-
-
-def _week(week: NamedColumn, tow: NamedColumn) -> TimeChoice:
-    ns, source = _unit(tow)
-    return _joined(week, tow, kind="week", ns=ns, source=source)
-
-
-def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return the time in columns of year, month, day, hour, minute and second."""
-    parts: list[NamedColumn] = []
-    for names in _DATE_PARTS:
-        column = next(
-            (c for c in table.columns if {*listed(names)}.intersection(c.words) and c not in parts), None
-        )
-        if column is None or not all(map(is_number, column.filled)):
-            break
-        parts.append(column)
-    whole = len(parts) >= _DATE_NEEDED
-    return [(58.0, _joined(*parts, kind="date", ns=1, source="date and time"))] if whole else []
 
 
 def dates_and_times(table: NamedTable) -> Iterator[list[NamedColumn]]:

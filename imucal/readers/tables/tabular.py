@@ -31,16 +31,13 @@ from imucal.readers.tables.plan import SensorPlan, TablePlan
 from imucal.readers.tables.stamps import (
     Numbers,
     TimeChoice,
-    date_stamps,
     infer_time_unit,
     pair_stamps,
     rates_by_unit,
-    step_counts,
     text_stamps,
     to_ns,
     typical_step,
     unwrapped,
-    week_stamps,
 )
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS
@@ -108,7 +105,7 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     if unit is not None and unit not in TIME_UNITS_NS:
         known = ", ".join(TIME_UNITS_NS)
         raise refused(work.path, f"{unit!r} is not a time unit; expected one of {known}", ChoiceError)
-    if unit is not None and plan.time.kind not in {"stamp", "week", "steps", "counter"}:
+    if unit is not None and plan.time.kind not in {"stamp", "counter"}:
         has = f"the {plan.triad.sensor} has the time {plan.time.name}, {plan.time.words}"
         text = f"the time unit {unit} does not apply: {has}; omit it, or name another time column"
         raise refused(work.path, text, ChoiceError)
@@ -188,20 +185,14 @@ def stamps_of(
         return text_stamps(cast("Sequence[IntArray]", columns), room)
     if time.kind == "pair":
         return pair_stamps(columns[0], columns[1], time.ns, room, text=time.ns_source.startswith("text"))
-    if time.kind == "date":
-        return date_stamps(columns, room)
-    values = columns[-1]
-    if time.kind == "steps":
-        values = step_counts(values, room)
-    elif time.kind != "week" and values.dtype.kind == "i":
+    values = columns[0]
+    if values.dtype.kind == "i":
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
             again = f"Column {time.name} started again {wraps} times at the end of its range"
             _say(work, "info", "wrapped", f"{again}; it was unwrapped.")
     ns = _ns_per_count(work, time, values, sensor)
-    if ns is None:
-        return None
-    return week_stamps(columns[0], values, ns, room) if time.kind == "week" else to_ns(values, ns, room)
+    return None if ns is None else to_ns(values, ns, room)
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
@@ -268,6 +259,7 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
         rate, source = work.rate_hz, "rate in the log"
     if rate is None:
         what = f"only a counter ({plan.time.name})" if plan.time else "no time column"
+        what += f" ({plan.untimed})" if plan.untimed else ""
         sensor = plan.triad.sensor
         lack = (
             f"and no sampling rate for the {sensor}; expected time stamps or a rate; give the sampling rate"

@@ -52,7 +52,7 @@ _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 #: Bytes looked at to find the layout.
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
-_BLOCK = 2 << 20
+_BLOCK = 4 << 20
 #: Fewer lines in the head don't make a table, and so many cells in it are columns of one.
 _FEWEST, _WIDE = 3, 1000
 #: A line longer than this is no row of a table.

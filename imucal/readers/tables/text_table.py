@@ -1,13 +1,14 @@
 """Read delimited text (CSV, TSV, blanks) from a file, standard input, or an app's set of files.
 
-The first lines determine the layout, and names of columns the sensors. Polars parses blocks of rows; if that
-fails, a tolerant parser does. Ambiguous columns are not guessed: the error lists them with a columns text.
+The first lines determine the layout, and names of columns the sensors. Polars parses blocks of rows.
+Ambiguous columns are not guessed: the error lists them.
 
 Gyroscope, accelerometer and their times may be in separate files: apps of phones write a zip or a folder
 (phyphox, Sensor Logger), simulators several files.
 """
 
 import re
+import shlex
 import zipfile
 import zlib
 from collections import Counter
@@ -15,15 +16,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, repeat
+from itertools import chain
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias, cast, get_args
+from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
-from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
+from imucal.arrays import BoolArray
+from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
@@ -33,20 +34,19 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable
 from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
-from imucal.readers.tables.dialects import find_messages, name_columns
+from imucal.readers.tables.dialects import find_json, name_columns
 from imucal.readers.tables.file_sets import FileHead, chosen_files
 from imucal.readers.tables.layout import (
     BLANKS,
     Rows,
     TextLayout,
     find_layout,
-    is_number,
     row_pattern,
     rows_of_tag,
     split_line,
 )
-from imucal.readers.tables.names import Role, parse_column
-from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
+from imucal.readers.tables.names import Role
+from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import (
     SensorColumns,
@@ -57,15 +57,9 @@ from imucal.readers.tables.tabular import (
     with_more,
 )
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
-from imucal.readers.ways_out import CURVES, TEXTS, way_out
+from imucal.readers.ways_out import CURVES, LOGGERS, TEXTS, way_out
 from imucal.recording import Recording, Sensor, span_ns
 from imucal.resources import column_limit
-from imucal.units import TIME_UNITS_NS, parse_time_unit
-
-#: A tag that marks the rows of an inertial sensor.
-_INERTIAL = re.compile(
-    r"\$?(imu|gyr|acc|raw_?imu|scaled_?imu|inertial|sensor_combined|ins)\w*", re.IGNORECASE
-)
 
 
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
@@ -74,11 +68,10 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     Raises ReadError if it has no rows of numbers or no samples, ChoiceError if its header does not fit them.
     """
     start = "\n".join(lines).encode()
-    if way := way_out(path, start, CURVES):
+    if way := way_out(path, start, CURVES if options.columns else (*CURVES, *LOGGERS)):
         raise refused(path, way)
-    messages = find_messages(lines)
-    if messages is not None:
-        return messages
+    if objects := find_json(lines):
+        return objects
     layout = find_layout(lines)
     way = way_out(path, start, TEXTS)
     if layout is None or (way and not layout.headers):
@@ -87,43 +80,25 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
         raise refused(path, f"found no rows of numbers; the first line is {first[:80]!r}; {expected}")
     layout = name_columns(layout)
     if options.columns is None and not layout.headers:
-        raise _unnamed(path, lines, layout, options)
+        problem = f"the {layout.width} columns have no header"
+        if layout.mismatch is not None:
+            problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
+        raise NamedTable.of(path, [""] * layout.width, layout.cells).ask(problem)
     return layout
 
 
-def _unnamed(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> ColumnsError:
-    """Return the error for a table without names, with a columns text for it if one is known."""
-    problem = f"the {layout.width} columns have no header"
-    if layout.mismatch is not None:
-        problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
-    tags = _inertial_tags(lines, layout.delimiter)
-    rows = rows_of_tag(lines, layout.delimiter, (-1, tags[0])) if tags else ()
-    table = _nameless(path, find_layout(rows) or layout)
-    numeric = [column.index for column in table.columns if all(map(is_number, column.cells))]
-    gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
-    both = []
-    if gyro and accel and len(numeric) == 4:
-        axes = f"{numeric[1]}:{numeric[1] + 3}"
-        both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    example = propose(table, options, first=both, rows=f"@{tags[0]}" if tags else "")
-    return _nameless(path, layout).ask(problem, example=example)
-
-
-def _nameless(path: str, layout: TextLayout) -> NamedTable:
-    return NamedTable.of(path, [""] * layout.width, layout.cells)
-
-
-def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
-    """Return the texts of cells that name an inertial sensor, the most frequent first."""
-    cells = (cell.strip("\"'") for line in lines for cell in split_line(line, delimiter)[:3])
-    return [tag for tag, _ in Counter(filter(_INERTIAL.fullmatch, cells)).most_common()]
-
+#: Advice for a file of times next to files of samples.
+_ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
 #: Types of cells: numbers, or one of the kinds of time as text.
 Kind: TypeAlias = Literal["integer", "float"] | TextKind
 _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
 _QUOTED = re.compile(rb'"[^"\n]*"')
+_UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
+
+#: Name of the column behind those of the layout.
+_LONGER = "longer"
 
 _COMMENTS = ("#", "%", "//", ";")
 
@@ -170,151 +145,105 @@ class BlockReader:
             block = self.layout.prepare(block)
         if self._pattern is not None:
             block = b"\n".join(self._pattern.findall(block)) + b"\n"
-        plain = self._plain(block)
-        if not plain or plain.isspace():
+        block = self._plain(block)
+        if not block or block.isspace():
             return
-        values = self._by_polars(plain)
-        if values is None:
-            # Search for blank lines only now: it takes as long as parsing.
-            plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
-            values = self._by_polars(plain, last_try=True) or self._by_hand(plain)
+        values, bad = self._values(self._parsed(block))
+        if bad.any():
+            self._count_bad(block.split(b"\n"), np.flatnonzero(bad))
+            values = {index: array[~bad] for index, array in values.items()}
         self.good += len(next(iter(values.values())))
         for index, column in self.columns.items():
             column.append(values[index])
 
+    def _values(self, table: Any) -> tuple[dict[int, NDArray[Any]], BoolArray]:  # noqa: ANN401 - of polars
+        """Return the wanted columns of polars' table, and which rows can't be read."""
+        values: dict[int, NDArray[Any]] = {}
+        bad = np.zeros(table.height, np.bool_)
+        # Counts are known; masks take as long as a tenth of the parsing.
+        if table[_LONGER].null_count() < table.height:
+            bad |= table[_LONGER].is_not_null().to_numpy()
+        for index in self.needed or self.kinds:
+            if table[str(index)].null_count():
+                bad |= table[str(index)].is_null().to_numpy()
+        for index, kind in self.kinds.items():
+            series = table[str(index)]
+            if kind in _TEXTS:
+                cells, text = series.fill_null("").to_list(), cast("TextKind", kind)
+                values[index] = parse_texts(cells, text, by_day=self.by_day)
+                bad |= values[index] == NO_STAMP
+            else:
+                full = series.fill_null(0) if series.dtype.is_integer() and series.null_count() else series
+                values[index] = np.asarray(full.to_numpy())
+        return values, bad
+
     def _plain(self, block: bytes) -> bytes:
-        """Return a block for the parser: one delimiter, decimal points, no blank lines."""
-        delimiter = self.layout.delimiter
+        """Return a block for the parser: one delimiter, decimal points, no quotation marks."""
+        delimiter, mark = self.layout.delimiter, self._mark.encode()
+        commas = self.layout.decimal == ","
         if delimiter == BLANKS:
             block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
             block = re.sub(rb"[ \t]+", b",", block)
         elif b" " in block:
-            mark = delimiter.encode()
             block = block.replace(mark + b" ", mark)
             # Keep a blank in a cell, or two numbers would become one.
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
-        if self.layout.decimal != ",":
-            return block
-        # If the delimiter is a comma, decimal commas are in quotes.
-        if delimiter == ",":
-            return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
-        return block.replace(b",", b".")
-
-    def _by_polars(self, block: bytes, *, last_try: bool = False) -> dict[int, NDArray[Any]] | None:
-        """Return the wanted columns of a block; None where it holds something that is no row.
-
-        Rows that lack a cell are such before the last try: they may be blank lines.
-        """
-        table = self._parsed(block)
-        if table is None:
-            return None
-        values: dict[int, NDArray[Any]] = {}
-        lacking = np.zeros(table.height, dtype=np.bool_)
-        for index in self.needed or self.kinds:
-            if table[str(index)].null_count():
-                lacking |= table[str(index)].is_null().to_numpy()
-        for index, kind in self.kinds.items():
-            series = table[str(index)]
-            if kind in _TEXTS:
-                values[index] = self._times(series.fill_null("").to_list(), kind)
-                lacking |= values[index] == NO_STAMP
-            else:
-                full = series.fill_null(0) if kind == "integer" and series.null_count() else series
-                values[index] = np.asarray(full.to_numpy())
-        if lacking.any():
-            if not last_try:
-                return None
-            first = block.split(b"\n")[int(np.argmax(lacking))]
-            self._note_bad(int(lacking.sum()), first.decode("utf-8", "replace"))
-            values = {index: array[~lacking] for index, array in values.items()}
-        return values
+        if self.layout.quoted:
+            inner = b"." if commas else b" "
+            block = _QUOTED.sub(lambda match: match[0][1:-1].replace(mark, inner), block)
+            # A mark without a partner makes its line one cell, which is no number.
+            block = _UNCLOSED.sub(lambda match: match[0].replace(mark, b" "), block)
+        # If the delimiter is a comma, decimal commas were in quotes.
+        if commas and delimiter != ",":
+            block = block.replace(b",", b".")
+        return block
 
     def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
-        """Return a block as polars' table of the columns that are looked at; None where it can't be one."""
+        """Return a block as polars' table of the columns that are looked at; cells without a value are null.
+
+        Rows with more cells than the layout have a value in the column `_LONGER`.
+        """
         import polars as pl
 
-        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
-        width, quoted = self.layout.width, self.layout.quoted
+        names = [*map(str, range(self.layout.width)), _LONGER]
         looked_at = sorted(self.needed | self.kinds.keys())
-        try:
-            table = pl.read_csv(
-                block,
-                has_header=False,
+        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
+
+        def parsed() -> pl.DataFrame:
+            return pl.read_csv(
+                self._mark.join(names).encode() + b"\n" + block,
                 separator=self._mark,
-                quote_char='"' if quoted else None,
-                schema={str(index): types.get(self.kinds.get(index), pl.String) for index in range(width)},
-                columns=looked_at if len(looked_at) < width else None,
+                quote_char=None,
+                schema={name: types.get(self.kinds.get(at), pl.String) for at, name in enumerate(names)},
+                columns=[*map(str, looked_at), _LONGER],
+                ignore_errors=True,
+                truncate_ragged_lines=True,
+                encoding="utf8-lossy",
             )
-        except (pl.exceptions.PolarsError, UnicodeDecodeError):
-            return None
-        # An unclosed quotation mark may swallow lines.
-        swallowed = quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n"))
-        return None if swallowed else table
 
-    def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
-        """Return the wanted columns of the good rows of a block, row by row."""
+        table = parsed()
+        integers = [str(index) for index, kind in self.kinds.items() if kind == "integer"]
+        if any(table[name].null_count() for name in integers):
+            types["integer"] = pl.Float64
+            floats = parsed()
+            for name in integers:
+                # Numbers that a float rounds are damaged stamps.
+                gained = floats[name].filter(table[name].is_null()).drop_nulls()
+                if gained.len() and bool((gained.abs() < 2**53).any()):
+                    table = table.with_columns(floats[name])
+        return table
+
+    def _count_bad(self, lines: Sequence[bytes], indices: NDArray[np.int64]) -> None:
+        """Count rows that can't be read, except blank lines, comments and headers; keep the first."""
         header = self._mark.join(self.layout.headers).replace(" ", "")
-        rows = []
-        for line in block.decode("utf-8", "replace").split("\n"):
-            text = line.strip("\r\n")
-            if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
-                continue
-            row = self._row(split_line(text, self._mark))
-            if row is None:
-                self._note_bad(1, text)
-            else:
-                rows.append(row)
-        columns = zip(*rows, strict=True) if rows else repeat((), len(self.kinds))
-        return {
-            index: self._times(cells, kind)
-            if kind in _TEXTS
-            else np.array(cells, None if cells else np.int64)
-            for (index, kind), cells in zip(self.kinds.items(), columns, strict=True)
-        }
-
-    def _row(self, cells: Sequence[str]) -> list[Any] | None:
-        """Return the wanted cells of a row as numbers; None for a bad row."""
-        missing = self.layout.width - len(cells)
-        cells = [*cells, *[""] * missing]
-        if missing < 0 or any(not cells[index] for index in self.needed):
-            return None
-        row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
-        return None if None in row else row
-
-    def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
-        return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
-
-    def _note_bad(self, count: int, first: str) -> None:
-        self.first_bad = self.first_bad if self.bad else first[:120]
-        self.bad += count
-
-
-def _number(cell: str, kind: Kind) -> int | float | str | None:
-    """Return a cell's value; an empty cell of floats is NaN; None if it is invalid."""
-    if kind in _TEXTS or "_" in cell:
-        return cell if kind in _TEXTS else None
-    with suppress(ValueError):
-        if kind == "integer":
-            value = int(cell)
-            return value if -(2**63) <= value < 2**63 else None
-    with suppress(ValueError):
-        return float(cell or ("nan" if kind == "float" else ""))
-    return None
+        texts = (lines[index].decode("utf-8", "replace").strip("\r") for index in indices.tolist())
+        found = [t for t in texts if t and not t.startswith(_COMMENTS) and t.replace(" ", "") != header]
+        self.first_bad = self.first_bad if self.bad or not found else found[0][:120]
+        self.bad += len(found)
 
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
-
-#: The index of times in a separate file.
-EXTERNAL = -1
-
-
-class ExternalTime(NamedTuple):
-    """The times of a table's rows, shape (n,), from the file at `path`; `choice` has the index `EXTERNAL`."""
-
-    path: str
-    choice: TimeChoice
-    values: FloatArray
 
 
 def read_table(
@@ -322,14 +251,12 @@ def read_table(
     options: ReadOptions,
     *,
     name: str = "",
-    stamps: ExternalTime | None = None,
     head: bool = False,
 ) -> Recording:
     """Read the table of an opened text; only its first lines if `head`.
 
-    `name` is the file name, which may name the sensor; `stamps` are times of the rows from a separate file.
-    Raises ChoiceError if columns, units or time are not clear, ReadError if the text is not a table,
-    DataError if it has no samples.
+    `name` is the file name, which may name the sensor. Raises ChoiceError if columns, units or time are not
+    clear, ReadError if the text is not a table, DataError if it has no samples.
     """
     # Reuse the memory of blocks.
     keep_freed_memory()
@@ -341,8 +268,7 @@ def read_table(
     # Read sensors of the same rows together.
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
+        groups.setdefault(sensor.triad.rows, []).append(sensor)
     how: dict[str, Any] = {"temperature": plan.temperature, "limit": options.memory_limit}
     how["expected"] = 0 if head else source.expected_rows
     readers = [_reader(source.head, layout, group, **how) for group in groups.values()]
@@ -352,11 +278,6 @@ def read_table(
     sensors = []
     for reader, group in zip(readers, groups.values(), strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
-        if stamps is not None:
-            if reader.bad or reader.good != stamps.values.size:
-                found = f"{stamps.values.size} times for the {reader.good} good and {reader.bad} bad rows"
-                raise refused(stamps.path, f"{found} of {source.name}; expected one time for each row")
-            values[EXTERNAL] = stamps.values
         if reader.good:
             sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
     if not sensors:
@@ -366,7 +287,13 @@ def read_table(
     work = RecordingBuilder(
         path=source.name, format="csv", options=options, rate_hz=layout.rate_hz, findings=findings
     )
-    assemble(work, [plan], sensors)
+    try:
+        assemble(work, [plan], sensors)
+    except ChoiceError as error:
+        if not source.findings:
+            raise
+        damage = [ChoiceError(f"{source.name}: {finding.text}") for finding in source.findings]
+        raise as_one(source.name, [error, *damage]) from error
     return work.build(topics=plan.topics)
 
 
@@ -378,6 +305,10 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
     layout = lay_out(source.name, source.head, options)
     names = layout.headers or [""] * layout.width
     table = NamedTable.of(source.name, names, layout.cells, units=layout.units, preamble=layout.preamble)
+    if all(column.role is Role.TIME for column in table.columns):
+        joined = f"{shlex.quote(source.name)} SAMPLES > log.csv"
+        way = f"{_ONLY_TIMES} {joined}, or leave it out and give the sampling rate"
+        raise refused(source.name, way, ChoiceError)
     return layout, make_plan(table, options, name=name)
 
 
@@ -391,7 +322,7 @@ def _reader(
     expected: int,
 ) -> BlockReader:
     """Return the reader of some sensors' columns in the same rows; `lines` are the first rows."""
-    rows = sensors[0].triad.rows or layout.tag
+    rows = sensors[0].triad.rows
     layout = _of_rows(lines, layout, rows)
     kinds: dict[int, Kind] = {}
     times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
@@ -399,7 +330,7 @@ def _reader(
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
     for time in times:
         text = time.kind == "text"
-        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices if index != EXTERNAL}
+        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices}
     # A row without its last cell was cut, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
@@ -418,7 +349,7 @@ def _reader(
 
 def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
     """Return the layout of some of the rows: tagged rows differ in width."""
-    if rows is None or rows == layout.tag:
+    if rows is None:
         return layout
     lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
     cells = [tuple(split_line(line, layout.delimiter)) for line in lines]
@@ -565,28 +496,27 @@ def _head_of(name: str, opened: Callable[[], TextSource], options: ReadOptions) 
 
 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
-    """Read files with one sensor each, perhaps with a file of times; None for other files.
+    """Read files with one sensor each; None for other files.
 
-    Raises ReadError if a file can't be read.
+    Raises ReadError if a file can't be read, ChoiceError if one has only times.
     """
-    found = {path: times_of(path) for path in paths}
-    tables = [path for path in paths if found[path] is None]
-    times = [stamps for stamps in found.values() if stamps is not None]
     sensors = []
-    for path in tables:
+    for path in paths:
         try:
             with open_text(path) as source:
                 _, plan = plan_of_head(source, options, path.name)
-        except ImucalError:
+        except ImucalError as error:
+            if _ONLY_TIMES in str(error):
+                raise
             return None
         sensors += [sensor.triad.sensor for sensor in plan.sensors]
-    if len(times) > 1 or not tables or not len(sensors) == len(set(sensors)) == len(tables):
+    if not len(sensors) == len(set(sensors)) == len(paths):
         return None
     parts = []
-    for path in tables:
+    for path in paths:
         with open_text(path, progress=options.progress) as source:
-            parts.append(read_table(source, options, stamps=next(iter(times), None)))
-    return merge(parts, [path.name for path in tables], ", ".join(map(str, paths)))
+            parts.append(read_table(source, options))
+    return merge(parts, [path.name for path in paths], ", ".join(map(str, paths)))
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
@@ -619,29 +549,6 @@ def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recordi
     if len(spans) == len(parts) and min(end for _, end in spans) < max(spans)[0]:
         apart = f"{' and '.join(names)} were not recorded at the same time"
         raise refused(path, f"{apart}; expected one recording; read one file at a time", ChoiceError)
-
-
-def times_of(path: Path) -> ExternalTime | None:
-    """Return the times in a file of one column with a header; None for other files."""
-    try:
-        source = open_text(path)
-    except ImucalError:
-        return None
-    with source:
-        lines = [line.strip() for line in source.head if line.strip()]
-        column = parse_column(lines[0], 0)
-        if len(lines) < 3 or column.role is not Role.TIME or not all(map(is_number, lines[1:])):
-            return None
-        cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
-    unit = parse_time_unit(column.unit) if column.unit else None
-    choice = TimeChoice(
-        kind="stamp",
-        indices=(EXTERNAL,),
-        name=column.header,
-        ns=TIME_UNITS_NS[unit] if unit else None,
-        ns_source=f"from the header of {path.name}" if unit else "",
-    )
-    return ExternalTime(str(path), choice, np.array([float(cell) for cell in cells if is_number(cell)]))
 
 
 #: Largest unpacked text that `describe` reads completely, in less than half a second.

@@ -1,7 +1,8 @@
 """Tables with typed columns: Parquet, HDF5, NumPy's NPZ and NPY, MATLAB's MAT; chosen by name like a CSV's.
 
-NPY files are mapped, and NPZ files read part by part. Packages read the others whole, in a child process with
-limited memory, because small files may unpack to very large ones; see `imucal.readers.isolation`.
+NPY files are mapped, and NPZ files read part by part. Packages read the others in a child process with
+limited memory, because small files may unpack to very large ones; see `imucal.readers.isolation`. The child
+reads Parquet some columns at a time, HDF5 in slices, and MAT whole.
 
 An array of three columns is ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; in other arrays the position
 of a column has no meaning. Arrays of different lengths are tables of their own: the gyroscope may have one,
@@ -9,7 +10,8 @@ the accelerometer another.
 """
 
 import math
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +29,7 @@ from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.npz import npz_arrays
+from imucal.readers.tables.passed import PIECE, Part, Passed, cut, taken, written
 from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
@@ -88,36 +91,44 @@ class Arrays(NamedTuple):
     objects: dict[str, str]
 
 
-def parquet_arrays(path: Path) -> Arrays:
-    """Return the columns of a Parquet file; structures and lists are split."""
+def _parquet_parts(path: Path, _objects: dict[str, str]) -> Iterator[Part]:
+    """Yield the columns of a Parquet file, some at a time; structures and lists are split."""
     import polars as pl
 
-    found: dict[str, pl.Series] = {}
-    for series in pl.read_parquet(path):
-        name, dtype = series.name, series.dtype
-        if isinstance(dtype, pl.Struct):
-            found |= {f"{name}.{field.name}": series.struct.field(field.name) for field in dtype.fields}
-        elif isinstance(dtype, pl.Array):
-            found |= {f"{name}[{i}]": series.arr.get(i) for i in range(min(dtype.shape[0], _WIDEST))}
-        elif isinstance(dtype, pl.List):
-            width = int(series.list.len().max() or 0)  # type: ignore[arg-type] # the length of a list
-            columns = range(min(width, _WIDEST))
-            found |= {f"{name}[{i}]": series.list.get(i, null_on_oob=True) for i in columns}
-        else:
-            found[name] = series
-    return Arrays({name: series.to_numpy() for name, series in found.items()}, {})
+    scan = pl.scan_parquet(path, glob=False)
+    names, n = scan.collect_schema().names(), int(scan.select(pl.len()).collect().item())
+    some = max(1, PIECE // max(1, 8 * n))
+    for start in range(0, len(names), some):
+        for series in scan.select(names[start : start + some]).collect():
+            yield from ((name, 0, [column.to_numpy()]) for name, column in _split(series))
 
 
-def mat_arrays(path: Path) -> Arrays:
-    """Return the arrays of numbers in a MATLAB file up to version 7."""
+def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars is imported late
+    """Yield a series, or the series of its fields or elements, with their names."""
+    import polars as pl
+
+    name, dtype = series.name, series.dtype
+    if isinstance(dtype, pl.Struct):
+        yield from ((f"{name}.{field.name}", series.struct.field(field.name)) for field in dtype.fields)
+    elif isinstance(dtype, pl.Array):
+        yield from ((f"{name}[{i}]", series.arr.get(i)) for i in range(min(dtype.shape[0], _WIDEST)))
+    elif isinstance(dtype, pl.List):
+        columns = range(min(int(series.list.len().max() or 0), _WIDEST))
+        yield from ((f"{name}[{i}]", series.list.get(i, null_on_oob=True)) for i in columns)
+    else:
+        yield name, series
+
+
+def _mat_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
+    """Yield the arrays of numbers in a MATLAB file up to version 7."""
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    found = Arrays({}, {})
+    found = Arrays({}, objects)
     for name, value in content.items():
         if not name.startswith("__"):
             _flatten(name, value, found)
-    return found
+    yield from ((name, 0, [array]) for name, array in found.arrays.items())
 
 
 def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
@@ -137,11 +148,10 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
         found.arrays[name] = array
 
 
-def hdf5_arrays(path: Path) -> Arrays:
-    """Return the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3."""
+def _hdf5_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
+    """Yield the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3."""
     import h5py
 
-    found = Arrays({}, {})
     with h5py.File(path) as file:
         nodes: dict[str, Any] = {"": file}
         file.visititems(nodes.__setitem__)
@@ -151,12 +161,24 @@ def hdf5_arrays(path: Path) -> Arrays:
             if name.startswith(("#refs#", "#subsystem#")) or kind in {"char", "cell"}:
                 continue
             if "MATLAB_object_decode" in node.attrs:
-                found.objects[name.replace("/", ".")] = kind
+                objects[name.replace("/", ".")] = kind
             elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
                 # MATLAB stores matrices transposed.
-                found.arrays[name.replace("/", ".")] = node[()].T if matlab else node[()]
-            found.arrays.update(_single_numbers(name, {} if matlab else node.attrs))
-    return found
+                yield name.replace("/", "."), *_cut_dataset(node, transposed=matlab)
+            for number, value in _single_numbers(name, {} if matlab else node.attrs).items():
+                yield number, 0, [value]
+
+
+def _cut_dataset(node: Any, *, transposed: bool) -> tuple[int, Iterable[NDArray[Any]]]:  # noqa: ANN401 - h5py's
+    """Return the longest axis of a dataset and its parts along it, which have that axis first."""
+    if not node.size or not node.ndim or node.dtype.hasobject:
+        return 0, [np.asarray(node[()].T if transposed else node[()])]
+    axis = int(np.argmax(node.shape))
+    chunk = node.chunks[axis] if node.chunks else 1
+    parts = (node[(slice(None),) * axis + (rows,)] for rows in cut(node.shape, node.dtype.itemsize, chunk))
+    if not transposed:
+        return axis, (np.moveaxis(part, axis, 0) for part in parts)
+    return node.ndim - 1 - axis, (np.moveaxis(part.T, node.ndim - 1 - axis, 0) for part in parts)
 
 
 def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
@@ -180,7 +202,13 @@ class TableFile:
     way: str = ""
 
 
-_READERS = {"Parquet": parquet_arrays, "HDF5": hdf5_arrays, "MAT": mat_arrays}
+_PARTS = {"Parquet": _parquet_parts, "HDF5": _hdf5_parts, "MAT": _mat_parts}
+
+
+def write_arrays(kind: str, path: Path, target: Path) -> tuple[Passed, dict[str, str]]:
+    """Write the arrays of a file to another; return their places and the objects. Runs in the child."""
+    objects: dict[str, str] = {}
+    return written(_PARTS[kind](path, objects), target), objects
 
 
 def open_table(path: Path) -> TableFile:
@@ -192,9 +220,12 @@ def open_table(path: Path) -> TableFile:
     kind = kind or "MAT"
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
-    if kind in _READERS:
-        # The child process may have another working directory.
-        return _of_arrays(kind.lower(), *isolated(path, _READERS[kind], kind)(path.absolute()))
+    if kind in _PARTS:
+        with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
+            target = Path(folder) / "arrays"
+            # The child process may have another working directory.
+            found, objects = isolated(path, write_arrays, kind)(kind, path.absolute(), target)
+            return _of_arrays(kind.lower(), taken(found, target), objects)
     try:
         if kind == "NPZ":
             arrays = Arrays(*npz_arrays(path))

@@ -357,13 +357,14 @@ HOW = "(numbers from 0 without the end, or three names joined by +)"
 
 
 def test_no_header(tmp_path: Path) -> None:
-    """An order is never guessed: gravity gives the proposal, the user decides."""
+    """An order is never guessed: the error lists the columns with their first values."""
     content = lines("", seconds(truth()), *xyz(truth().accel), *xyz(truth().gyro), mark=" ")
     first = [cell if len(cell) < 10 else f"{float(cell):.6g}" for cell in content.split("\n")[0].split()]
     row = ", ".join(f"{i} {cell}" for i, cell in enumerate(first))
     assert refused(tmp_path, content) == (
         "the 7 columns have no header; found columns: "
-        f"{row}; name them in a columns text such as t=0,g=4:7,a=1:4 {HOW}"
+        f"{row}; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their "
+        "numbers from 0)"
     )
 
 
@@ -374,16 +375,16 @@ def test_thirty_columns_are_not_always_kitti(tmp_path: Path) -> None:
 
 
 def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
-    """Tagged rows without a header: the proposal names the tags, and works."""
+    """Tagged rows without a header: the error shows a tag, and a columns text with the tags works."""
     t = truth()
     rows = []
     for i in range(N):
         for tag, values in (("Gyroscope", t.deg[i]), ("Accelerometer", t.g[i])):
             rows.append(",".join([tag, str(1000 + 10 * i), *cells(values)]))
     content = "\n".join(rows) + "\n"
-    proposal = "t=1,g=2:5@Gyroscope,a=2:5@Accelerometer"
-    assert f"such as {proposal} (numbers" in refused(tmp_path, content)
-    recording = read(tmp_path / "log.csv", ReadOptions(columns=proposal, gyro_unit="deg/s"))
+    columns = "t=1,g=2:5@Gyroscope,a=2:5@Accelerometer"
+    assert "found columns: 0 Gyroscope, 1 1000, " in refused(tmp_path, content)
+    recording = read(tmp_path / "log.csv", ReadOptions(columns=columns, gyro_unit="deg/s"))
     assert [series.n for series in recording.series] == [N] * 6
     assert recording.axis("accelerometer", "z").samples[0] == pytest.approx(t.accel[0, 2], rel=1e-12)
 

@@ -22,7 +22,7 @@ LAYOUTS = (
     "rostopic echo -p",
     "phyphox decimal comma",
     "Xsens MT Manager",
-    "VectorNav $VNYMR",
+    "ustime",
     "tagged rows",
     "JSON lines",
     "JSON lines of sensors",

@@ -55,7 +55,7 @@ def test_every_decision_has_a_source(style: Style, tmp_path: Path) -> None:
     assert decisions["time"]
 
 
-@pytest.mark.parametrize("name", ["EuRoC", "ArduPilot", "VectorNav $VNYMR", "WitMotion", "phyphox zip"])
+@pytest.mark.parametrize("name", ["EuRoC", "ArduPilot", "VectorNav INSTINCT", "WitMotion", "phyphox zip"])
 def test_describe_says_the_same(name: str, tmp_path: Path) -> None:
     """`describe` names the layout, the count and the rate."""
     style = next(style for style in STYLES if style.name == name)

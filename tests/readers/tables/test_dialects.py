@@ -12,7 +12,7 @@ import pytest
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import dialects
-from imucal.readers.tables.dialects import DIALECTS, Dialect, find_dialect
+from imucal.readers.tables.dialects import DIALECTS, Dialect
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.text_source import open_text
 from imucal.readers.tables.text_table import lay_out, plan_of_head, read
@@ -56,8 +56,6 @@ def _wrong_names(dialect: Dialect) -> list[str]:
         for name in names
         if re.search(r"(?<!\\)[A-Z]", name)
     ]
-    if dialect.columns and (dialect.fits is None or find_dialect(dialect.columns) is not dialect):
-        missing.append("columns without a header need `fits`, and `headers` that match them first")
     return missing
 
 
@@ -141,7 +139,6 @@ def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: p
         ({"headers": ()}, "no headers: it would be found in every table"),
         ({"headers": ("Turn_Gyro_X",)}, "'Turn_Gyro_X' has a capital letter: names are compared in small"),
         ({"headers": ("turn_x",)}, "no example shows this entry with headers ('turn_x',)"),
-        ({"columns": ("time", "gx", "gy", "gz")}, "columns without a header need `fits`, and `headers` that"),
         ({"name": "Apex"}, "no example: add a Style(layout='Apex') to STYLES in tests/readers/tables"),
         ({"name": "Apex"}, "docs/formats.md does not name it: add it to the headers listed under Tables"),
     ],

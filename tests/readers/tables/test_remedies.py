@@ -94,25 +94,37 @@ def test_a_unit_of_a_date_is_refused(tmp_path: Path) -> None:
     is_truth(read(path))
 
 
-TABLES: dict[str, tuple[str, Callable[..., list[Any]], dict[str, Any]]] = {
-    "no header": ("", lambda t, g, a: [t, *a, *g], {}),
-    "no header, blanks": ("", lambda t, g, a: [t, *g, *a], {"mark": " "}),
-    "no header, no time": ("", lambda _t, g, a: [*g, *a], {}),
-    "names that say nothing": ("foo,a1,b2,c3,d4,e5,f6", lambda t, g, a: [t, *g, *a], {}),
-    "names of the time only": ("c1,c2,c3,time (s),c4,c5,c6", lambda t, g, a: [*g, t, *a], {}),
-    "too few names": ("time,gx,gy,gz,ax,ay", lambda t, g, a: [t, *g, *a], {}),
+#: Header, order of the columns, options of writing, and the columns text.
+TABLES: dict[str, tuple[str, Callable[..., list[Any]], dict[str, Any], str]] = {
+    "no header": ("", lambda t, g, a: [t, *a, *g], {}, "t=0,g=4:7,a=1:4"),
+    "no header, blanks": ("", lambda t, g, a: [t, *g, *a], {"mark": " "}, "t=0,g=1:4,a=4:7"),
+    "no header, no time": ("", lambda _t, g, a: [*g, *a], {}, "g=0:3,a=3:6"),
+    "names that say nothing": ("foo,a1,b2,c3,d4,e5,f6", lambda t, g, a: [t, *g, *a], {}, "t=0,g=1:4,a=4:7"),
+    "names of the time only": (
+        "c1,c2,c3,time (s),c4,c5,c6",
+        lambda t, g, a: [*g, t, *a],
+        {},
+        "t=3,g=0:3,a=4:7",
+    ),
+    "too few names": ("time,gx,gy,gz,ax,ay", lambda t, g, a: [t, *g, *a], {}, "t=0,g=1:4,a=4:7"),
 }
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_columns_that_are_proposed(name: str, tmp_path: Path) -> None:
-    """The text names this table's own columns; units, and a rate for lack of a time, are all it needs."""
-    header, order, options = TABLES[name]
+def test_columns_that_are_listed(name: str, tmp_path: Path) -> None:
+    """The error lists names or first values, and its form with these columns reads the table."""
+    header, order, options, columns = TABLES[name]
     path = tmp_path / "log.csv"
     t, (gx, gy, gz, ax, ay, az) = [f"{0.01 * i:.2f}" for i in range(N)], sensors()
     path.write_text(lines(header, *order(t, (gx, gy, gz), (ax, ay, az)), **options), encoding="utf-8")
-    columns = proposed(refused(path))
+    message = refused(path)
+    first = header.split(",")[2] if name.startswith("names") else f"{truth().gyro[0, 1]:.6g}"
+    assert f" {first}," in message
+    assert f"in a columns text {FORM}" in message
     is_truth(read(path, columns=columns, rate_hz=None if "t=" in columns else 100.0, **UNITS))
+
+
+FORM = "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
 
 
 def proposed(message: str) -> str:
@@ -120,6 +132,15 @@ def proposed(message: str) -> str:
     match = re.search(r"in a columns text such as (\S+) \(numbers", message)
     assert match is not None, message
     return match[1]
+
+
+def test_a_log_of_one_axis_without_names(tmp_path: Path) -> None:
+    """The form in the error has one axis, and reads it."""
+    path = tmp_path / "log.csv"
+    path.write_text(lines("", [f"{0.01 * i:.2f}" for i in range(N)], sensors()[2]), encoding="utf-8")
+    assert "in a columns text of the form t=TIME,gz=Z (names" in refused(path)
+    recording = read(path, columns="t=0,gz=1", gyro_unit="rad/s")
+    np.testing.assert_array_equal(recording.axis("gyroscope", "z").samples, truth().gyro[:, 2])
 
 
 @pytest.mark.parametrize("wrong", ["g=1:3", "g=gx+gy+gq", "t=0", "gyro=1:4", "g=4:9,a=0", "g=1:4,a=90:93"])
@@ -146,7 +167,7 @@ def test_a_table_without_three_numbers_is_not_told_to_try(tmp_path: Path) -> Non
 )
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
 def test_arrays_of_any_shape(shape: str, suffix: str, tmp_path: Path) -> None:
-    """The message says the shape and the columns text for it."""
+    """The message contains the shape and the form of a columns text."""
     both = np.stack([truth().gyro, truth().accel], axis=1)
     flat = both.reshape(-1, 6)
     array = {
@@ -164,7 +185,8 @@ def test_arrays_of_any_shape(shape: str, suffix: str, tmp_path: Path) -> None:
         np.savez(path, imu=array)
     message = refused(path)
     assert str(array.shape) in message
-    columns = proposed(message)
+    assert FORM in message
+    columns = "t=0,g=1:4,a=4:7" if shape == "n7" else "g=0:3,a=3:6"
     is_truth(read(path, columns=columns, rate_hz=None if "t=" in columns else 100.0, gyro_unit="rad/s"))
 
 
@@ -177,12 +199,13 @@ def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
     with pytest.raises(Exception, match=r"found array \(400, 76\).*save only those columns"):
         read(path)
     np.save(path, wide[:, :6])
-    is_truth(read(path, columns=proposed(refused(path)), rate_hz=100.0, gyro_unit="rad/s"))
+    assert FORM in refused(path)
+    is_truth(read(path, columns="g=0:3,a=3:6", rate_hz=100.0, gyro_unit="rad/s"))
 
 
 @pytest.mark.parametrize("write", ["csv", "npy", "jsonl"])
 def test_one_refusal_asks_for_all_that_is_missing(write: str, tmp_path: Path) -> None:
-    """Columns, rate and unit; what it names, typed once, reads."""
+    """Columns first, then rate and unit together; what it names, typed once, reads."""
     path = tmp_path / f"log.{write}"
     both = np.column_stack([truth().deg, truth().g])
     if write == "csv":
@@ -191,11 +214,13 @@ def test_one_refusal_asks_for_all_that_is_missing(write: str, tmp_path: Path) ->
         np.save(path, both)
     else:
         path.write_text("".join(f'{{"values": {row}}}\n' for row in both.tolist()), encoding="utf-8")
-    message = refused(path)
-    asked, rate, unit = message.split("; also, ")
+    assert FORM in refused(path)
+    columns = "g=values[0]+values[1]+values[2],a=values[3]+values[4]+values[5]"
+    columns = columns if write == "jsonl" else "g=0:3,a=3:6"
+    rate, unit = refused(path, columns=columns).split("; also, ")
     assert rate.endswith("give the sampling rate")
     assert unit.startswith("the unit of the gyroscope is unknown")
-    is_truth(read(path, columns=proposed(asked), rate_hz=100.0, gyro_unit="deg/s"))
+    is_truth(read(path, columns=columns, rate_hz=100.0, gyro_unit="deg/s"))
 
 
 def test_a_wrong_unit_behind_one_axis_is_refused_and_a_missing_one_is_not(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from imucal.readers.tables.layout import BLANKS, TextLayout, row_pattern
-from imucal.readers.tables.text_table import BlockReader, Kind, _number, _read_blocks
+from imucal.readers.tables.text_table import BlockReader, Kind, _read_blocks
 
 
 def reader(**changes: object) -> BlockReader:
@@ -19,49 +19,96 @@ def test_defaults() -> None:
     assert (reader().limit, reader().expected, reader().rows) == (1 << 62, 0, None)
 
 
+def column(kind: Kind, *cells: str, needed: bool = True) -> list[float]:
+    """Return the values of a column with some cells, each after a one."""
+    layout = TextLayout(width=2, rows=(), headers=("n", "t"))
+    blocks = BlockReader(
+        layout=layout, kinds={0: "integer", 1: kind}, needed=frozenset({0, 1} if needed else {0})
+    )
+    blocks.add("".join(f"1,{cell}\n" for cell in cells).encode())
+    assert blocks.good + blocks.bad == len(cells)
+    values: list[float] = blocks.columns[1].take().tolist()
+    return values
+
+
 @pytest.mark.parametrize(
-    ("cell", "kind", "value"),
+    ("cell", "kind", "values"),
     [
-        ("1_0", "float", None),
-        ("1_0", "integer", None),
-        ("1_0", "stamp", "1_0"),
-        ("", "integer", None),
-        ("12", "integer", 12),
-        ("1.5", "integer", 1.5),
-        (str(2**63 - 1), "integer", 2**63 - 1),
-        (str(2**63), "integer", None),
-        (str(-(2**63)), "integer", -(2**63)),
-        (str(-(2**63) - 1), "integer", None),
-        ("12", "float", 12.0),
-        ("x", "float", None),
+        ("1_0", "float", [3]),
+        ("1_0", "integer", [3]),
+        ("", "integer", [3]),
+        ("12", "integer", [12, 3]),
+        ("+12", "integer", [12, 3]),
+        (str(2**63 - 1), "integer", [2**63 - 1, 3]),
+        (str(2**63), "integer", [3]),
+        (str(-(2**63)), "integer", [-(2**63), 3]),
+        (str(-(2**63) - 1), "integer", [3]),
+        ("12", "float", [12.0, 3]),
+        ("+.5e1", "float", [5.0, 3]),
+        ("-Infinity", "float", [-math.inf, 3]),
+        ("x", "float", [3]),
+        ("0x1", "float", [3]),
+        ("1 2", "float", [3]),
+        ("12:00:00", "stamp", [43_200 * 10**9]),
     ],
 )
-def test_numbers(cell: str, kind: Kind, value: float | str | None) -> None:
-    """Whole numbers of 64 bits, no underscores; a text is itself."""
-    assert _number(cell, kind) == value
+def test_numbers(cell: str, kind: Kind, values: list[float]) -> None:
+    """Whole numbers have 64 bits; there are no underscores, and no number is made of two."""
+    found = column(kind, cell, "3")
+    assert found == values
+    assert {type(value) for value in found} == {float if kind == "float" else int}
+
+
+def test_a_float_among_whole_numbers() -> None:
+    """The column then has floats; damaged stamps of nanoseconds do not make it one."""
+    assert column("integer", "1", "1.5", "2") == [1.0, 1.5, 2.0]
+    stamp = 1_700_000_000_000_000_001
+    assert column("integer", str(stamp), "9" * 25, "1e30", "x", str(stamp + 2)) == [stamp, stamp + 2]
 
 
 def test_an_empty_cell_of_floats_is_nan() -> None:
-    """It belongs to another sensor."""
-    empty = _number("", "float")
-    assert isinstance(empty, float)
-    assert math.isnan(empty)
+    """It belongs to another sensor, if the column is not needed."""
+    values = column("float", "", "3", needed=False)
+    assert math.isnan(values[0])
+    assert values[1:] == [3]
+    assert column("float", "", "3") == [3]
 
 
 @pytest.mark.parametrize(
-    ("cells", "row"),
+    ("row", "good"),
     [
-        (["1", "2", "3"], [1, 2.0]),
-        (["1", "2"], [1, 2.0]),
-        (["1", "2", "3", "4"], None),
-        ([], None),
-        (["", "2", "3"], None),
-        (["1", "x", "3"], None),
+        ("1,2,3", True),
+        ("1,2", True),
+        ("1,2,3,4", False),
+        ("1,2,3,4,5", False),
+        (",2,3", False),
+        ("x,2,3", False),
+        ("1", True),
     ],
 )
-def test_rows_by_hand(cells: list[str], row: list[float] | None) -> None:
+def test_cells_of_rows(row: str, good: bool) -> None:  # noqa: FBT001 - of the case
     """No more cells than names, and each that is needed."""
-    assert reader()._row(cells) == row
+    blocks = reader()
+    blocks.add(f"{row}\n".encode())
+    assert (blocks.good, blocks.bad) == (int(good), int(not good))
+
+
+@pytest.mark.parametrize(
+    ("line", "values"),
+    [
+        (b'"5","6,0",7', [5]),
+        (b'5,6,"a, b"', [5]),
+        (b'"5","6,0,7', []),
+        (b'5","6,0",7', []),
+        (b'"5,6",0,7', []),
+    ],
+)
+def test_quotation_marks(line: bytes, values: list[int]) -> None:
+    """A delimiter between two belongs to the cell; a line with a mark too many is bad."""
+    layout = TextLayout(width=3, rows=(), quoted=True)
+    blocks = BlockReader(layout=layout, kinds={0: "integer"}, needed=frozenset({0, 2}))
+    blocks.add(line + b"\n1,2,3\n")
+    assert blocks.columns[0].take().tolist() == [*values, 1]
 
 
 def test_bad_rows_are_counted_and_the_first_is_kept() -> None:

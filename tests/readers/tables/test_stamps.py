@@ -7,8 +7,6 @@ from imucal.arrays import FloatArray
 from imucal.readers.store import Room
 from imucal.readers.tables.dates import DAY, NO_STAMP, parse_texts
 from imucal.readers.tables.stamps import (
-    WEEK,
-    date_stamps,
     infer_time_unit,
     rolled,
     to_ns,
@@ -120,22 +118,6 @@ def test_wraps(counts: list[int], turns: int) -> None:
 def test_midnight(stamps: list[int], expected: list[int]) -> None:
     """A time of day that falls by more than half a day is the next day's."""
     assert rolled(np.array(stamps, dtype=np.int64), DAY, Room()).tolist() == expected
-
-
-def test_dates_of_columns() -> None:
-    """To the nanosecond, over months and leap days."""
-    parts = [np.array([value, value]) for value in (2024, 3, 1, 1, 2)]
-    second, nano = np.array([3.5, 4.0]), np.array([7, 8])
-    start = 1_709_254_800 + 120
-    assert date_stamps([*parts, second], Room()).tolist() == [
-        start * SECOND + 3_500_000_000,
-        (start + 4) * SECOND,
-    ]
-    assert date_stamps([*parts, second, nano], Room()).tolist() == [
-        start * SECOND + 3_500_000_007,
-        (start + 4) * SECOND + 8,
-    ]
-    assert (DAY, WEEK) == (86_400 * SECOND, 604_800 * SECOND)
 
 
 @pytest.mark.parametrize(

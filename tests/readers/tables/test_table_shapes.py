@@ -3,36 +3,9 @@
 import numpy as np
 import pytest
 
-from imucal.readers.tables.dialects import _is_kitti, _is_ros2
-from imucal.readers.tables.layout import BLANKS, TextLayout
+from imucal.readers.tables.dialects import _is_ros2
+from imucal.readers.tables.layout import TextLayout
 from imucal.readers.tables.typed_table import _of_array
-
-#: A row of KITTI: position, three angles, and five whole numbers at the end.
-OXTS = ["49.0", "8.4", "110.0", "0.1", "0.2", "0.3", *["1.5"] * 19, "4", "10", "4", "4", "0"]
-
-
-@pytest.mark.parametrize(
-    ("place", "cell", "fits"),
-    [
-        (0, "-90", True),
-        (0, "90.1", False),
-        (1, "180", True),
-        (1, "-180.1", False),
-        (2, "9999", True),
-        (3, "-6.28", True),
-        (4, "6.29", False),
-        (5, "-6.29", False),
-        (6, "6.29", True),
-        (10, "x", False),
-        (25, "4.0", False),
-        (24, "4.5", True),
-    ],
-)
-def test_rows_of_kitti(place: int, cell: str, fits: bool) -> None:  # noqa: FBT001 - of the case
-    """A place on Earth and angles within a turn, cut at blanks."""
-    row = [*OXTS[:place], cell, *OXTS[place + 1 :]]
-    assert _is_kitti(TextLayout(width=30, rows=(tuple(row),), delimiter=BLANKS)) == fits
-    assert not _is_kitti(TextLayout(width=30, rows=(tuple(row),), delimiter=","))
 
 
 @pytest.mark.parametrize(

@@ -487,10 +487,9 @@ def microstrain(t: Truth) -> str:
         "GPS TFlags,GPS Week,GPS TOW,Roll [x800C],X Accel [x8004],Y Accel [x8004],Z Accel [x8004],"
         "X Gyro [x8005],Y Gyro [x8005],Z Gyro [x8005],Lat [x8103],Long [x8103]"
     )
-    tow = [f"{604_798 + ns * 1e-9:.3f}" if ns < 2e9 else f"{ns * 1e-9 - 2:.3f}" for ns in t.ns]
-    week = ["1969" if ns < 2e9 else "1970" for ns in t.ns]
+    tow = [f"{345_600 + ns * 1e-9:.3f}" for ns in t.ns]
     empty = [""] * N
-    return preamble + lines(header, ["5"] * N, week, tow, ZERO, *xyz(t.g), *xyz(t.gyro), empty, empty)
+    return preamble + lines(header, ["5"] * N, ["1969"] * N, tow, ZERO, *xyz(t.g), *xyz(t.gyro), empty, empty)
 
 
 def sensorconnect(t: Truth) -> str:
@@ -736,10 +735,6 @@ STYLES: tuple[Style, ...] = (
         options={"columns": "t=0,g=2:5@I:1,a=5:8@I:1"},
         tolerance=0,
     ),
-    Style(name="GnssLogger", build=gnss_logger, file="gnss_log.txt", layout="GnssLogger", tolerance=0),
-    Style(
-        name="ArduPilot text log", build=ardupilot_log, file="00000001.log", layout="ArduPilot", tolerance=0
-    ),
     Style(name="Betaflight", build=betaflight, layout="Betaflight", tolerance=5e-3),
     Style(name="phyphox gyroscope", build=phyphox, accel=False, tolerance=0),
     Style(name="phyphox decimal comma", build=phyphox_comma, gyro=False, tolerance=0),
@@ -766,18 +761,13 @@ STYLES: tuple[Style, ...] = (
     Style(name="SensorConnect", build=sensorconnect, layout="MicroStrain"),
     Style(name="Crossbow", build=crossbow, options=DEG),
     Style(name="VectorNav INSTINCT", build=instinct, layout="VectorNav", tolerance=0),
-    Style(name="VectorNav $VNYMR", build=vnymr, file="log.txt", layout="VectorNav", tolerance=1e-6),
-    Style(
-        name="VectorNav $VNIMU",
-        build=vnimu,
-        file="log.txt",
-        layout="VectorNav",
-        options={"rate_hz": 100.0},
-        tolerance=1e-6,
-    ),
     Style(name="Shimmer", build=shimmer),
     Style(
-        name="KITTI", build=kitti, file="oxts.txt", layout="KITTI", options={"rate_hz": 100.0}, tolerance=0
+        name="KITTI",
+        build=kitti,
+        file="oxts.txt",
+        options={"columns": "g=17:20,a=11:14", "rate_hz": 100.0, "gyro_unit": "rad/s"},
+        tolerance=0,
     ),
     Style(name="ustime", build=own_micros, file="log.txt", tolerance=0),
     Style(name="unit suffixes", build=own_suffixes),
