@@ -1,13 +1,13 @@
-"""The errors that imucal raises on purpose, and the exit codes of the command line.
+"""The errors of imucal, and the exit codes of the command line.
 
-A message has the form *where: what was found, what was expected, what to do*. A caller's mistake (an argument
-out of range) is a `ValueError`; in calls that people type in notebooks, an `ArgumentError`.
+A message states the place, the problem, the expected content, and the next step. An invalid argument raises a
+`ValueError`; in the functions of `imucal` it raises an `ArgumentError`.
 """
 
 from collections.abc import Sequence
 from typing import ClassVar
 
-#: Exit code -> its meaning, and what a script can do.
+#: Exit code -> its meaning, and the reaction of a script.
 EXIT_CODES = {
     0: ("done", "continue"),
     1: ("a check failed, or a comparison found a difference", "stop: this is the result"),

@@ -1,6 +1,6 @@
-"""What people type in a notebook: each job is one call; a refusal is an `ImucalError` that says what to type.
+"""The functions for notebooks: one call per job, with arrays, paths or texts as arguments.
 
-These take what is at hand (an array, a path, a text) and hand it to the stage that does the work.
+An invalid argument raises an `ImucalError` with a correct call.
 """
 
 from collections.abc import Iterator, Mapping
@@ -62,7 +62,7 @@ class FitOptions(TypedDict, total=False):
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """Turn what the stages say of an argument into an error that is imucal's too."""
+    """Turn a ValueError into an ArgumentError."""
     try:
         yield
     except ImucalError:
@@ -97,26 +97,26 @@ def fit(
     Parameters
     ----------
     source
-        An axis of a recording, an Allan curve, or samples of your own, shape (n,), evenly spaced, in rad/s or
-        m/s^2; or a whole recording, which is screened too, as by `imucal.characterize`.
+        An axis of a recording, an Allan curve, or an array of evenly spaced samples in rad/s or m/s^2, shape
+        (n,). A whole recording is also screened, as by `imucal.characterize`.
     rate_hz, sensor
-        Of samples of your own: the sampling rate, and ``gyroscope`` or ``accelerometer``.
+        Sampling rate, and ``gyroscope`` or ``accelerometer``, of an array.
     curve
-        The samples' Allan curve, where it has been computed already.
+        The Allan curve of the samples, if it is known.
     temperature
-        In degrees Celsius, shape (n,), at the samples: its linear effect is taken out with the fit.
+        Temperature at the samples in degrees Celsius, shape (n,). The fit removes its linear effect.
     options
         ``model``, ``method``, ``level``, ``criterion``, ``weights``, ``clean``, ``max_gm`` and
         ``segments``, as in `imucal.fitting.fit`.
 
     Returns
     -------
-    The fit of one axis; of a recording a report, whose axes hold theirs.
+    The fit of one axis, or the report of a recording.
 
     Raises
     ------
     ArgumentError
-        If something is no recording, axis, curve or array, or an option is unknown.
+        If the source is not a recording, axis, curve or array, or if an option is unknown.
     DataError
         If the samples can't be analysed: too few, constant, not finite.
     """
@@ -184,17 +184,17 @@ def export(
     Parameters
     ----------
     report
-        What was found; or the path of a report.json or its folder. Or a calibration, for formats with bias,
-        scale and misalignment.
+        A report, or the path of a report.json or its folder; or a calibration, for formats with bias, scale
+        and misalignment.
     target
-        The format, such as ``kalibr`` or ``px4``; ``all`` writes each into the folder `path` (not
-        of a calibration).
+        The format, such as ``kalibr`` or ``px4``; ``all`` writes all formats of a report into the folder
+        `path`.
     path
         The file to write, or a folder.
     noise
-        Of a calibration: the report whose noise numbers go into the same file.
+        For a calibration, the report with the noise numbers of the same file.
     force
-        Export a report that is not noise at rest, or whose N is not known to a factor of 10.
+        Export even if the report is not noise at rest, or N is uncertain by more than a factor of 10.
     axis_policy, inflate, unidentified, topic, numbers, horizon_s, step_s
         The attributes of `imucal.report.exports.ExportOptions`.
 
@@ -208,10 +208,10 @@ def export(
     ArgumentError
         If the format or an option is unknown.
     DataError
-        If the report lacks what the format needs, is not noise at rest, or has an N that is not known to a
-        factor of 10.
+        If the report lacks a number that the format needs, is not noise at rest, or has an N that is
+        uncertain by more than a factor of 10.
     WriteError
-        If a file can't be written, or one of the same name wasn't written by imucal.
+        If a file can't be written, or if imucal did not write the existing file of that name.
     """
     with _refusals():
         options = ExportOptions(
@@ -243,23 +243,23 @@ def check(
     config: str | Path | None = None,
     baseline: Report | None = None,
 ) -> CheckResult:
-    """Hold a report against limits, a filter's config file, or both.
+    """Compare a report with limits, a filter's config file, or both.
 
     Parameters
     ----------
     report
-        What was found; or the path of a report.json or its folder. Or a calibration, its file or folder.
+        A report or a calibration, or the path of its file or folder.
     limits
-        A TOML file of limits, or its text, such as ``[gyroscope]`` and below it ``N = { max = 1e-4 }``.
+        A TOML file with limits, or its text.
     config
-        A filter's config file, whose noise parameters are held to those of the report.
+        A filter's config file, whose noise parameters are compared with the report.
     baseline
-        An older report, for limits that compare with one.
+        An older report, for limits relative to a baseline.
 
     Raises
     ------
     ArgumentError
-        If there is nothing to check against.
+        If neither limits nor a config file are given.
     LimitsError
         If the limits or the config can't be read.
     """
@@ -306,13 +306,13 @@ def simulate(
     seed: int = 0,
     path: str | Path | None = None,
 ) -> Recording:
-    """Return a recording of an IMU at rest whose noise is known, such as ``simulate("N=1e-4 + B=2e-5")``.
+    """Return a simulated recording of an IMU at rest, such as ``simulate("N=1e-4 + B=2e-5")``.
 
     Parameters
     ----------
     model, accelerometer
-        Noise of the three axes of a sensor: a model, or its text with coefficients in SI or with their unit,
-        such as ``N=0.3deg/sqrt(h)``. The accelerometer has the numbers of the gyroscope by default.
+        Noise model of the three axes of a sensor, or its text with coefficients in SI or with a unit, such as
+        ``N=0.3deg/sqrt(h)``. By default the accelerometer has the same numbers as the gyroscope.
     rate_hz
         Sampling rate, in Hz.
     duration
@@ -325,9 +325,9 @@ def simulate(
     Raises
     ------
     ArgumentError
-        If a model, the rate or the duration is not understood.
+        If a model, the rate or the duration is invalid.
     WriteError
-        If the log exists, or can't be written.
+        If the log exists already or can't be written.
     """
     from imucal.simulation import SensorTruth, simulate_recording, write_log
 

@@ -1,16 +1,15 @@
 """The four power-law noises of one unit per sample, in closed form.
 
-Everything of second order about a stationary-increment process follows from V(n), the
-(generalised) variance of the sum of n consecutive samples:
+The second-order statistics of a process with stationary increments follow from V(n), the generalised
+variance of the sum of n consecutive samples:
 
     avar(m) = (4 V(m) - V(2m)) / (2 m^2)
     V(n) = n^2 r(0) - sum over k < n of (n - k) D(k)
 
-with D(k) the mean square difference of samples k apart and r(0) the variance, which cancels in
-avar and is taken as 0 where there is none.
+with the mean square difference D(k) of samples k apart and the variance r(0), which cancels in
+avar and is 0 for noise without one.
 
-They stand below `allan` and `noise`, because both the intervals of a curve and the terms of a
-model are made of them. Per-sample units: sampling period 1, angular frequency in rad/sample.
+Units are per sample: the sampling period is 1, and angular frequencies are in rad/sample.
 
 Source: Guerrier, Molinari, Stebler: Allan variance (MOAV, Def. 4.3); Greenhall & Riley (2003),
 "Uncertainty of stability variances based on finite differences".

@@ -1,16 +1,16 @@
-"""Text of others, such as names of topics, columns and files, as a terminal or a page may show it."""
+"""Make text from files, such as names of topics and columns, safe for terminals and pages."""
 
 import unicodedata
 from collections.abc import Callable
 
-#: Categories of signs that steer a terminal or turn text round instead of showing something.
+#: Unicode categories of control and direction characters.
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-#: Signs of our own that lay out lines.
+#: Allowed control characters.
 _LAYOUT = frozenset("\n\t")
 
 
 def printable(text: str) -> str:
-    """Return a text in which signs that steer a terminal stand as Python's escapes; its lines stay."""
+    """Return a text with Python's escapes instead of control characters, except line breaks and tabs."""
     return _escaped(text, lambda sign: sign.encode("unicode_escape").decode("ascii"))
 
 
@@ -20,7 +20,7 @@ def one_line(text: str) -> str:
 
 
 def printable_json(text: str) -> str:
-    """Return a JSON text of the same value in which such signs stand as JSON's escapes."""
+    """Return a JSON text of the same value with JSON's escapes instead of control characters."""
     return _escaped(text, _json_escape)
 
 
@@ -32,6 +32,6 @@ def _escaped(text: str, escape: Callable[[str], str]) -> str:
 
 
 def _json_escape(sign: str) -> str:
-    """Return the escape of a sign: two of them beyond 16 bits, as JSON counts in UTF-16."""
+    """Return the escapes of a character in UTF-16."""
     code = sign.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{code[i : i + 4]}" for i in range(0, len(code), 4))

@@ -213,7 +213,7 @@ class Source:
     `topics` and `message_types` are pairs; for a table, `topics` contains column names and there are no
     types. `decisions` contains each choice and its reason, such as ``("gyroscope unit", "deg/s, from the
     column header")``. `files` contains sizes and checksums: always for standard input, otherwise on request.
-    `read` is the part of the log that was read; None for all of it.
+    `read` is the range that was read; None for the whole log.
     """
 
     path: str
@@ -255,14 +255,14 @@ class Recording(Displayed):
     findings: tuple[Finding, ...] = ()
 
     def between(self, start_s: float, end_s: float) -> "Recording":
-        """Return what was measured from `start_s` to before `end_s`, in s from the start of each clock.
+        """Return the samples from `start_s` to before `end_s`, in s from the start of each clock.
 
         Raises
         ------
         DataError
-            If nothing was measured then.
+            If there are no samples in this time.
         """
-        # Axes that shared a clock share its part: one clock is one object.
+        # Axes that share a clock object share it afterwards, too.
         clocks = {id(one.clock): one.between(start_s, end_s).clock for one in self.series}
         cuts = [replace(one.between(start_s, end_s), clock=clocks[id(one.clock)]) for one in self.series]
         series = tuple(cut for cut in cuts if cut.n)
@@ -279,7 +279,7 @@ class Recording(Displayed):
             temperature = Temperature(samples=temperature.samples[first:stop], clock=clock.slice(first, stop))
         before = self.source.read.from_s if self.source.read is not None else 0.0
         source = replace(self.source, read=ReadRange.of(series, from_s=before + start_s))
-        # The part has its own gaps, not those that were left out.
+        # List the gaps of this part only.
         others = [finding for finding in self.findings if finding.code != "gaps"]
         findings = tuple(dict.fromkeys([*others, *gap_findings(one.clock for one in series)]))
         return replace(self, source=source, series=series, temperature=temperature, findings=findings)
@@ -289,7 +289,7 @@ class Recording(Displayed):
         return self.between(seconds_of(length), np.inf)
 
     def take(self, length: str | float) -> "Recording":
-        """Return so much of the recording from its start, such as ``take("1h")``."""
+        """Return the start of the recording, such as ``take("1h")``."""
         return self.between(0.0, seconds_of(length))
 
     def axis(self, sensor: str, axis: str) -> AxisSeries:

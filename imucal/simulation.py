@@ -1,7 +1,7 @@
-"""Logs of known truth: noise models of a gyroscope and an accelerometer -> Recording -> log file.
+"""Simulated logs: noise models of a gyroscope and an accelerometer -> Recording -> log file.
 
-Files are CSV, MCAP, ROS 1 and ROS 2 bags of `sensor_msgs/Imu` with unknown orientation. The bytes of many
-messages are laid out at once in a structured array; the containers are written by `mcap` and `rosbags`.
+Files are CSV, MCAP, ROS 1 and ROS 2 bags of `sensor_msgs/Imu` with unknown orientation. A structured
+array contains the bytes of many messages; `mcap` and `rosbags` write the containers.
 """
 
 import shutil
@@ -28,10 +28,7 @@ START_NS = 1_767_225_600_000_000_000
 
 @frozen
 class SensorTruth:
-    """What a simulated sensor does: the noise of each axis, its mean and its resolution, all in SI.
-
-    The mean is a constant of each of x, y, z; an `lsb` of 0 is no resolution.
-    """
+    """The noise model, the means of x, y and z, and the resolution `lsb` (0: none) of a sensor, all in SI."""
 
     model: NoiseModel
     mean: tuple[float, float, float]
@@ -58,10 +55,10 @@ def simulate_recording(
     seed: int,
     gaps_s: Sequence[tuple[float, float]] = (),
 ) -> Recording:
-    """Return a recording of simulated noise; that of a long one lies in temporary files.
+    """Return a recording of simulated noise; a long one is in temporary files.
 
-    At least one sample is made; the same seed gives the same samples. `gaps_s` are start and length, in s,
-    of stretches whose samples are lost; a ValueError says that they leave none.
+    The same seed gives the same samples. `gaps_s` contains start and length, in s, of gaps. Raises a
+    ValueError if no sample is left.
     """
     n = max(1, round(duration_s * rate_hz))
     rng = np.random.default_rng(seed)
@@ -85,7 +82,7 @@ def simulate_recording(
 
 
 _TOPIC = "/imu/data_raw"
-#: Messages laid out at once: 20 MB.
+#: Messages per structured array: 20 MB.
 _MESSAGES = 1 << 16
 _EUROC_HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -95,7 +92,7 @@ _EUROC_HEADER = (
 
 @frozen_alone
 class Rows:
-    """Some samples in a row: the number of the first, stamps in ns (n,), rates and forces (n, 3) in SI."""
+    """Consecutive samples: index of the first, stamps in ns, shape (n,), rates and forces in SI, (n, 3)."""
 
     first: int
     stamps: IntArray
@@ -113,11 +110,11 @@ def _rows(recording: Recording) -> Iterator[Rows]:
 
 
 def write_log(recording: Recording, path: Path) -> None:
-    """Write a recording whose six axes share one clock; the suffix of `path` names the format.
+    """Write a recording whose six axes share one clock; the suffix of `path` selects the format.
 
     ``.csv`` (EuRoC columns), ``.mcap`` (ROS 2, zstd), ``.bag`` (ROS 1, lz4), ``.db3`` (one ROS 2 sqlite3
-    file), no suffix (a ROS 2 sqlite3 bag folder). A WriteError says that the suffix is unknown, or the file
-    exists already or can't be written.
+    file), no suffix (a ROS 2 sqlite3 bag folder). Raises a WriteError if the suffix is unknown, or if the
+    file exists already or can't be written.
     """
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
@@ -140,7 +137,7 @@ def _write_csv(path: Path, parts: Iterator[Rows]) -> None:
 
 
 def _imu_bytes(part: Rows, head: str, frame: str) -> NDArray[np.void]:
-    """Return one `sensor_msgs/Imu` per row, shape (n,): a head of a field and the stamp, then 37 doubles."""
+    """Return one `sensor_msgs/Imu` per row, shape (n,): field `head`, stamp, frame, then 37 doubles."""
     names = (
         f"{head} sec nsec length frame orientation orientation_covariance angular_velocity gyro_covariance"
     )
@@ -208,7 +205,7 @@ def _write_ros2_folder(path: Path, parts: Iterator[Rows]) -> None:
 
 
 def _fill(writer: Any, store: str, messages: Iterator[tuple[int, bytes]]) -> None:  # noqa: ANN401 - of rosbags
-    """Write messages by a writer of ROS 1 or ROS 2, with the types of a version of it."""
+    """Write messages with a writer of rosbags, using the types of a type store."""
     from rosbags.typesys import Stores, get_typestore
 
     with writer:

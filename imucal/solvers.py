@@ -1,7 +1,6 @@
 """Two small solvers: a root in a bracket, and least squares without negative solutions.
 
-Problems here have one variable, or a handful of them; loading `scipy.optimize` takes longer than solving
-all of them.
+The problems are so small that importing `scipy.optimize` would take longer than solving all of them.
 """
 
 import math
@@ -11,19 +10,19 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 
-#: Most steps of a search for a root: each at least halves the bracket.
+#: Maximum number of steps of a search in a bracket; each at least halves it.
 _MAX_STEPS = 200
-#: Most steps of a search by secants.
+#: Maximum number of secants.
 _MAX_SECANTS = 12
-#: A share of the largest product with the residuals below which no variable is worth adding.
+#: No variable is added if its product with the residuals is below this share of the largest product.
 _NO_GAIN = 1e-12
 
 
 def root(function: Callable[[float], float], low: float, high: float, *, tolerance: float) -> float:
-    """Return where a continuous function changes its sign between `low` and `high`, to within `tolerance`.
+    """Return a root of a continuous function between `low` and `high`, to within `tolerance`.
 
-    A ValueError says that it has the same sign at both ends. Two evaluations a step; near a simple root a
-    step doubles the number of right digits.
+    Raises a ValueError if the function has the same sign at both ends. Each step takes two evaluations and
+    doubles the number of correct digits near a simple root.
 
     Source: Ridders (1979), IEEE Trans. Circuits Syst. 26, 979.
     """
@@ -68,10 +67,10 @@ def root_near(
     high: float,
     tolerance: float,
 ) -> float | None:
-    """Return a root of a falling function that is nearly straight, to within `tolerance`, by secants.
+    """Return a root of a decreasing, nearly linear function to within `tolerance`, by secants.
 
-    The first step from `start` is by `slope`. None where that leads nowhere between `low` and `high`; what
-    `root` finds in a bracket is then the answer.
+    The first step from `start` uses `slope`. Return None if a step leaves the range from `low` to `high`; use
+    `root` then.
     """
     place = min(max(start, low), high)
     value = function(place)
@@ -92,10 +91,9 @@ def root_near(
 
 
 def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
-    """Return x >= 0 that makes |matrix x - target|² least, shape (p,), and that sum of squares.
+    """Return the x >= 0 that minimises |matrix x - target|², shape (p,), and this sum of squares.
 
-    The matrix has shape (k, p), p at most some dozens, and columns of any length; the target shape (k,).
-    Mostly the ordinary solution has none below zero. Of more variables than rows, few rise above it.
+    `matrix` has the shape (k, p), with p up to some dozens, and `target` the shape (k,).
 
     Source: Lawson & Hanson (1974), "Solving least squares problems", ch. 23.
     """
@@ -128,7 +126,7 @@ def _active_set(columns: FloatArray, target: FloatArray) -> FloatArray:
             negative = used & (trial <= 0)
             if not negative.any():
                 break
-            # As far towards the trial as no variable falls below zero; the first at zero is out.
+            # Go towards the trial until the first variable is zero, and remove it.
             share = (solution[negative] / (solution[negative] - trial[negative])).min()
             solution += share * (trial - solution)
             used &= solution > 1e-15 * np.abs(solution).max()

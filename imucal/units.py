@@ -29,7 +29,7 @@ SAMPLE_UNITS: dict[Sensor, dict[str, float]] = {
 #: Unit of time stamps in a log -> ns.
 TIME_UNITS_NS: dict[str, int] = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
-#: Signs that people write -> the plain spelling. The last three lines undo UTF-8 read as Latin-1.
+#: Special sign -> the plain spelling. The last three lines undo UTF-8 read as Latin-1.
 _SIGNS = {
     "\u03bc": "u",
     "\u00b5": "u",
@@ -83,7 +83,7 @@ _TIME_SPELLINGS = {
     for end in ends
 }
 
-#: Units of other columns: they show that a text is a unit, no more.
+#: Units of other columns.
 _OTHERS = """
 degc c degf k ut mt nt t gauss mgauss ga mga pa hpa kpa mbar v mv deg rad m m/s km/h hz % nounits localflux
 n/a -
@@ -107,7 +107,7 @@ class _Unit:
         return _Unit(self.factor * by.factor, self.rad + by.rad, self.m + by.m, self.s + by.s)
 
     def is_like(self, other: "_Unit") -> bool:
-        """Return whether both measure the same kind of thing."""
+        """Return whether both have the same dimension."""
         return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
 
 
@@ -128,9 +128,9 @@ _BASES: dict[str, _Unit] = {
     "d": _Unit(24 * _HOUR, s=1),
     "hz": _Unit(1.0, s=-1),
 }
-#: Prefix of a base but those of time -> its factor.
+#: Prefix of a base unit, except units of time -> its factor.
 _PREFIXES = {"k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
-#: Roots as people write them, and exponents without a sign for them -> a form that Python has, too.
+#: Spellings of roots and exponents -> the form of Python.
 _ROOTS = (
     (r"(?:√|\b(?:rt|root|sqrt)\b[- ]*)\(", "sqrt("),
     (r"(?:√|\b(?:rt|root|sqrt)[- ]*)([a-z]+)", r"sqrt(\1)"),
@@ -141,13 +141,13 @@ _ROOTS = (
 
 @dataclass(frozen=True, slots=True)
 class DatasheetUnit:
-    """A unit that data sheets print; ``value * factor`` turns SI into it."""
+    """A unit of data sheets; ``value * factor`` converts SI to it."""
 
     name: str
     factor: float
 
 
-#: What data sheets print coefficients in -> factor that turns SI into it.
+#: Unit of coefficients in data sheets -> factor that converts SI to it.
 DATASHEET_UNITS: dict[str, float] = {
     "arcsec": _HOUR / _DEGREE,
     "m/s": 1.0,
@@ -163,7 +163,7 @@ DATASHEET_UNITS: dict[str, float] = {
 
 
 def duration(seconds: float) -> str:
-    """Return a length of time as people say it: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``."""
+    """Return a length of time as text: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``."""
     if float(f"{seconds:.3g}") < 60:
         return f"{seconds:.3g} s"
     small, size, count, large = "h", _HOUR, 24, "d"
@@ -174,14 +174,14 @@ def duration(seconds: float) -> str:
 
 
 def time_unit(seconds: float) -> tuple[float, str]:
-    """Return what times of so long an axis are divided by, and their unit then: s, min or h."""
+    """Return the unit of a time axis of this length, in s, and its name: s, min or h."""
     if seconds < 600:
         return 1.0, "s"
     return (60.0, "min") if seconds < 2 * _HOUR else (_HOUR, "h")
 
 
 def data_size(size: int) -> str:
-    """Return a number of bytes as people say it: ``2.5 kB``, ``224 MB``, ``1.344 GB``, ``22.4 TB``."""
+    """Return a number of bytes as text: ``2.5 kB``, ``224 MB``, ``1.344 GB``, ``22.4 TB``."""
     for unit, power in (("TB", 12), ("GB", 9), ("MB", 6)):
         if size >= 10**power:
             return f"{size / 10**power:.4g} {unit}"
@@ -194,18 +194,18 @@ def datasheet_unit(name: str) -> DatasheetUnit:
 
 
 def pretty(unit: str) -> str:
-    """Return a unit as people write it: ``m/s^2/sqrt(Hz)`` becomes ``m/s²/√Hz``."""
+    """Return a unit with signs: ``m/s^2/sqrt(Hz)`` becomes ``m/s²/√Hz``."""
     for plain, sign in (("sqrt(Hz)", "√Hz"), ("sqrt(h)", "√h"), ("sqrt(s)", "√s"), ("^2", "²"), ("^3", "³")):
         unit = unit.replace(plain, sign)
     return "µg" + unit[2:] if unit.startswith("ug") else unit
 
 
 def find_unit(text: str, units: Mapping[str, float]) -> tuple[str, float] | None:
-    """Return the name and the factor to SI of a unit that measures what some units do, or None.
+    """Return the name and the factor to SI of a unit with the dimension of the given units, or None.
 
-    Takes such as ``mdps/rtHz``, ``°/√h``, ``(deg/s)/Hz^0.5``, ``µg per root Hz``: any product of powers.
-    `units` are of one kind, with their factors, that of SI first; one that is none of them, but of their
-    kind, is called as it was written.
+    The text is any product of powers, such as ``mdps/rtHz``, ``°/√h``, ``(deg/s)/Hz^0.5`` or ``µg per root
+    Hz``. `units` maps names to factors; all have the same dimension. The name of another unit with this
+    dimension is its text.
     """
     if text in units:
         return text, units[text]
@@ -217,7 +217,7 @@ def find_unit(text: str, units: Mapping[str, float]) -> tuple[str, float] | None
 
 
 def _product(text: str) -> _Unit | None:
-    """Return a unit that is a product of powers; None for a text that is none."""
+    """Return a unit that is a product of powers, or None for another text."""
     for sign, plain in _SIGNS.items():
         text = text.replace(sign, plain)
     text = _shortened(text.strip().lower())
@@ -231,7 +231,7 @@ def _product(text: str) -> _Unit | None:
 
 
 def _evaluated(node: ast.expr) -> _Unit:
-    """Return what an expression of bases, products, quotients, powers and roots stands for."""
+    """Return the unit of an expression of bases, products, quotients, powers and roots."""
     match node:
         case ast.Name(name) if name in _BASES:
             return _BASES[name]
@@ -249,9 +249,9 @@ def _evaluated(node: ast.expr) -> _Unit:
 
 
 def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:
-    """Return the sensor and the name in `SAMPLE_UNITS` of a unit as logs spell it, or None.
+    """Return the sensor and the name in `SAMPLE_UNITS` of a unit in any spelling of logs, or None.
 
-    Takes such as ``[rad s^-1]``, ``deg/s``, ``°/s``, ``mdps``, ``m/s²``, ``m/(s^2)``, ``G``, ``mg``.
+    Examples: ``[rad s^-1]``, ``deg/s``, ``°/s``, ``mdps``, ``m/s²``, ``m/(s^2)``, ``G``, ``mg``.
     """
     plain = _plain(text)
     name = _SAMPLE_SPELLINGS.get(plain) or _SAMPLE_SPELLINGS.get(_bare(_shortened(plain)))
@@ -262,25 +262,25 @@ def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:
 
 
 def parse_time_unit(text: str) -> str | None:
-    """Return the name in `TIME_UNITS_NS` of a unit as logs spell it, or None."""
+    """Return the name in `TIME_UNITS_NS` of a unit in any spelling of logs, or None."""
     return _TIME_SPELLINGS.get(_plain(text))
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is the unit of anything a log may hold."""
+    """Return whether a text is a unit of any column of a log."""
     known = parse_sample_unit(text) is not None or parse_time_unit(text) is not None
     return known or _plain(text) in _OTHER_UNITS
 
 
 def _plain(text: str) -> str:
-    """Return a unit's spelling in small letters, without signs of its own and brackets."""
+    """Return a unit's spelling in small letters, without special signs and brackets."""
     for sign, plain in _SIGNS.items():
         text = text.replace(sign, plain)
     return _bare(text) if " per " not in text.lower() else text.strip().lower()
 
 
 def _shortened(text: str) -> str:
-    """Return a spelling with whole words cut to their symbols."""
+    """Return a spelling with symbols instead of words."""
     for pattern, unit_name in _SPELLINGS:
         text = re.sub(pattern, unit_name, text)
     return text

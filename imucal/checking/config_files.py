@@ -66,20 +66,20 @@ class Setting(NamedTuple):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Its numbers; none where it holds anything else."""
+        """The numbers of the value; none if the value contains anything else."""
         found = tuple(map(_number, self.written))
         return found if all(map(math.isfinite, found)) else ()
 
     def place(self, where: str) -> str:
-        """Return what it is about and where it stands, for the start of a sentence."""
+        """Return the axis or sensor, the place in the file and the key, for the start of a sentence."""
         return f"{where}: {self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
-        """Return whether this is the key of a name, in whatever section."""
+        """Return whether this is the key `name` in any section."""
         return self.name == name or self.name.endswith((f"/{name}", f".{name}"))
 
     def with_number(self, value: str) -> str:
-        """Return the line with another number in place of its own; of a matrix in place of all but zeros."""
+        """Return the line with another number; in a matrix it replaces all numbers except zeros."""
         at = self.text.find(self.name) + len(self.name)
         old = [text for text in self.written if len(self.written) == 1 or _number(text)]
         spelled = "|".join(map(re.escape, dict.fromkeys(old)))
