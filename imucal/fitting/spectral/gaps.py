@@ -28,8 +28,9 @@ _MOVED = 3e-4
 #: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle of seconds has
 #: information on some frequencies only, and more rounds make lines of the others.
 _ROUNDS, _ROUNDS_IF_LONG, _LONG = 40, 8, 64
-#: Ratio of the frequencies over which the variance of missing samples is averaged.
-_NEAR = 1.5
+#: The variance of missing samples is averaged over frequencies up to this ratio, and over at least this many
+#: groups on each side.
+_NEAR, _NEIGHBOURS = 1.5, 2
 _STEPS = 40
 _CLOSE = 1e-3
 #: Largest number of missing samples, and of sines per sample, for direct sums: above, transforms are faster.
@@ -90,13 +91,13 @@ def complete(
 def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
     """Return the means of a variance over neighbouring groups, shape of `groups`.
 
-    The scatter of a single random draw would add to the scatter of the ordinates.
+    The scatter of a single random draw would add to the scatter of the ordinates. In a group alone, a draw
+    below its expectation could reduce the spectrum in each round, down to zero.
     """
-    middle = groups + 0.5 * count
-    first, stop = (
-        np.searchsorted(middle, middle / _NEAR),
-        np.searchsorted(middle, middle * _NEAR, side="right"),
-    )
+    middle, place = groups + 0.5 * count, np.arange(groups.size)
+    first = np.minimum(np.searchsorted(middle, middle / _NEAR), np.maximum(place - _NEIGHBOURS, 0))
+    stop = np.searchsorted(middle, middle * _NEAR, side="right")
+    stop = np.maximum(stop, np.minimum(place + _NEIGHBOURS + 1, groups.size))
     total = np.concatenate([np.zeros((2, 1)), np.cumsum([variance * count, count], axis=1)], axis=1)
     weighted, number = total[:, stop] - total[:, first]
     return np.asarray(weighted / number)
