@@ -99,7 +99,7 @@ def calibrate(
         used = ~_excluded(z)
         estimate = _estimate(found.keeping(used), place)
     except DataError as error:
-        raise DataError(where + str(error).removeprefix(where)) from error
+        raise DataError(f"{where}{error}", remedy=error.remedy) from error
     result = _accelerometer(estimate, found.keeping(used), place)
     turns: tuple[Turn, ...] = ()
     trouble, rotating = "", None

@@ -35,13 +35,14 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
         return
     short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
     held = len(find_rests(accelerometer, gyroscope, in_hand=True)) if gyroscope is not None else 0
-    hint = ""
+    hint, remedy = "", tuple[str, ...]()
     if short >= MIN_RESTS:
         hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
+        remedy = ("rest_at_least", f"{_SHORTEST_S:g}s")
     elif held >= MIN_RESTS:
-        hint = f"; {held} rests have the tremor of a hand"
-    whole = f"{accelerometer.end_s:.0f} s"
-    raise DataError(f"rests in {whole}: found {len(spans_s)}, expected at least {MIN_RESTS}; {ADVICE}{hint}")
+        hint, remedy = f"; {held} rests have the tremor of a hand", ("in_hand",)
+    found = f"rests in {accelerometer.end_s:.0f} s: found {len(spans_s)}, expected at least {MIN_RESTS}"
+    raise DataError(f"{found}; {ADVICE}{hint}", remedy=remedy)
 
 
 def require_attitudes(means: FloatArray) -> None:
@@ -57,7 +58,7 @@ def require_range(data: Triad, rests: RestMeans) -> None:
     norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
     if _IN_G[0] < norm < _IN_G[1]:
         msg = f"the accelerometer reads {norm:.3g} at rest, not 9.81 m/s²: its unit is g"
-        raise DataError(msg)
+        raise DataError(msg, remedy=("accel_unit", "g"))
     for axis, column in enumerate(data.samples.T):
         parts = [column[first:end] for first, end in rests.spans]
         extremes = np.nanmin(column), np.nanmax(column)

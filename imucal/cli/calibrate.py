@@ -1,6 +1,5 @@
 """``imucal calibrate``: bias, scale, misalignment and g-sensitivity from a log of rests and turns."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -110,22 +109,18 @@ def _noise_report(path: Path) -> "Report":
     return report
 
 
-#: End of a message of the library -> the option to use.
-_OPTIONS = {
-    r"its unit is g$": "--accel-unit g",
-    r"rests last 0\.4 s or longer$": "--rest-at-least 0.4s",
-    r"the tremor of a hand$": "--in-hand",
-}
-
-
 @contextmanager
 def _with_options() -> Iterator[None]:
     """Add the option to use to the message about a log that can't be calibrated."""
     try:
         yield
     except DataError as error:
-        hints = [f"; try {option}" for end, option in _OPTIONS.items() if re.search(end, str(error))]
-        raise DataError(f"{error}{''.join(hints)}") from error
+        if not error.remedy:
+            raise
+        # An option has the name of the argument.
+        name, *value = error.remedy
+        typed = " ".join([f"--{name.replace('_', '-')}", *value])
+        raise DataError(f"{error}; try {typed}") from error
 
 
 def _print_table(found: "Calibration") -> None:

@@ -1,7 +1,9 @@
 """calibrate: from a recording to the result, its findings, and its application."""
 
+import pickle
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -271,3 +273,32 @@ def test_a_log_held_in_a_hand_all_the_time_cannot_be_calibrated() -> None:
     log_path = real_data("real", "mpu6050", "imu_90_x_rot.csv")
     with pytest.raises(DataError, match="put the IMU down"):
         calibrate(imucal.read(log_path, accel_scale=9.80665 / 16384, gyro_scale=np.radians(1 / 131)))
+
+
+@pytest.mark.parametrize("kind", ["g", "short", "hand"])
+def test_an_error_names_the_argument_that_helps(kind: str) -> None:
+    """`remedy` survives pickling, as between processes; with the argument the log is calibrated."""
+    rng = np.random.default_rng(8020)
+    one = log(Truth.draw(rng), NOISE, attitudes(14, rng), rng, rest_s=1.0 if kind == "short" else 4.0)
+    if kind == "g":
+        one = replace(one, accelerometer=one.accelerometer / GRAVITY)
+    if kind == "hand":
+        gyroscope = one.gyroscope.copy()
+        for k, (first, end) in enumerate(one.spans):
+            gyroscope[first:end] += (0.0005 if k < 5 else 0.005) * np.sin(0.4 * np.arange(end - first))[
+                :, None
+            ]
+        one = replace(one, gyroscope=gyroscope)
+    with pytest.raises(DataError) as caught:
+        calibrate(one.recording())
+    error = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own object
+    assert str(error) == str(caught.value)
+    helps: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+        "g": (("accel_unit", "g"), {}),
+        "short": (("rest_at_least", "0.4s"), {"rest_at_least": "0.4s"}),
+        "hand": (("in_hand",), {"in_hand": True}),
+    }
+    remedy, arguments = helps[kind]
+    assert error.remedy == remedy
+    if arguments:
+        assert len(calibrate(one.recording(), **arguments).rests) >= 12
