@@ -1,16 +1,16 @@
 """calibrate: a recording of rests and turns -> bias, scale, misalignment and g-sensitivity with intervals."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.calibration.accelerometer import LOWER, fit_accelerometer, suggest_rest
+from imucal.calibration.accelerometer import LOWER, AccelerometerFit, fit_accelerometer, suggest_rest
 from imucal.calibration.checks import Facts, findings_of
 from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
-from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base
+from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base, white_models
 from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse
 from imucal.calibration.poses import (
     RestMeans,
@@ -91,10 +91,20 @@ def calibrate(
     try:
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
-        found = _Sensor.of(accelerometer, spans, noise)
+        found = _Sensor.of(
+            accelerometer, spans, noise, lambda rests: _scale(_first_fit(accelerometer, rests, place).C)
+        )
         require_attitudes(found.rests.means)
         require_range(accelerometer, found.rests)
-        turning = _Sensor.of(gyroscope, spans, noise) if gyroscope is not None else None
+        turning = None
+        if gyroscope is not None:
+            up = _first_fit(accelerometer, found.rests, place).up
+            turning = _Sensor.of(
+                gyroscope,
+                spans,
+                noise,
+                lambda rests: _scale(_start(gyroscope, rests, up, unusable_turns(gyroscope, rests))),
+            )
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         used = ~_excluded(z)
         estimate = _estimate(found.keeping(used), place)
@@ -147,10 +157,14 @@ class _Sensor:
 
     @classmethod
     def of(
-        cls, data: Triad, spans_s: FloatArray, noise: Report | Mapping[str, NoiseModel] | None
+        cls,
+        data: Triad,
+        spans_s: FloatArray,
+        noise: Report | Mapping[str, NoiseModel] | None,
+        scale: Callable[[RestMeans], FloatArray],
     ) -> "_Sensor":
         rests = RestMeans.of(data, spans_s)
-        return cls(data=data, rests=rests, base=noise_base(noise, data, rests))
+        return cls(data=data, rests=rests, base=noise_base(noise, data, rests, scale))
 
     def keeping(self, keep: BoolArray) -> "_Sensor":
         rests = replace(self.rests, spans=self.rests.spans[keep], means=self.rests.means[keep])
@@ -158,11 +172,35 @@ class _Sensor:
 
     @property
     def covariance(self) -> FloatArray:
-        return base_covariance(self.base, self.data, self.rests)
+        return base_covariance(self.base.models, self.data, self.rests)
 
     @property
     def walk(self) -> FloatArray:
         return walk_covariance(self.rests.spans, rate_hz=self.data.rate_hz, samples=len(self.data.samples))
+
+
+def _first_fit(data: Triad, rests: RestMeans, place: Gravity) -> AccelerometerFit:
+    """Return the accelerometer with white noise; enough for scale and directions."""
+    return fit_accelerometer(
+        rests.means, base_covariance(white_models(data, rests), data, rests), gravity=place.value
+    )
+
+
+def _scale(C: FloatArray | None) -> FloatArray:
+    """Return raw units per SI unit of each axis, shape (3,); 1 if unknown."""
+    return np.ones(3) if C is None else np.linalg.norm(inverse(C), axis=1)
+
+
+def _start(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) -> FloatArray | None:
+    """Return `start_of` the turns without a reason against them; None if there is none."""
+    which = _without(reasons)
+    if not which.size:
+        return None
+    return start_of(prepare_turns(data.samples, rests.spans, rests.means, up, which, rate_hz=data.rate_hz))
+
+
+def _without(reasons: list[str]) -> IntArray:
+    return np.flatnonzero([not why for why in reasons])
 
 
 def _excluded(z: FloatArray) -> BoolArray:
@@ -224,22 +262,18 @@ def _gyroscope(
     found, turning = sensors
     data, rests, fit = turning.data, turning.rests, estimate.fit
     reasons = unusable_turns(data, rests)
-    which = np.flatnonzero([not why for why in reasons])
+    which = _without(reasons)
     trouble, start = "", None
-    if which.size:
-        try:
-            arrays = prepare_turns(
-                data.samples, rests.spans, rests.means, fit.up, which, rate_hz=data.rate_hz
+    try:
+        start = _start(data, rests, fit.up, reasons)
+        if start is not None and (turned := order_of(start)):
+            trouble = (
+                f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
+                "axes, in the log or when reading it"
             )
-            start = start_of(arrays)
-            if turned := order_of(start):
-                trouble = (
-                    f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
-                    "axes, in the log or when reading it"
-                )
-                start = None
-        except DataError as error:
-            trouble = str(error)
+            start = None
+    except DataError as error:
+        trouble = str(error)
     earth = earth_rate(latitude)
     covariance, walk = turning.covariance, turning.walk
     rest = estimate_gyro_rest(

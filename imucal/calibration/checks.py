@@ -88,6 +88,12 @@ def _rests(facts: Facts) -> Iterator[Finding]:
 
 def _noise(facts: Facts) -> Iterator[Finding]:
     for sensor, base in facts.bases.items():
+        if base.factors:
+            text = (
+                f"The noise report of {sensor} is in SI units and the log in others. Its noise was "
+                f"multiplied by {np.mean(base.factors):.4g}, the scale of this log."
+            )
+            yield Finding("info", "noise-scaled", text, axis=sensor)
         if not 1 / _OTHER_NOISE < base.ratio < _OTHER_NOISE:
             text = f"The noise models of {sensor} have {base.ratio:.3g} times the noise of the rests."
             advice = "Check that the noise report is for the same sensor, range and unit."

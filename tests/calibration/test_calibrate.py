@@ -3,6 +3,7 @@
 import pickle
 import re
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -85,10 +86,7 @@ def test_apply_removes_the_errors(good: tuple[Truth, Log, Calibration]) -> None:
 def test_raw_counts_give_the_same_calibration(good: tuple[Truth, Log, Calibration]) -> None:
     """Offset-binary counts: the matrices differ by the scales, the corrected log does not."""
     _, one, found = good
-    counts = replace(
-        one, accelerometer=400 * one.accelerometer + 32768, gyroscope=4000 * one.gyroscope + 32000
-    )
-    raw = calibrate(counts.recording(), gravity=GRAVITY, latitude=47.4)
+    raw = calibrate(raw_counts(one).recording(), gravity=GRAVITY, latitude=47.4)
     assert raw.accelerometer.parameters["scale_x"].unit == "raw/(m/s^2)"
     np.testing.assert_allclose(raw.accelerometer.C * 400, found.accelerometer.C, atol=2e-3)
     assert raw.gyroscope is not None
@@ -302,3 +300,77 @@ def test_an_error_names_the_argument_that_helps(kind: str) -> None:
     assert error.remedy == remedy
     if arguments:
         assert len(calibrate(one.recording(), **arguments).rests) >= 12
+
+
+def raw_counts(one: Log) -> Log:
+    """Return offset-binary counts: 400 per m/s² and 4000 per rad/s."""
+    return replace(one, accelerometer=400 * one.accelerometer + 32768, gyroscope=4000 * one.gyroscope + 32000)
+
+
+def scaled(models: dict[str, NoiseModel], accel: float, gyro: float) -> dict[str, NoiseModel]:
+    """Return models in another unit; each has terms of one parameter."""
+    return {
+        name: NoiseModel.parse(
+            " + ".join(
+                f"{t.symbol}={t.coefficient * (accel if name[0] == 'a' else gyro)!r}" for t in model.terms
+            )
+        )
+        for name, model in models.items()
+    }
+
+
+def test_noise_in_si_serves_a_log_in_counts() -> None:
+    """The intervals are those of noise in counts, and of the log in SI, to 2 %; a finding has the scale."""
+    _, one = drawn(8021, 18)
+    counts = raw_counts(one).recording()
+    place: dict[str, Any] = {"gravity": GRAVITY, "latitude": 47.4}
+    si = calibrate(counts, noise=MODELS, **place)
+    (texts := [f.text for f in si.findings if f.code == "noise-scaled"]).sort()
+    assert re.search(r"accel .* multiplied by (39\d|40\d)\.?\d*,", texts[0])
+    assert re.search(r"gyro .* multiplied by (39|40)\d\d,", texts[1])
+    assert {"noise-differs", "beyond-noise"} & codes(si) == set()
+    own, plain = (
+        calibrate(counts, scaled(MODELS, 400, 4000), **place),
+        calibrate(one.recording(), MODELS, **place),
+    )
+    assert not {"noise-scaled", "noise-differs"} & codes(own)
+    for sensor, factor in (("accelerometer", 400), ("gyroscope", 4000)):
+        found, expected, reference = (getattr(result, sensor).parameters for result in (si, own, plain))
+        for name, one_parameter in found.items():
+            half = one_parameter.half_width
+            assert half == pytest.approx(expected[name].half_width, rel=0.03), name
+            unit = 1.0 if name.startswith("mis") else factor / (100 if name.startswith("scale") else 1)
+            assert half == pytest.approx(reference[name].half_width * unit, rel=0.03), name
+
+
+def test_noise_in_counts_is_refused_for_a_log_in_si() -> None:
+    """The scale of the counts is unknown; each sensor has its own message. Models 100 times too quiet too."""
+    _, one = drawn(8022)
+    for accel, gyro, said in (
+        (
+            400,
+            4000,
+            r"has 4e\+02 times the noise of the rests \(accel\); .* right --accel-unit or --accel-scale$",
+        ),
+        (1, 4000, r"has 4e\+03 times the noise of the rests \(gyro\); .* --gyro-scale$"),
+        (0.01, 1, r"has 0\.0[01]\d* times .* calibrate without --noise$"),
+    ):
+        with pytest.raises(DataError, match=said):
+            calibrate(one.recording(), noise=scaled(MODELS, accel, gyro), gravity=GRAVITY)
+    # Counts of another range: neither SI nor the unit of this log.
+    with pytest.raises(DataError, match=r"times the noise of the rests"):
+        calibrate(raw_counts(one).recording(), noise=scaled(MODELS, 16_000, 1), gravity=GRAVITY)
+
+
+def test_counts_without_a_usable_turn_keep_the_gyroscope_out() -> None:
+    """Without a turn the scale of the gyroscope is unknown; the accelerometer alone is calibrated."""
+    _, one = drawn(8023)
+    counts = raw_counts(one)
+    gyroscope = counts.gyroscope.copy()
+    for (_, end), (first, _) in pairwise(counts.spans):
+        gyroscope[(end + first) // 2] = np.nan
+    counts = replace(counts, gyroscope=gyroscope)
+    with pytest.raises(DataError, match=r"times the noise of the rests \(gyro\)"):
+        calibrate(counts.recording(), noise=MODELS, gravity=GRAVITY)
+    alone = calibrate(counts.recording(), noise=MODELS, gravity=GRAVITY, gyro=False)
+    assert codes(alone) == {"noise-scaled"}

@@ -265,6 +265,11 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     expected = imucal.calibrate(one.recording(), gravity=GRAVITY)
     np.testing.assert_allclose(400 * found.C_a, expected.accelerometer.C, atol=2e-3)
     assert run("export", "out", "--to", "kalibr", "-o", "-", cwd=tmp_path).returncode == 0
+    # A report in SI is multiplied by the scale that the calibration finds.
+    write_report(tmp_path)
+    noisy = run("calibrate", *raw, *PLACE, "--noise", "still-imucal", "-o", "noisy", cwd=tmp_path)
+    assert noisy.returncode == 0, noisy.stderr
+    assert noisy.stderr.count("[noise-scaled]") == 2
     refused = run("export", "out", "--to", "px4", "-o", "-", cwd=tmp_path)
     assert refused.returncode == 4
     assert "read it with --accel-scale and --gyro-scale" in refused.stderr
