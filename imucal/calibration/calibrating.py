@@ -6,8 +6,17 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.calibration.accelerometer import LOWER, AccelerometerFit, fit_accelerometer, suggest_rest
+from imucal.calibration.accelerometer import (
+    LOWER,
+    PARAMETERS,
+    AccelerometerFit,
+    Suggestion,
+    describe_direction,
+    fit_accelerometer,
+    suggest_rest,
+)
 from imucal.calibration.checks import Facts, findings_of
+from imucal.calibration.frames import FRAMES, Frame
 from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base, white_models
@@ -34,7 +43,7 @@ from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accele
 from imucal.calibration.turn_data import Turn, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.clock import seconds_of
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
 from imucal.recording import ReadRange, Recording, Sensor
@@ -56,6 +65,7 @@ def calibrate(
     rest_at_least: str | float = 1.0,
     in_hand: bool = False,
     gyro: bool = True,
+    frame: str = "kalibr",
 ) -> Calibration:
     """Calibrate an IMU from a log in which it is put down, left alone and turned, in 12 attitudes or more.
 
@@ -74,14 +84,19 @@ def calibrate(
         Count a hand's tremor as rest.
     gyro
         Whether to calibrate the gyroscope too.
+    frame
+        Axes of the result: ``kalibr`` (x along the accelerometer's x axis, y in its x-y plane), ``imu-tk``
+        (z along its z axis, y in its y-z plane), or ``nearest`` to all three axes.
 
     Raises
     ------
     DataError
         If the log cannot be calibrated: never moved, one attitude, fewer than 6 rests, a dead axis.
     ArgumentError
-        If gravity, latitude or `rest_at_least` is impossible.
+        If gravity, latitude, `rest_at_least` or `frame` is impossible.
     """
+    if frame not in FRAMES:
+        raise ArgumentError(f"no frame {frame!r}; choose one of {', '.join(FRAMES)}")
     where = f"{recording.source.path}: "
     place = gravity_at(gravity=gravity, latitude=latitude, height=height)
     accelerometer = triad(recording, Sensor.ACCELEROMETER)
@@ -110,12 +125,13 @@ def calibrate(
         estimate = _estimate(found.keeping(used), place)
     except DataError as error:
         raise DataError(f"{where}{error}", remedy=error.remedy) from error
-    result = _accelerometer(estimate, found.keeping(used), place)
+    axes = Frame.of(frame, _lower(estimate.theta))
+    result = _accelerometer(estimate, axes, found.keeping(used), place)
     turns: tuple[Turn, ...] = ()
     trouble, rotating = "", None
     if turning is not None:
         both = found, turning.keeping(used)
-        rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used])
+        rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used], frame=axes)
     temperature = _temperature(recording)
     bases = {s.data.sensor.short: s.base for s in (found, turning) if s}
     facts = Facts(
@@ -144,6 +160,7 @@ def calibrate(
         temperature=temperature,
         noise=bases,
         findings=(*recording.findings, *findings_of(facts)),
+        frame=frame,
     )
 
 
@@ -225,9 +242,17 @@ def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
     )
 
 
-def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Gravity) -> AccelerometerResult:
+def _lower(theta: FloatArray) -> FloatArray:
     C = np.zeros((3, 3))
-    C[LOWER] = estimate.theta[:6]
+    C[LOWER] = theta[:6]
+    return C
+
+
+def _accelerometer(
+    estimate: AccelerometerEstimate, frame: Frame, sensor: _Sensor, place: Gravity
+) -> AccelerometerResult:
+    to_frame = np.eye(9)
+    to_frame[:6, :6] = [frame.derivatives[entry] for entry in frame.entries]
     diagonal = fit_accelerometer(
         sensor.rests.means,
         estimate.covariances,
@@ -236,10 +261,10 @@ def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Grav
         model="diagonal",
     )
     return AccelerometerResult(
-        C=C,
+        C=frame.R @ _lower(estimate.theta),
         b=estimate.theta[6:],
-        covariance=estimate.covariance,
-        parameters=accelerometer_parameters(estimate),
+        covariance=to_frame @ estimate.covariance @ to_frame.T,
+        parameters=accelerometer_parameters(estimate, frame),
         diagonal_C=diagonal.C,
         diagonal_b=diagonal.b,
         model=estimate.fit.model,
@@ -247,8 +272,15 @@ def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Grav
         chi2=estimate.chi2,
         dof=estimate.dof,
         p=estimate.p,
-        suggestion=suggest_rest(estimate.fit, gravity=place.value),
+        suggestion=_turned(suggest_rest(estimate.fit, gravity=place.value), frame),
     )
+
+
+def _turned(suggestion: Suggestion, frame: Frame) -> Suggestion:
+    down = frame.R @ suggestion.down
+    x, y, z = down.tolist()
+    name = frame.parameters[PARAMETERS.index(suggestion.parameter)]
+    return replace(suggestion, down=(x, y, z), text=describe_direction(down), parameter=name)
 
 
 def _gyroscope(
@@ -257,10 +289,13 @@ def _gyroscope(
     place: Gravity,
     latitude: float | None,
     spans_s: FloatArray,
+    *,
+    frame: Frame,
 ) -> tuple[GyroscopeResult, tuple[Turn, ...], str]:
     """Return the gyroscope, its turns, and why they could not be explained."""
     found, turning = sensors
     data, rests, fit = turning.data, turning.rests, estimate.fit
+    at_rest = fit.f @ frame.R.T
     reasons = unusable_turns(data, rests)
     which = _without(reasons)
     trouble, start = "", None
@@ -278,17 +313,17 @@ def _gyroscope(
     covariance, walk = turning.covariance, turning.walk
     rest = estimate_gyro_rest(
         rests.means,
-        fit.f,
+        at_rest,
         covariance,
         walk,
-        scale=np.eye(3) if start is None else inverse(start),
+        scale=(np.eye(3) if start is None else inverse(start)) @ frame.R.T,
         earth=earth,
         gravity=place.value,
         checked=turning.base.checked,
     )
     turns = None
     if start is not None:
-        f = at_other_times(found.data, (found.data.samples - fit.b) @ fit.C.T, data)
+        f = at_other_times(found.data, (found.data.samples - fit.b) @ (frame.R @ fit.C).T, data)
         arrays = prepare_turns(
             data.samples,
             rests.spans,
@@ -297,7 +332,7 @@ def _gyroscope(
             which,
             rate_hz=data.rate_hz,
             g_part=f @ rest.G_apparent.T,
-            g_part_at_rest=fit.f @ rest.G_apparent.T,
+            g_part_at_rest=at_rest @ rest.G_apparent.T,
         )
         models = tuple(
             NoiseModel(terms=(*model.terms, TERMS["K"].of(excess.kappa)))
@@ -309,8 +344,10 @@ def _gyroscope(
             rest_spans=rests.spans,
             samples=len(data.samples),
         )
-        raw_means = (fit.f @ inverse(fit.C).T) + fit.b
-        turns = fit_turns(arrays, noise, direction_covariance(fit, raw_means, estimate.covariances))
+        accelerometer = fit, fit.f @ inverse(fit.C).T + fit.b, estimate.covariances
+        directions = direction_covariance(*accelerometer)
+        turns = fit_turns(arrays, noise, directions)
+        turns = turns.turned(frame, direction_covariance(*accelerometer, frame.slopes) - directions)
     return _gyroscope_result(rest, turns), _turns(spans_s, fit.up, reasons, which, turns), trouble
 
 

@@ -20,6 +20,7 @@ from imucal._version import __version__
 from imucal.arrays import FloatArray
 from imucal.atomic import write_configs
 from imucal.calibration.document import Intrinsics
+from imucal.calibration.frames import FRAMES
 from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
 from imucal.errors import DataError
@@ -45,9 +46,10 @@ _AXES = "XYZ"
 class CalibrationTarget:
     """One program: name, title, file, formulas, and the function that writes the text under the comment.
 
-    `sign` starts a comment, or is ``json``. `noise` is whether the file has noise numbers too. `uses` are the
-    parts that it has a place for: ``G`` for g-sensitivity, ``gyro`` for scale and misalignment of the
-    gyroscope, ``misalignment`` for that of the accelerometer.
+    `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `noise` is
+    whether the file has noise numbers too. `uses` are the parts that it has a place for: ``G`` for
+    g-sensitivity, ``gyro`` for scale and misalignment of the gyroscope, ``misalignment`` for that of the
+    accelerometer.
     """
 
     name: str
@@ -56,6 +58,7 @@ class CalibrationTarget:
     formulas: tuple[str, ...]
     body: Callable[[Intrinsics], str]
     sign: str = "#"
+    frame: str = ""
     noise: bool = False
     uses: tuple[str, ...] = ("misalignment", "gyro")
 
@@ -101,6 +104,7 @@ def render_calibration(
         If the name or an option is unknown.
     """
     target = find_calibration_target(name)
+    found = found.in_frame(target.frame or found.frame)
     body, lines = target.body(found), list(_comment(target, found))
     if target.sign == "json":
         document = {"_imucal_calibration": lines, **json.loads(body)}
@@ -140,6 +144,8 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
     yield f"calibrated from {one_line(found.source)}, {len(found.means)} rests"
     yield "f = C_a (raw - b_a), w = C_g (raw - b_g - G f)"
     yield from (f"formula: {formula}" for formula in target.formulas)
+    if "misalignment" in target.uses:
+        yield f"frame: {FRAMES[found.frame]}"
     if not found.si:
         yield "raw samples are counts (or not in m/s^2 and rad/s): the program must use the same unit"
     if found.weak:
@@ -294,11 +300,8 @@ def _fusion(found: Intrinsics) -> str:
 
 def _imu_tk(found: Intrinsics) -> str:
     C, b, _ = _gyro(found)
-    # imu_tk's frame has z along the accelerometer's z axis: an upper triangular matrix.
-    upper = np.linalg.cholesky(found.C_a.T @ found.C_a).T
-    turned = upper @ inverse(found.C_a) @ C
     parts = []
-    for name, M, offset in (("acc", upper, found.b_a), ("gyro", turned, b)):
+    for name, M, offset in (("acc", np.triu(found.C_a), found.b_a), ("gyro", C, b)):
         scale = np.diag(np.diag(M))
         blocks = [M / np.diag(M), scale, offset[:, None]]
         text = "\n\n".join("\n".join(" ".join(map(repr, row.tolist())) for row in block) for block in blocks)

@@ -7,6 +7,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import describe_direction
+from imucal.calibration.frames import Frame
 from imucal.calibration.gravity import earth_rate, gravity_at
 from imucal.calibration.gyro_rest import estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
@@ -164,6 +165,7 @@ def plan_rests(
         means, base[Sensor.ACCELEROMETER], walk,
         gravity=place.value, gravity_sigma=place.sigma, checked=True,
     )  # fmt: skip
+    frame = Frame.of("kalibr", estimate.fit.C)
     gyroscope: Mapping[str, Parameter] = {}
     if len(own[Sensor.GYROSCOPE]) == len(AXES):
         none = np.zeros_like(means)
@@ -180,7 +182,7 @@ def plan_rests(
         rate_hz=rate_hz,
         duration_s=n / rate_hz,
         attitudes=tuple(describe_direction(-one) for one in _ideal(count)),
-        accelerometer=accelerometer_parameters(estimate),
+        accelerometer=accelerometer_parameters(estimate, frame),
         gyroscope=gyroscope,
     )
 

@@ -50,7 +50,8 @@ class Rest:
 class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
-    `covariance` is that of the lower triangle of C by rows, then b, shape (9, 9). `diagonal_C` and
+    `covariance` is that of the lower triangle of C by rows, then b, shape (9, 9); of the upper triangle by
+    columns in the frame ``imu-tk``. `diagonal_C` and
     `diagonal_b` are the best fit without misalignment, for consumers that have no place for it. `model`,
     `excess`, `chi2`, `dof`, `p` describe the fit; `p` is NaN if nothing could be checked. `suggestion` is the
     rest that would help most.
@@ -109,7 +110,7 @@ class Calibration(Displayed):
     Attributes
     ----------
     source, frame
-        The log, and the convention of the frame: ``kalibr``, the accelerometer's with lower triangular M.
+        The log, and the name of the frame: ``kalibr``, ``imu-tk`` or ``nearest``.
     gravity
         Length, deviation and origin of gravity.
     rests, turns

@@ -46,6 +46,11 @@ def command(
     gravity: float | None = option("--gravity G  Gravity in m/s^2, if known.", Number(9.7, 9.9)),
     rest_at_least: float = option("--rest-at-least TIME=1s  Minimum length of a rest.", DURATION),
     in_hand: bool = flag("--in-hand  Accept a hand-held IMU as at rest."),
+    frame: str = option(
+        "--frame=kalibr  Axes of the result: x along the accelerometer's x axis (kalibr), z along its z axis "
+        "(imu-tk), or nearest to all three.",
+        click.Choice(["kalibr", "imu-tk", "nearest"]),
+    ),
     no_gyro: bool = flag("--no-gyro  Calibrate the accelerometer only."),
     out: Path | None = option("-o --out DIR  Write the result to DIR. [default: NAME-calibration]", PATH),
     apply_to: Path | None = option(
@@ -87,7 +92,7 @@ def command(
     with progress("calibrating"), _with_options():
         found = calibrate(
             recording, report, latitude, height, gravity,
-            rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro,
+            rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro, frame=frame,
         )  # fmt: skip
     if as_json:
         click.echo(printable_json(dumps(to_document(found))), nl=False)

@@ -269,7 +269,7 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     write_report(tmp_path)
     noisy = run("calibrate", *raw, *PLACE, "--noise", "still-imucal", "-o", "noisy", cwd=tmp_path)
     assert noisy.returncode == 0, noisy.stderr
-    assert noisy.stderr.count("[noise-scaled]") == 2
+    assert "info [noise-scaled] accel: The noise report of accel is in SI units" in noisy.stderr
     refused = run("export", "out", "--to", "px4", "-o", "-", cwd=tmp_path)
     assert refused.returncode == 4
     assert "read it with --accel-scale and --gyro-scale" in refused.stderr
@@ -290,6 +290,7 @@ def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
     for arguments, code, said in (
         ((log_path, "--latitude", "95"), 2, "--latitude"),
         ((log_path, "--gravity", "1"), 2, "--gravity"),
+        ((log_path, "--frame", "ned"), 2, "'ned' is not one of 'kalibr', 'imu-tk', 'nearest'"),
         ((log_path, "--apply", "x.txt"), 2, "'x.txt' ends in '.txt'"),
         ((log_path, "--rest-at-least", "long"), 2, "is not a duration"),
         ((log_path, "--noise", "nowhere"), 3, "nowhere: no such file"),
