@@ -126,42 +126,28 @@ def calibrate(
     except DataError as error:
         raise DataError(f"{where}{error}", remedy=error.remedy) from error
     axes = Frame.of(frame, _lower(estimate.theta))
+    sigma = np.full(len(spans), np.nan)
+    sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
     result = _accelerometer(estimate, axes, found.keeping(used), place)
     turns: tuple[Turn, ...] = ()
     trouble, rotating = "", None
     if turning is not None:
         both = found, turning.keeping(used)
         rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used], frame=axes)
-    temperature = _temperature(recording)
-    bases = {s.data.sensor.short: s.base for s in (found, turning) if s}
-    facts = Facts(
-        gravity=place,
-        in_hand=in_hand,
-        z=z,
-        spans_s=spans,
-        used=used,
-        accelerometer=estimate,
-        parameters=result.parameters,
-        gyro_parameters=rotating.parameters if rotating else {},
-        suggestion=result.suggestion,
-        turns=turns,
-        trouble=trouble,
-        earth_share=rotating.rest.earth_share if rotating else 0.0,
-        temperature=temperature,
-        bases=bases,
-    )
-    return Calibration(
+    found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,
-        rests=_rests(facts, found, turning, result),
+        rests=_rests((found, turning), result, place, spans_s=spans, z=z, sigma=sigma),
         turns=turns,
         accelerometer=result,
         gyroscope=rotating,
-        temperature=temperature,
-        noise=bases,
-        findings=(*recording.findings, *findings_of(facts)),
+        temperature=_temperature(recording),
+        noise={s.data.sensor.short: s.base for s in (found, turning) if s},
+        findings=recording.findings,
         frame=frame,
     )
+    facts = Facts(found=found_all, in_hand=in_hand, z=z, estimate=estimate, trouble=trouble)
+    return replace(found_all, findings=(*recording.findings, *findings_of(facts)))
 
 
 @frozen_alone
@@ -371,61 +357,57 @@ def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None) -> GyroscopeResult
 def _turns(
     spans_s: FloatArray, up: FloatArray, reasons: list[str], which: IntArray, fit: TurnsFit | None
 ) -> tuple[Turn, ...]:
-    turns = []
-    for rest, why in enumerate(reasons):
-        cosine = float(np.clip(up[rest] @ up[rest + 1], -1.0, 1.0))
-        turn = Turn(
-            start_s=float(spans_s[rest, 1]),
-            end_s=float(spans_s[rest + 1, 0]),
-            angle_deg=float(np.degrees(np.arccos(cosine))),
-            residual_deg=None,
-            before_deg=None,
-            p=None,
-            used=False,
-            why=why or "unexplained",
+    cosines = np.clip(np.einsum("mi,mi->m", up[:-1], up[1:]), -1.0, 1.0)
+    angles = np.degrees(np.arccos(cosines)).tolist()
+    turns = [
+        Turn(start_s=start, end_s=end, angle_deg=angle, why=why or "unexplained")
+        for start, end, angle, why in zip(
+            spans_s[:-1, 1].tolist(), spans_s[1:, 0].tolist(), angles, reasons, strict=True
         )
-        if fit is not None and not why:
-            k = int(np.searchsorted(which, rest))
-            turn = replace(
-                turn,
-                residual_deg=_two(fit.residual[k]),
-                before_deg=_two(fit.before[k]),
-                p=float(fit.p[k]),
-                used=bool(fit.used[k]),
-                why="" if fit.used[k] else "wrong",
-            )
-        turns.append(turn)
+    ]
+    if fit is None:
+        return tuple(turns)
+    for k, rest in enumerate(which):
+        turns[rest] = replace(
+            turns[rest],
+            residual_deg=tuple(np.degrees(fit.residual[k]).tolist()),
+            before_deg=tuple(np.degrees(fit.before[k]).tolist()),
+            p=float(fit.p[k]),
+            used=bool(fit.used[k]),
+            why="" if fit.used[k] else "wrong",
+        )
     return tuple(turns)
 
 
-def _two(residual: FloatArray) -> tuple[float, float]:
-    first, second = np.degrees(residual).tolist()
-    return first, second
-
-
 def _rests(
-    facts: Facts, found: _Sensor, turning: _Sensor | None, result: AccelerometerResult
+    sensors: tuple[_Sensor, _Sensor | None],
+    result: AccelerometerResult,
+    place: Gravity,
+    *,
+    spans_s: FloatArray,
+    z: FloatArray,
+    sigma: FloatArray,
 ) -> tuple[Rest, ...]:
-    means, used, gravity = found.rests.means, facts.used, facts.gravity.value
+    """Return the rests; `sigma`, shape (m,), is NaN for those that moved."""
+    found, turning = sensors
+    means = found.rests.means
     f = (means - result.b) @ result.C.T
     norm = np.linalg.norm(f, axis=1)
-    sigma = np.full(len(means), np.nan)
-    sigma[used] = np.sqrt(np.diag(facts.accelerometer.fit.residual_covariance))
     return tuple(
         Rest(
-            start_s=float(facts.spans_s[k, 0]),
-            end_s=float(facts.spans_s[k, 1]),
+            start_s=start,
+            end_s=end,
             mean_accel=tuple(means[k].tolist()),
             mean_gyro=tuple(turning.rests.means[k].tolist()) if turning else None,
             up=tuple((f[k] / norm[k]).tolist()),
-            residual=float(norm[k] - gravity),
-            before=float(np.linalg.norm(means[k]) - gravity),
-            sigma=float(sigma[k]) if used[k] else None,
-            z=float(facts.z[k, np.argmax(np.abs(facts.z[k]))]),
-            used=bool(used[k]),
-            why="" if used[k] else "moved",
+            residual=float(norm[k] - place.value),
+            before=float(np.linalg.norm(means[k]) - place.value),
+            sigma=float(sigma[k]) if np.isfinite(sigma[k]) else None,
+            z=float(z[k, np.argmax(np.abs(z[k]))]),
+            used=bool(np.isfinite(sigma[k])),
+            why="" if np.isfinite(sigma[k]) else "moved",
         )
-        for k in range(len(means))
+        for k, (start, end) in enumerate(spans_s.tolist())
     )
 
 

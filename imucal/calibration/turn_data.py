@@ -29,10 +29,10 @@ class Turn:
     start_s: float
     end_s: float
     angle_deg: float
-    residual_deg: tuple[float, float] | None
-    before_deg: tuple[float, float] | None
-    p: float | None
-    used: bool
+    residual_deg: tuple[float, ...] | None = None
+    before_deg: tuple[float, ...] | None = None
+    p: float | None = None
+    used: bool = False
     why: str = ""
 
 
