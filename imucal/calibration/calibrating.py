@@ -132,7 +132,7 @@ def calibrate(
     turns: tuple[Turn, ...] = ()
     trouble, rotating = "", None
     if turning is not None:
-        both = found, turning.keeping(used)
+        both = found.keeping(used), turning.keeping(used)
         rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used], frame=axes)
     found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
@@ -199,7 +199,7 @@ def _start(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) ->
     which = _without(reasons)
     if not which.size:
         return None
-    return start_of(prepare_turns(data.samples, rests.spans, rests.means, up, which, rate_hz=data.rate_hz))
+    return start_of(prepare_turns(data, rests, up, which))
 
 
 def _without(reasons: list[str]) -> IntArray:
@@ -310,16 +310,8 @@ def _gyroscope(
     turns = None
     if start is not None:
         f = at_other_times(found.data, (found.data.samples - fit.b) @ (frame.R @ fit.C).T, data)
-        arrays = prepare_turns(
-            data.samples,
-            rests.spans,
-            rests.means,
-            fit.up,
-            which,
-            rate_hz=data.rate_hz,
-            g_part=f @ rest.G_apparent.T,
-            g_part_at_rest=at_rest @ rest.G_apparent.T,
-        )
+        parts = f @ rest.G_apparent.T, at_rest @ rest.G_apparent.T
+        arrays = prepare_turns(data, rests, fit.up, which, parts)
         models = tuple(
             NoiseModel(terms=(*model.terms, TERMS["K"].of(excess.kappa)))
             for model, excess in zip(turning.base.models, rest.excess, strict=True)
@@ -330,7 +322,7 @@ def _gyroscope(
             rest_spans=rests.spans,
             samples=len(data.samples),
         )
-        accelerometer = fit, fit.f @ inverse(fit.C).T + fit.b, estimate.covariances
+        accelerometer = fit, found.rests.means, estimate.covariances
         directions = direction_covariance(*accelerometer)
         turns = fit_turns(arrays, noise, directions)
         turns = turns.turned(frame, direction_covariance(*accelerometer, frame.slopes) - directions)

@@ -12,6 +12,7 @@ from imucal.calibration.gravity import earth_rate, gravity_at
 from imucal.calibration.gyro_rest import estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.parameters import Parameter, accelerometer_parameters, gyroscope_parameters
+from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import estimate_accelerometer, walk_covariance
 from imucal.calibration.turn_data import prepare_turns, rotations
 from imucal.calibration.turns import GyroNoise, direction_covariance, fit_turns
@@ -173,7 +174,9 @@ def plan_rests(
             none, means, base[Sensor.GYROSCOPE], walk,
             scale=np.eye(3), earth=earth_rate(latitude), gravity=place.value, checked=True,
         )  # fmt: skip
-        turns = prepare_turns(motion.w, spans, none, up, np.arange(count - 1), rate_hz=rate_hz)
+        data = Triad(sensor=Sensor.GYROSCOPE, samples=motion.w, rate_hz=rate_hz)
+        rests = RestMeans(spans=spans, means=none, deviations=np.zeros(3))
+        turns = prepare_turns(data, rests, up, np.arange(count - 1))
         noise = GyroNoise(models=own[Sensor.GYROSCOPE], tau=np.zeros(3), rest_spans=spans, samples=n)
         directions = direction_covariance(estimate.fit, means, estimate.covariances)
         gyroscope = gyroscope_parameters(rest, fit_turns(turns, noise, directions))

@@ -10,6 +10,7 @@ Source: Patterson & Thompson (1971), Biometrika 58, 545 (REML); Gelman (2006), B
 """
 
 import math
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
@@ -17,6 +18,7 @@ from scipy.special import chdtrc, ndtr
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import (
     AccelerometerFit,
+    Model,
     derivatives,
     fit_accelerometer,
     residual_covariance,
@@ -222,6 +224,7 @@ def estimate_accelerometer(
     gravity: float,
     gravity_sigma: float = 0.0,
     checked: bool,
+    model: Model | None = None,
 ) -> AccelerometerEstimate:
     """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
 
@@ -238,13 +241,16 @@ def estimate_accelerometer(
     checked
         True if `base` is a model of a long static log: it is used alone if its chi² has p >= 0.2, or if
         nothing can be checked. False if it is only the white noise within the rests.
+    model
+        As in `fit_accelerometer`; by default ``diagonal`` also if the slow noise hides misalignment.
 
     Raises
     ------
     DataError
         If the rests do not determine bias and scale.
     """
-    fit = first = fit_accelerometer(means, base, gravity=gravity, gravity_sigma=gravity_sigma)
+    fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma)
+    fit = first = fit_with(base, model=model)
     p = float(chdtrc(first.dof, first.chi2)) if first.dof > 0 else math.nan
     free, covariances = first.free, base
     mixture = Mixture.single(first.theta[free], first.covariance[np.ix_(free, free)])
@@ -261,14 +267,17 @@ def estimate_accelerometer(
             mixture, excess, likely = mix(fit.residual, J[:, free], fit.theta[free], parts, spread)
             covariances = base + likely.tau**2 * np.eye(len(means)) + likely.kappa**2 * walk
             start = (fit.C, fit.b) if first.model == "full" else None
-            fit = fit_accelerometer(
-                means,
-                covariances,
-                gravity=gravity,
-                gravity_sigma=gravity_sigma,
-                model=first.model,
-                start=start,
-            )
+            fit = fit_with(covariances, model="diagonal" if start is None else None, start=start)
+            if fit.model != first.model:
+                return estimate_accelerometer(
+                    means,
+                    base,
+                    walk,
+                    gravity=gravity,
+                    gravity_sigma=gravity_sigma,
+                    checked=checked,
+                    model="diagonal",
+                )
     return AccelerometerEstimate(
         fit=fit,
         mixture=mixture,

@@ -7,6 +7,7 @@ from itertools import permutations, product
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError
 from imucal.frozen import frozen, frozen_alone
 
@@ -75,47 +76,41 @@ class TurnData(ReadOnlyArrays):
 
 
 def prepare_turns(
-    samples: FloatArray,
-    rest_spans: IntArray,
-    rest_means: FloatArray,
+    data: Triad,
+    rests: RestMeans,
     up: FloatArray,
     which: IntArray,
-    *,
-    rate_hz: float,
-    g_part: FloatArray | None = None,
-    g_part_at_rest: FloatArray | None = None,
+    g_parts: tuple[FloatArray, FloatArray] | None = None,
 ) -> TurnData:
     """Return the turns as arrays.
 
     Parameters
     ----------
-    samples
-        Raw rates, shape (n, 3), finite inside the turns.
-    rest_spans, rest_means, up
-        Spans in samples, shape (m, 2), mean raw rates and unit vectors of the specific force, shape (m, 3).
+    data, rests
+        The gyroscope, finite inside the turns, and its m rests.
+    up
+        Unit vectors of the specific force at the rests, shape (m, 3).
     which
         Indices of the rests before the wanted turns.
-    rate_hz
-        Sampling rate, in Hz.
-    g_part, g_part_at_rest
+    g_parts
         G f at each sample and rest, shapes (n, 3) and (m, 3); by default 0.
     """
-    first, end = rest_spans[which, 1], rest_spans[which + 1, 0]
+    first, end = rests.spans[which, 1], rests.spans[which + 1, 0]
     index = first[:, None] + np.arange(int((end - first).max()))
     live = index < end[:, None]
-    index = np.minimum(index, len(samples) - 1)
-    middle = rest_spans.mean(axis=1)
+    index = np.minimum(index, len(data.samples) - 1)
+    middle = rests.spans.mean(axis=1)
     share = (index - middle[which, None]) / (middle[which + 1] - middle[which])[:, None]
-    local = rest_means - (0.0 if g_part_at_rest is None else g_part_at_rest)
+    part, part_at_rest = g_parts or (np.zeros_like(data.samples), 0.0)
+    local = rests.means - part_at_rest
     bias = (1 - share)[..., None] * local[which, None] + share[..., None] * local[which + 1, None]
-    rates = samples[index] - bias - (0.0 if g_part is None else g_part[index])
     return TurnData(
-        rates=np.where(live[..., None], rates, 0.0),
+        rates=np.where(live[..., None], data.samples[index] - bias - part[index], 0.0),
         spans=np.column_stack([first, end]),
         share=share,
         rests=which,
         up=up,
-        tau0=1 / rate_hz,
+        tau0=1 / data.rate_hz,
     )
 
 

@@ -176,16 +176,8 @@ def one_chain(one: Log, models: tuple[NoiseModel, NoiseModel], *, white: bool = 
         checked=True,
     )
     f = (one.accelerometer - fit.b) @ fit.C.T
-    arrays = prepare_turns(
-        one.gyroscope,
-        spans,
-        rests[1].means,
-        fit.up,
-        np.arange(len(spans) - 1),
-        rate_hz=RATE,
-        g_part=f @ rest.G_apparent.T,
-        g_part_at_rest=fit.f @ rest.G_apparent.T,
-    )
+    parts = f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T
+    arrays = prepare_turns(data[1], rests[1], fit.up, np.arange(len(spans) - 1), parts)
     noise = GyroNoise(models=tuple(used[1]), tau=np.zeros(3), rest_spans=spans, samples=n)
     directions = direction_covariance(fit, rests[0].means, K_a)
     turns = fit_turns(arrays, noise, 0 * directions if white else directions)
@@ -533,10 +525,8 @@ def real() -> None:
         scale=found.gyroscope.M, earth=earth_rate(None), gravity=9.81744, checked=False,
     )  # fmt: skip
     f = (data[0].samples - fit.b) @ fit.C.T
-    arrays = prepare_turns(
-        data[1].samples, rests[1].spans, rests[1].means, fit.up, np.arange(len(spans_s) - 1), rate_hz=rate,
-        g_part=f @ rest.G_apparent.T, g_part_at_rest=fit.f @ rest.G_apparent.T,
-    )  # fmt: skip
+    parts = f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T
+    arrays = prepare_turns(data[1], rests[1], fit.up, np.arange(len(spans_s) - 1), parts)
     models = tuple(
         NoiseModel.parse(f"{white_model(float(s), rate).text()} + K={float(e.kappa)!r}")
         for s, e in zip(rests[1].deviations, rest.excess, strict=True)

@@ -10,11 +10,13 @@ from imucal.calibration.accelerometer import AccelerometerFit, fit_accelerometer
 from imucal.calibration.gravity import EarthRate, earth_rate
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
+from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import walk_covariance
 from imucal.calibration.turn_data import TurnData, prepare_turns, rotations, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, _carry, direction_covariance, fit_turns
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
+from imucal.recording import Sensor
 from tests.calibration.simulated import GRAVITY, RATE, Log, Truth, attitudes, log, within_binomial
 
 NOISE = NoiseModel.parse("N=2e-3 + B=5e-4 + K=5e-5"), NoiseModel.parse("N=1.5e-4 + B=2e-5 + K=2e-6")
@@ -71,14 +73,11 @@ def chain(
     )
     f = (one.accelerometer - fit.b) @ fit.C.T
     data = prepare_turns(
-        gyroscope,
-        spans,
-        rates,
+        Triad(sensor=Sensor.GYROSCOPE, samples=gyroscope, rate_hz=RATE),
+        RestMeans(spans=spans, means=rates, deviations=np.ones(3)),
         fit.up,
         np.arange(count - 1),
-        rate_hz=RATE,
-        g_part=f @ rest.G_apparent.T,
-        g_part_at_rest=fit.f @ rest.G_apparent.T,
+        (f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T),
     )
     return Chain(
         truth=truth,
