@@ -40,7 +40,7 @@ from imucal.calibration.requirements import (
 )
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest, at_other_times
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import Turn, prepare_turns, start_of
+from imucal.calibration.turn_data import Turn, TurnData, heading_covariance, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError
@@ -118,7 +118,7 @@ def calibrate(
                 gyroscope,
                 spans,
                 noise,
-                lambda rests: _scale(_start(gyroscope, rests, up, unusable_turns(gyroscope, rests))),
+                lambda rests: _gyro_scale(gyroscope, rests, up),
             )
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         used = ~_excluded(z)
@@ -194,12 +194,15 @@ def _scale(C: FloatArray | None) -> FloatArray:
     return np.ones(3) if C is None else np.linalg.norm(inverse(C), axis=1)
 
 
-def _start(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) -> FloatArray | None:
-    """Return `start_of` the turns without a reason against them; None if there is none."""
+def _gyro_scale(data: Triad, rests: RestMeans, up: FloatArray) -> FloatArray:
+    plain = _plain_turns(data, rests, up, unusable_turns(data, rests))
+    return _scale(None if plain is None else start_of(plain))
+
+
+def _plain_turns(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) -> TurnData | None:
+    """Return the turns without a reason against them, g-sensitivity ignored; None if there is none."""
     which = _without(reasons)
-    if not which.size:
-        return None
-    return start_of(prepare_turns(data, rests, up, which))
+    return prepare_turns(data, rests, up, which) if which.size else None
 
 
 def _without(reasons: list[str]) -> IntArray:
@@ -285,8 +288,9 @@ def _gyroscope(
     reasons = unusable_turns(data, rests)
     which = _without(reasons)
     trouble, start = "", None
+    plain = _plain_turns(data, rests, fit.up, reasons)
     try:
-        start = _start(data, rests, fit.up, reasons)
+        start = None if plain is None else start_of(plain)
         if start is not None and (turned := order_of(start)):
             trouble = (
                 f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
@@ -306,6 +310,7 @@ def _gyroscope(
         earth=earth,
         gravity=place.value,
         checked=turning.base.checked,
+        headings=None if plain is None or start is None else heading_covariance(plain, start),
     )
     turns = None
     if start is not None:

@@ -2,7 +2,7 @@
 
 The mean rate of rest i is b + G f_i + M earth_i + noise. The vertical part of the earth's rotation is
 proportional to f and looks like a multiple of G; its horizontal part has an unknown heading and counts as
-noise of each rest.
+noise. Turns carry this heading along, so it is correlated between rests.
 """
 
 import math
@@ -68,6 +68,7 @@ def estimate_gyro_rest(
     earth: EarthRate,
     gravity: float,
     checked: bool,
+    headings: FloatArray | None = None,
 ) -> GyroRest:
     """Estimate bias and g-sensitivity by generalised least squares, axis by axis.
 
@@ -85,10 +86,13 @@ def estimate_gyro_rest(
         At the place of the log; gravity in m/s².
     checked
         True if `base` is a model of a long static log, which is used alone if its chi² has p >= 0.2.
+    headings
+        `heading_covariance` of the rests; by default they are independent.
     """
     m = len(means)
     size = np.linalg.norm(scale, axis=1)
-    base = base + (size * earth.horizontal_sigma)[:, None, None] ** 2 * np.eye(m)
+    horizontal = (size * earth.horizontal_sigma)[:, None, None] ** 2
+    base = base + horizontal * (np.eye(m) if headings is None else headings)
     full = np.column_stack([np.ones(m), f])
     known = m >= full.shape[1] + _MIN_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
     X = full if known else full[:, :1]
@@ -159,5 +163,5 @@ def _axis(
     Xw, yw = (solve_triangular(L, values, lower=True) for values in (X, y))
     covariance = np.linalg.inv(Xw.T @ Xw)
     theta = covariance @ (Xw.T @ yw)
-    mixed, excess, _ = mix(X @ theta - y, X, theta, (K, np.ones(len(y)), walk), Spread.of(K[None], walk))
+    mixed, excess, _ = mix(X @ theta - y, X, theta, (K, np.eye(len(y)), walk), Spread.of(K[None], walk))
     return Mixture.single(theta, covariance), mixed, excess, float(np.sum((yw - Xw @ theta) ** 2))

@@ -147,7 +147,7 @@ def mix(
         side.ravel() for side in np.meshgrid(shares, shares * spread.base / spread.walk, indexing="ij")
     )
     tau = tau * spread.base
-    S = base + tau[:, None, None] ** 2 * spread_out(rest) + kappa[:, None, None] ** 2 * walk
+    S = base + tau[:, None, None] ** 2 * rest + kappa[:, None, None] ** 2 * walk
     size = np.linalg.norm(J / np.sqrt(np.diag(base))[:, None], axis=0)
     L = np.linalg.cholesky(S)
     both = np.column_stack([J / size, residual])
@@ -168,11 +168,6 @@ def mix(
     best = int(np.argmax(likelihood))
     mean = (math.sqrt(float(weights @ tau**2)), math.sqrt(float(weights @ kappa**2)))
     return mixture, _excess(*mean, spread), _excess(float(tau[best]), float(kappa[best]), spread)
-
-
-def spread_out(part: FloatArray) -> FloatArray:
-    """Return a diagonal matrix for a vector of variances, shape (m,); a matrix as it is."""
-    return np.diag(part) if part.ndim == 1 else part
 
 
 @frozen_alone
@@ -263,7 +258,7 @@ def estimate_accelerometer(
             own = residual_covariance(weights, covariances)
             other = fit.residual_covariance - own
             walks = weights @ weights.T * walk
-            parts = residual_covariance(weights, base) + other, (weights**2).sum(axis=1), walks
+            parts = residual_covariance(weights, base) + other, np.diag((weights**2).sum(axis=1)), walks
             mixture, excess, likely = mix(fit.residual, J[:, free], fit.theta[free], parts, spread)
             covariances = base + likely.tau**2 * np.eye(len(means)) + likely.kappa**2 * walk
             start = (fit.C, fit.b) if first.model == "full" else None

@@ -11,7 +11,7 @@ from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError
 from imucal.frozen import frozen, frozen_alone
 
-__all__ = ["Turn", "TurnData", "prepare_turns", "rotations", "start_of"]
+__all__ = ["Turn", "TurnData", "heading_covariance", "prepare_turns", "rotations", "start_of"]
 
 #: Median residual in rad above which a start is useless.
 _LOST = 0.3
@@ -145,6 +145,27 @@ def start_of(data: TurnData) -> FloatArray:
     )
 
 
+def heading_covariance(data: TurnData, C: FloatArray) -> FloatArray:
+    """Return the covariance of each axis's part of a horizontal vector at the m rests, shape (3, m, m).
+
+    The vector is fixed to the earth. Its heading is unknown, and both horizontal components have a variance
+    of 1. Turns carry the heading along; it is unknown again after a missing turn.
+    """
+    m = len(data.up)
+    turned = dict(zip(data.rests.tolist(), _whole(_coarse(data), C), strict=True))
+    ahead, chain = np.empty((m, 3)), np.zeros(m, dtype=np.int64)
+    for k, up in enumerate(data.up):
+        if k - 1 in turned:
+            guess, chain[k] = turned[k - 1] @ ahead[k - 1], chain[k - 1]
+        else:
+            guess, chain[k] = np.roll(up, 1) * [1.0, 1.0, -1.0], k
+        across = guess - up * (up @ guess)
+        ahead[k] = across / np.linalg.norm(across)
+    aside = np.cross(data.up, ahead)
+    both = np.einsum("ia,ja->aij", ahead, ahead) + np.einsum("ia,ja->aij", aside, aside)
+    return np.asarray(both * (chain[:, None] == chain))
+
+
 def rotations(vectors: FloatArray) -> FloatArray:
     """Return the rotation matrices of rotation vectors, shape (..., 3) to (..., 3, 3)."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
@@ -167,11 +188,17 @@ def _orders() -> list[FloatArray]:
 
 def _misfit(data: TurnData, C: FloatArray) -> float:
     """Return the median angle between carried and measured directions, in rad."""
-    steps = rotations(-data.tau0 * data.rates @ C.T)
-    v = data.up[data.rests]
-    for k in range(steps.shape[1]):
-        v = np.einsum("tij,tj->ti", steps[:, k], v)
+    v = np.einsum("tij,tj->ti", _whole(data, C), data.up[data.rests])
     return float(np.median(np.linalg.norm(v - data.up[data.rests + 1], axis=1)))
+
+
+def _whole(data: TurnData, C: FloatArray) -> FloatArray:
+    """Return what each turn does to the vectors of the earth in the frame of the IMU, shape (t, 3, 3)."""
+    steps = rotations(-data.tau0 * data.rates @ C.T)
+    whole = np.broadcast_to(np.eye(3), (len(steps), 3, 3))
+    for k in range(steps.shape[1]):
+        whole = steps[:, k] @ whole
+    return whole
 
 
 def _coarse(data: TurnData) -> TurnData:

@@ -14,7 +14,7 @@ from imucal import Calibration, calibrate
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, Recording, Sensor, Temperature
-from tests.calibration.simulated import FACES, GRAVITY, RATE, Log, Truth, attitudes, log
+from tests.calibration.simulated import FACES, GRAVITY, RATE, Log, Truth, attitudes, held, log
 from tests.real_data import real_data
 
 NOISE = NoiseModel.parse("N=2e-3 + B=5e-4 + K=5e-5"), NoiseModel.parse("N=1.5e-4 + B=2e-5 + K=2e-6")
@@ -374,3 +374,13 @@ def test_counts_without_a_usable_turn_keep_the_gyroscope_out() -> None:
         calibrate(counts.recording(), noise=MODELS, gravity=GRAVITY)
     alone = calibrate(counts.recording(), noise=MODELS, gravity=GRAVITY, gyro=False)
     assert codes(alone) == {"noise-scaled"}
+
+
+def test_slow_noise_can_hide_misalignment() -> None:
+    """Nine short rests in a shaky hand, two of them in one attitude: the diagonal model, no internal error."""
+    rng = np.random.default_rng(9_100_040)
+    truth = Truth.draw(rng)
+    one = held(log(truth, NOISE, attitudes(20, rng), rng, latitude=47.4), truth, rng)
+    found = calibrate(one.recording(), latitude=47.4, in_hand=True)
+    assert found.accelerometer.model == "diagonal"
+    assert found.accelerometer.parameters["misalignment_zx"].status == "not-observable"

@@ -7,12 +7,12 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.calibration.accelerometer import AccelerometerFit, fit_accelerometer
-from imucal.calibration.gravity import EarthRate, earth_rate
+from imucal.calibration.gravity import EARTH_RATE, EarthRate, earth_rate
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import walk_covariance
-from imucal.calibration.turn_data import TurnData, prepare_turns, rotations, start_of
+from imucal.calibration.turn_data import TurnData, heading_covariance, prepare_turns, rotations, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, _carry, direction_covariance, fit_turns
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
@@ -244,3 +244,29 @@ def test_wrong_turns_and_false_alarms_in_100_logs() -> None:
         false += bool(excluded - {5})
     assert found >= 98
     assert false <= 1
+
+
+def test_headings_are_carried_through_turns() -> None:
+    """The earth's horizontal rate at each rest follows from one heading; a missing turn begins another."""
+    one = chain(7900, QUIET, count=10)
+    up = np.array([one.log.f[a] for a, _ in one.log.spans]) / GRAVITY
+    rates = np.array([one.log.gyroscope[a:b].mean(axis=0) for a, b in one.log.spans])
+    M, b, G = one.truth.M_g, one.truth.b_g, one.truth.G
+    earth = (rates - b - up * GRAVITY @ G.T) @ np.linalg.inv(M).T
+    horizontal = earth - up * np.einsum("mi,mi->m", earth, up)[:, None]
+    np.testing.assert_allclose(
+        np.linalg.norm(horizontal, axis=1), EARTH_RATE * np.cos(np.radians(LATITUDE)), rtol=2e-3
+    )
+    C = np.eye(3)
+    covariance = heading_covariance(one.data, C)
+    whole = covariance.sum(axis=0) / 2
+    # The covariance has two heading directions: what it cannot explain is the error of carrying.
+    for axis in range(3):
+        values, vectors = np.linalg.eigh(covariance[axis])
+        assert np.sum(values > 1e-9 * values.max()) == 2
+        explained = vectors[:, -2:] @ vectors[:, -2:].T @ horizontal[:, axis]
+        np.testing.assert_allclose(explained, horizontal[:, axis], atol=0.04 * EARTH_RATE)
+    np.testing.assert_allclose(np.diag(whole), 1.0)
+    broken = heading_covariance(one.data.keeping(np.arange(9) != 4), C)
+    assert not broken[:, :5, 5:].any()
+    np.testing.assert_allclose(broken[:, :5, :5], covariance[:, :5, :5])
