@@ -40,7 +40,7 @@ from imucal.calibration.requirements import (
 )
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest, at_other_times
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import Turn, TurnData, heading_covariance, prepare_turns, start_of
+from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError
@@ -300,6 +300,7 @@ def _gyroscope(
     except DataError as error:
         trouble = str(error)
     earth = earth_rate(latitude)
+    headings = None if plain is None or start is None else Headings.of(plain, start)
     covariance, walk = turning.covariance, turning.walk
     rest = estimate_gyro_rest(
         rests.means,
@@ -310,7 +311,7 @@ def _gyroscope(
         earth=earth,
         gravity=place.value,
         checked=turning.base.checked,
-        headings=None if plain is None or start is None else heading_covariance(plain, start),
+        headings=headings,
     )
     turns = None
     if start is not None:
@@ -326,6 +327,8 @@ def _gyroscope(
             tau=np.array([excess.tau for excess in rest.excess]),
             rest_spans=rests.spans,
             samples=len(data.samples),
+            headings=headings,
+            horizontal=earth.horizontal_sigma,
         )
         accelerometer = fit, found.rests.means, estimate.covariances
         directions = direction_covariance(*accelerometer)

@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.gravity import EarthRate
 from imucal.calibration.slow_noise import TRUSTED, Excess, Mixture, Spread, mix
+from imucal.calibration.turn_data import Headings
 from imucal.frozen import frozen_alone
 
 __all__ = ["GyroRest", "estimate_gyro_rest"]
@@ -68,7 +69,7 @@ def estimate_gyro_rest(
     earth: EarthRate,
     gravity: float,
     checked: bool,
-    headings: FloatArray | None = None,
+    headings: Headings | None = None,
 ) -> GyroRest:
     """Estimate bias and g-sensitivity by generalised least squares, axis by axis.
 
@@ -87,12 +88,12 @@ def estimate_gyro_rest(
     checked
         True if `base` is a model of a long static log, which is used alone if its chi² has p >= 0.2.
     headings
-        `heading_covariance` of the rests; by default they are independent.
+        Of a horizontal vector at the rests, by default independent at each.
     """
     m = len(means)
     size = np.linalg.norm(scale, axis=1)
     horizontal = (size * earth.horizontal_sigma)[:, None, None] ** 2
-    base = base + horizontal * (np.eye(m) if headings is None else headings)
+    base = base + horizontal * (np.eye(m) if headings is None else headings.covariance)
     full = np.column_stack([np.ones(m), f])
     known = m >= full.shape[1] + _MIN_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
     X = full if known else full[:, :1]

@@ -11,7 +11,7 @@ from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError
 from imucal.frozen import frozen, frozen_alone
 
-__all__ = ["Turn", "TurnData", "heading_covariance", "prepare_turns", "rotations", "start_of"]
+__all__ = ["Headings", "Turn", "TurnData", "prepare_turns", "rotations", "start_of"]
 
 #: Median residual in rad above which a start is useless.
 _LOST = 0.3
@@ -145,25 +145,38 @@ def start_of(data: TurnData) -> FloatArray:
     )
 
 
-def heading_covariance(data: TurnData, C: FloatArray) -> FloatArray:
-    """Return the covariance of each axis's part of a horizontal vector at the m rests, shape (3, m, m).
+@frozen_alone
+class Headings(ReadOnlyArrays):
+    """A horizontal vector that is fixed to the earth, at m rests; its heading at the first one is unknown.
 
-    The vector is fixed to the earth. Its heading is unknown, and both horizontal components have a variance
-    of 1. Turns carry the heading along; it is unknown again after a missing turn.
+    `ahead` and `aside` are two such vectors at right angles in the frame of the IMU, shape (m, 3). Turns
+    carry them along. After a missing turn the heading is unknown again, and another `chain` begins, shape
+    (m,).
     """
-    m = len(data.up)
-    turned = dict(zip(data.rests.tolist(), _whole(_coarse(data), C), strict=True))
-    ahead, chain = np.empty((m, 3)), np.zeros(m, dtype=np.int64)
-    for k, up in enumerate(data.up):
-        if k - 1 in turned:
-            guess, chain[k] = turned[k - 1] @ ahead[k - 1], chain[k - 1]
-        else:
-            guess, chain[k] = np.roll(up, 1) * [1.0, 1.0, -1.0], k
-        across = guess - up * (up @ guess)
-        ahead[k] = across / np.linalg.norm(across)
-    aside = np.cross(data.up, ahead)
-    both = np.einsum("ia,ja->aij", ahead, ahead) + np.einsum("ia,ja->aij", aside, aside)
-    return np.asarray(both * (chain[:, None] == chain))
+
+    ahead: FloatArray
+    aside: FloatArray
+    chain: IntArray
+
+    @classmethod
+    def of(cls, data: TurnData, C: FloatArray) -> "Headings":
+        """Return the headings by the turns and a gyroscope's matrix."""
+        turned = dict(zip(data.rests.tolist(), _whole(_coarse(data), C), strict=True))
+        ahead, chain = np.empty_like(data.up), np.zeros(len(data.up), dtype=np.int64)
+        for k, up in enumerate(data.up):
+            if k - 1 in turned:
+                guess, chain[k] = turned[k - 1] @ ahead[k - 1], chain[k - 1]
+            else:
+                guess, chain[k] = np.roll(up, 1) * [1.0, 1.0, -1.0], k
+            across = guess - up * (up @ guess)
+            ahead[k] = across / np.linalg.norm(across)
+        return cls(ahead=ahead, aside=np.cross(data.up, ahead), chain=chain)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of each axis's part at the rests if both components have a variance of 1, shape (3, m, m)."""
+        both = sum(np.einsum("ia,ja->aij", one, one) for one in (self.ahead, self.aside))
+        return np.asarray(both * (self.chain[:, None] == self.chain))
 
 
 def rotations(vectors: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import AccelerometerFit, Status, observability
 from imucal.calibration.frames import LOWER_SLOPES, Frame
 from imucal.calibration.mean_covariance import mean_covariance
-from imucal.calibration.turn_data import TurnData, rotations, start_of
+from imucal.calibration.turn_data import Headings, TurnData, rotations, start_of
 from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 
@@ -37,13 +37,16 @@ _MISFIT = 0.05
 class GyroNoise(ReadOnlyArrays):
     """Noise of the three axes: models, further deviation of each rest's mean, shape (3,), and the rests.
 
-    `rest_spans` has shape (m, 2); `samples` is the length of the log.
+    `rest_spans` has shape (m, 2); `samples` is the length of the log. `horizontal` is the deviation of both
+    components of the earth's horizontal rate, in rad/s, with its `headings`; it is ignored without them.
     """
 
     models: tuple[NoiseModel, ...]
     tau: FloatArray
     rest_spans: IntArray
     samples: int
+    headings: Headings | None = None
+    horizontal: float = 0.0
 
 
 @frozen_alone
@@ -275,8 +278,28 @@ def _covariance(
             known[model] = mean_covariance(model, where, rate_hz=1 / data.tau0, samples=noise.samples)
         weights = A[:, :, axis]
         S += weights @ known[model] @ weights.T + noise.tau[axis] ** 2 * (weights * extra) @ weights.T
+    if noise.headings is not None:
+        S += noise.horizontal**2 * _by_earth(data, carried, noise.headings)
     D = _by_directions(data, carried)
     return S + D @ directions @ D.T
+
+
+def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:
+    """Return the covariance of the residuals, shape (2t, 2t), by a horizontal rate with components of 1.
+
+    The bias between two rests contains the rate at both. What remains is its change within the turn.
+    """
+    E = np.empty((2, 2 * len(data.rests)))
+    for which, ahead in enumerate((headings.ahead, headings.aside)):
+        first, last = ahead[data.rests], ahead[data.rests + 1]
+        end = np.einsum("tij,tj->ti", carried.whole, first)
+        bias = first[:, None] + data.share[..., None] * (last - first)[:, None]
+        # Beyond the end of a turn nothing is integrated.
+        live = np.arange(data.share.shape[1]) < np.diff(data.spans)
+        seen = end[:, None] - np.einsum("tnij,tnj->tni", carried.to_end, bias)
+        E[which] = np.einsum("tci,tni,tn->tc", carried.lever, seen, live * data.tau0).ravel()
+    chain = np.repeat(headings.chain[data.rests], 2)
+    return np.asarray(E.T @ E * (chain[:, None] == chain))
 
 
 def _by_directions(data: TurnData, carried: _Carried) -> FloatArray:

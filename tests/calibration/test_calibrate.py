@@ -377,7 +377,7 @@ def test_counts_without_a_usable_turn_keep_the_gyroscope_out() -> None:
 
 
 def test_slow_noise_can_hide_misalignment() -> None:
-    """Nine short rests in a shaky hand, two of them in one attitude: the diagonal model, no internal error."""
+    """Nine short rests in a shaky hand, two of them in one attitude: a diagonal model, no internal error."""
     rng = np.random.default_rng(9_100_040)
     truth = Truth.draw(rng)
     one = held(log(truth, NOISE, attitudes(20, rng), rng, latitude=47.4), truth, rng)

@@ -12,7 +12,7 @@ from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import walk_covariance
-from imucal.calibration.turn_data import TurnData, heading_covariance, prepare_turns, rotations, start_of
+from imucal.calibration.turn_data import Headings, TurnData, prepare_turns, rotations, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, _carry, direction_covariance, fit_turns
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
@@ -258,7 +258,7 @@ def test_headings_are_carried_through_turns() -> None:
         np.linalg.norm(horizontal, axis=1), EARTH_RATE * np.cos(np.radians(LATITUDE)), rtol=2e-3
     )
     C = np.eye(3)
-    covariance = heading_covariance(one.data, C)
+    covariance = Headings.of(one.data, C).covariance
     whole = covariance.sum(axis=0) / 2
     # The covariance has two heading directions: what it cannot explain is the error of carrying.
     for axis in range(3):
@@ -267,6 +267,6 @@ def test_headings_are_carried_through_turns() -> None:
         explained = vectors[:, -2:] @ vectors[:, -2:].T @ horizontal[:, axis]
         np.testing.assert_allclose(explained, horizontal[:, axis], atol=0.04 * EARTH_RATE)
     np.testing.assert_allclose(np.diag(whole), 1.0)
-    broken = heading_covariance(one.data.keeping(np.arange(9) != 4), C)
+    broken = Headings.of(one.data.keeping(np.arange(9) != 4), C).covariance
     assert not broken[:, :5, 5:].any()
     np.testing.assert_allclose(broken[:, :5, :5], covariance[:, :5, :5])
