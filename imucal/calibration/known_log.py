@@ -14,7 +14,7 @@ from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.parameters import Parameter, accelerometer_parameters, gyroscope_parameters
 from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import prepare_turns, rotations
+from imucal.calibration.turn_data import Headings, prepare_turns, rotations
 from imucal.calibration.turns import GyroNoise, direction_covariance, fit_turns
 from imucal.clock import Clock
 from imucal.errors import ArgumentError
@@ -169,15 +169,19 @@ def plan_rests(
     frame = Frame.of("kalibr", estimate.fit.C)
     gyroscope: Mapping[str, Parameter] = {}
     if len(own[Sensor.GYROSCOPE]) == len(AXES):
-        none = np.zeros_like(means)
-        rest = estimate_gyro_rest(
-            none, means, base[Sensor.GYROSCOPE], walk,
-            scale=np.eye(3), earth=earth_rate(latitude), gravity=place.value, checked=True,
-        )  # fmt: skip
+        earth = earth_rate(latitude)
+        rests = RestMeans(spans=spans, means=np.zeros_like(means), deviations=np.zeros(3))
         data = Triad(sensor=Sensor.GYROSCOPE, samples=motion.w, rate_hz=rate_hz)
-        rests = RestMeans(spans=spans, means=none, deviations=np.zeros(3))
         turns = prepare_turns(data, rests, up, np.arange(count - 1))
-        noise = GyroNoise(models=own[Sensor.GYROSCOPE], tau=np.zeros(3), rest_spans=spans, samples=n)
+        headings = Headings.of(turns, np.eye(3))
+        rest = estimate_gyro_rest(
+            rests.means, means, base[Sensor.GYROSCOPE], walk,
+            scale=np.eye(3), earth=earth, gravity=place.value, checked=True, headings=headings,
+        )  # fmt: skip
+        noise = GyroNoise(
+            models=own[Sensor.GYROSCOPE], tau=np.zeros(3), rest_spans=spans, samples=n,
+            headings=headings, horizontal=earth.horizontal_sigma,
+        )  # fmt: skip
         directions = direction_covariance(estimate.fit, means, estimate.covariances)
         gyroscope = gyroscope_parameters(rest, fit_turns(turns, noise, directions))
     return RestsPlan(
