@@ -6,7 +6,6 @@ means gives C, b and their covariance.
 """
 
 import math
-from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,7 +17,8 @@ from imucal.frozen import frozen, frozen_alone
 
 __all__ = [
     "LOWER", "PARAMETERS", "AccelerometerFit", "Status", "Suggestion", "derivatives",
-    "fit_accelerometer", "observability", "relative_size", "residual_covariance", "suggest_rest",
+    "faces_edges_corners", "fit_accelerometer", "observability", "relative_size", "residual_covariance",
+    "suggest_rest",
 ]  # fmt: skip
 
 #: The parameters in the order of every covariance: the lower triangle of C by rows, then b.
@@ -355,6 +355,6 @@ def _candidates() -> FloatArray:
 
 def faces_edges_corners() -> FloatArray:
     """Return the unit vectors of six faces, then of twelve edges and of eight corners, shape (26, 3)."""
-    grid = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
+    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     grid = grid[np.argsort(np.abs(grid).sum(axis=1), kind="stable")][1:]
     return np.asarray(grid / np.linalg.norm(grid, axis=1)[:, None])

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
-from imucal.calibration.accelerometer import describe_direction
+from imucal.calibration.accelerometer import describe_direction, faces_edges_corners
 from imucal.calibration.frames import Frame
 from imucal.calibration.gravity import earth_rate, gravity_at
 from imucal.calibration.gyro_rest import estimate_gyro_rest
@@ -196,11 +196,8 @@ def plan_rests(
 
 def _ideal(count: int) -> FloatArray:
     """Return up directions: six faces, twelve edges, eight corners, then again, shape (count, 3)."""
-    grid = np.stack(np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1], [-1.0, 0, 1]), axis=-1).reshape(-1, 3)
-    size = np.abs(grid).sum(axis=1)
-    every = np.vstack([_FACES, grid[size == 2], grid[size == 3]])
-    found = every[np.arange(count) % len(every)]
-    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+    every = np.vstack([_FACES, faces_edges_corners()[6:]])
+    return np.asarray(every[np.arange(count) % len(every)])
 
 
 def _up(count: int, rng: np.random.Generator) -> FloatArray:
