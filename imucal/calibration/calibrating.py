@@ -388,7 +388,7 @@ def _rests(
     z: FloatArray,
     sigma: FloatArray,
 ) -> tuple[Rest, ...]:
-    """Return the rests; `sigma`, shape (m,), is NaN for those that moved."""
+    """Return the rests; `sigma`, shape (m,), is NaN if a rest moved."""
     found, turning = sensors
     means = found.rests.means
     f = (means - result.b) @ result.C.T

@@ -1,4 +1,4 @@
-"""Findings of a calibration: what limits it, and what to do next."""
+"""Findings of a calibration: its limits, and the next step."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -31,7 +31,7 @@ _LISTED = 4
 
 @frozen_alone
 class Facts:
-    """What the findings follow from, besides the calibration.
+    """Facts from which the findings follow, with the calibration.
 
     `z` are the differences of the halves of all rests in deviations, shape (m, 3) or (m, 6); `trouble` is why
     the turns are not explained, or empty.

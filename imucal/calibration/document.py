@@ -86,7 +86,7 @@ def schema() -> JsonObject:
 
 @frozen_alone
 class Intrinsics(ReadOnlyArrays):
-    """What other programs need of a calibration: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
+    """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Intrinsics(ReadOnlyArrays):
 
     @classmethod
     def of(cls, found: Calibration) -> "Intrinsics":
-        """Return those of a calibration."""
+        """Return the intrinsics of a calibration."""
         return _intrinsics(Node(plain(to_document(found)), "calibration"))
 
     def in_frame(self, frame: str) -> "Intrinsics":

@@ -48,8 +48,8 @@ class CalibrationTarget:
 
     `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `noise` is
     whether the file has noise numbers too. `uses` are the parts that it has a place for: ``G`` for
-    g-sensitivity, ``gyro`` for scale and misalignment of the gyroscope, ``misalignment`` for that of the
-    accelerometer. `parameters` are an autopilot's names of offsets, scales and offsets of the gyroscope.
+    g-sensitivity, ``gyro`` for scale and misalignment of the gyroscope, ``misalignment`` for the
+    accelerometer's. `parameters` are an autopilot's names of offsets, scales and offsets of the gyroscope.
     """
 
     name: str
@@ -177,7 +177,7 @@ def _ignored(found: Intrinsics) -> float:
 
 def _body(target: CalibrationTarget, found: Intrinsics) -> str:
     """Return the text below the comment; a DataError if an autopilot could not use it."""
-    # The identity and 0 stand for what is not known.
+    # Unknown matrices are the identity or 0.
     C = np.eye(3) if found.C_g is None else found.C_g
     b = np.zeros(3) if found.b_g is None else found.b_g
     G = np.zeros((3, 3)) if found.G is None else found.G

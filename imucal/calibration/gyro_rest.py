@@ -91,15 +91,13 @@ def estimate_gyro_rest(
         Of a horizontal vector at the rests, by default independent at each.
     """
     m = len(means)
-    size = np.linalg.norm(scale, axis=1)
-    horizontal = (size * earth.horizontal_sigma)[:, None, None] ** 2
-    base = base + horizontal * (np.eye(m) if headings is None else headings.covariance)
+    horizontal = (np.linalg.norm(scale, axis=1) * earth.horizontal_sigma)[:, None, None] ** 2
+    base = base + horizontal * (headings.covariance if headings else np.eye(m))
     full = np.column_stack([np.ones(m), f])
     known = m >= full.shape[1] + _MIN_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
     X = full if known else full[:, :1]
     fits = _axes(means, X, base, walk)
-    dof = 3 * (m - X.shape[1])
-    trusted = checked and not (dof and chdtrc(dof, sum(chi2 for *_, chi2 in fits)) < TRUSTED)
+    trusted = checked and _p_value(fits, 3 * (m - X.shape[1])) >= TRUSTED
     turning = scale * earth.vertical / gravity
     unsure = (scale * earth.vertical_sigma / gravity).ravel()
     sensitivity = _sensitivity([first if trusted else mixed for first, mixed, *_ in fits], turning, unsure)
@@ -121,6 +119,11 @@ def estimate_gyro_rest(
         earth_share=sensitivity.earth_share,
         excess=tuple(excess for _, excess in chosen),
     )
+
+
+def _p_value(fits: list[tuple[Mixture, Mixture, Excess, float]], dof: int) -> float:
+    """Return the p-value of the base's chi² of all axes; 1 without degrees of freedom."""
+    return float(chdtrc(dof, sum(chi2 for *_, chi2 in fits))) if dof else 1.0
 
 
 class _Sensitivity(NamedTuple):

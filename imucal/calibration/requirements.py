@@ -1,4 +1,4 @@
-"""What a log needs: rests, attitudes, range and unit; and which turns can be used."""
+"""Requirements of a log: rests, attitudes, range and unit; and which turns can be used."""
 
 import numpy as np
 

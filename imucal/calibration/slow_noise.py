@@ -107,7 +107,7 @@ class Excess:
 
 @frozen
 class Spread:
-    """Sizes that scale the grid: deviation of the base between rests, and that of a walk with kappa = 1."""
+    """Sizes that scale the grid: deviation of the base, and of a walk with kappa = 1, between rests."""
 
     base: float
     walk: float
@@ -198,14 +198,14 @@ class AccelerometerEstimate(ReadOnlyArrays):
 
     @property
     def theta(self) -> FloatArray:
-        """Mean of all nine parameters, shape (9,); the fit's value for those that were fixed."""
+        """Mean of all nine parameters, shape (9,); the fit's value for fixed ones."""
         theta = self.fit.theta.copy()
         theta[self.fit.free] = self.mixture.mean
         return theta
 
     @property
     def covariance(self) -> FloatArray:
-        """Of all nine parameters, shape (9, 9); zero for those that were fixed."""
+        """Of all nine parameters, shape (9, 9); zero for fixed ones."""
         full = np.zeros((9, 9))
         full[np.ix_(self.fit.free, self.fit.free)] = self.mixture.covariance
         return full

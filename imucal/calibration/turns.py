@@ -180,7 +180,7 @@ def direction_covariance(
     means, covariances
         Its raw means, shape (m, 3), and their covariance, shape (3, m, m).
     slopes
-        Derivatives of C in its lower triangle, shape (3, 3, 6); those of another frame add its rotation.
+        Derivatives of C in its lower triangle, shape (3, 3, 6); another frame's add its rotation.
     """
     m = len(means)
     up = fit.up
@@ -287,7 +287,7 @@ def _covariance(
 def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:
     """Return the covariance of the residuals, shape (2t, 2t), by a horizontal rate with components of 1.
 
-    The bias between two rests contains the rate at both. What remains is its change within the turn.
+    The bias between two rests contains the rate at both: only its change within the turn has an effect.
     """
     E = np.empty((2, 2 * len(data.rests)))
     for which, ahead in enumerate((headings.ahead, headings.aside)):
