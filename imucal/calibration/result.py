@@ -81,8 +81,8 @@ class GyroscopeResult(ReadOnlyArrays):
     """w = C (raw - b - G f), raw = M w + b + G f.
 
     `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant; parameters
-    contain the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. C and M are the identity and the
-    covariance is 0 if `scaled` is false: then no turn could be used.
+    contain the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. C and M are the identity and
+    the covariance is 0 if `scaled` is false: then no turn could be used.
     """
 
     C: FloatArray
