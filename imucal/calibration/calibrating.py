@@ -32,10 +32,10 @@ from imucal.calibration.poses import (
 from imucal.calibration.requirements import (
     ADVICE,
     MIN_RESTS,
-    order_of,
     require_attitudes,
     require_range,
     require_rests,
+    trouble_of,
     unusable_turns,
 )
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest, at_other_times
@@ -291,12 +291,8 @@ def _gyroscope(
     plain = _plain_turns(data, rests, fit.up, reasons)
     try:
         start = None if plain is None else start_of(plain)
-        if start is not None and (turned := order_of(start)):
-            trouble = (
-                f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
-                "axes, in the log or when reading it"
-            )
-            start = None
+        trouble = "" if start is None else trouble_of(start)
+        start = None if trouble else start
     except DataError as error:
         trouble = str(error)
     earth = earth_rate(latitude)

@@ -1,6 +1,7 @@
 """`imucal calibrate`: table, files, JSON and its schema, the corrected log, and what it refuses."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,6 +153,8 @@ def changed(one: Log, kind: str) -> Recording:
         gyroscope = gyroscope[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
     elif kind == "mirrored":
         gyroscope = gyroscope * [-1.0, 1.0, 1.0]
+    elif kind == "degrees":
+        gyroscope = np.degrees(gyroscope)
     elif kind == "dead":
         accelerometer[:, 1] = 0.0
     return replace(one, accelerometer=accelerometer, gyroscope=gyroscope).recording()
@@ -171,6 +174,7 @@ def changed(one: Log, kind: str) -> Recording:
             "nothing was written; try --no-gyro for the accelerometer alone, or --force",
         ),
         ("mirrored", None, "turns-unexplained found; nothing was written"),
+        ("degrees", None, "turns-unexplained found; nothing was written"),
     ],
 )
 def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
@@ -191,6 +195,10 @@ def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
     text = " ".join(done.stderr.split())
     if kind == "swapped":
         assert "X, y, z of the gyroscope are y, -x, z of the accelerometer" in text
+    if kind == "degrees":
+        assert re.search(
+            r"The gyroscope reads 5\d\.?\d? for 1 rad/s: its unit is deg/s; try --gyro-unit", text
+        )
     if kind == "mirrored":
         assert "X, y, z of the gyroscope are -x, y, z of the accelerometer" in text
 
