@@ -49,9 +49,17 @@ def as_one(where: str, lacking: Sequence[ChoiceError]) -> ChoiceError:
 
 
 class DataError(ImucalError):
-    """The log was read, but its data can't be analysed."""
+    """The log was read, but its data can't be analysed.
+
+    `remedy` is an argument that helps, such as ``("rest_at_least", "0.4s")`` or ``("in_hand",)``; empty if
+    there is none.
+    """
 
     exit_code = 4
+
+    def __init__(self, *texts: object, remedy: tuple[str, ...] = ()) -> None:
+        super().__init__(*texts)
+        self.remedy = remedy
 
 
 class WriteError(ImucalError):

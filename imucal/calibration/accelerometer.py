@@ -17,7 +17,8 @@ from imucal.frozen import frozen, frozen_alone
 
 __all__ = [
     "LOWER", "PARAMETERS", "AccelerometerFit", "Status", "Suggestion", "derivatives",
-    "fit_accelerometer", "observability", "relative_size", "residual_covariance", "suggest_rest",
+    "faces_edges_corners", "fit_accelerometer", "observability", "relative_size", "residual_covariance",
+    "suggest_rest",
 ]  # fmt: skip
 
 #: The parameters in the order of every covariance: the lower triangle of C by rows, then b.
@@ -349,6 +350,11 @@ def _candidates() -> FloatArray:
     z, angle = 1 - 2 * k / 300, math.pi * (1 + math.sqrt(5)) * k
     ring = np.sqrt(1 - z * z)
     even = np.column_stack([np.cos(angle) * ring, np.sin(angle) * ring, z])
-    grid = np.stack(np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1], [-1.0, 0, 1]), axis=-1).reshape(-1, 3)
-    grid = grid[np.abs(grid).sum(axis=1) > 0]
-    return np.vstack([even, grid / np.linalg.norm(grid, axis=1)[:, None]])
+    return np.vstack([even, faces_edges_corners()])
+
+
+def faces_edges_corners() -> FloatArray:
+    """Return the unit vectors of six faces, then of twelve edges and of eight corners, shape (26, 3)."""
+    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    grid = grid[np.argsort(np.abs(grid).sum(axis=1), kind="stable")][1:]
+    return np.asarray(grid / np.linalg.norm(grid, axis=1)[:, None])

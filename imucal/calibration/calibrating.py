@@ -1,16 +1,25 @@
 """calibrate: a recording of rests and turns -> bias, scale, misalignment and g-sensitivity with intervals."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.calibration.accelerometer import LOWER, fit_accelerometer, suggest_rest
+from imucal.calibration.accelerometer import (
+    LOWER,
+    PARAMETERS,
+    AccelerometerFit,
+    Suggestion,
+    describe_direction,
+    fit_accelerometer,
+    suggest_rest,
+)
 from imucal.calibration.checks import Facts, findings_of
+from imucal.calibration.frames import FRAMES, Frame
 from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
-from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base
+from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base, white_models
 from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse
 from imucal.calibration.poses import (
     RestMeans,
@@ -23,18 +32,18 @@ from imucal.calibration.poses import (
 from imucal.calibration.requirements import (
     ADVICE,
     MIN_RESTS,
-    order_of,
     require_attitudes,
     require_range,
     require_rests,
+    trouble_of,
     unusable_turns,
 )
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest, at_other_times
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import Turn, prepare_turns, start_of
+from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.clock import seconds_of
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
 from imucal.recording import ReadRange, Recording, Sensor
@@ -56,6 +65,7 @@ def calibrate(
     rest_at_least: str | float = 1.0,
     in_hand: bool = False,
     gyro: bool = True,
+    frame: str = "kalibr",
 ) -> Calibration:
     """Calibrate an IMU from a log in which it is put down, left alone and turned, in 12 attitudes or more.
 
@@ -74,14 +84,19 @@ def calibrate(
         Count a hand's tremor as rest.
     gyro
         Whether to calibrate the gyroscope too.
+    frame
+        Axes of the result: ``kalibr`` (x along the accelerometer's x axis, y in its x-y plane), ``imu-tk``
+        (z along its z axis, y in its y-z plane), or ``nearest`` to all three axes.
 
     Raises
     ------
     DataError
         If the log cannot be calibrated: never moved, one attitude, fewer than 6 rests, a dead axis.
     ArgumentError
-        If gravity, latitude or `rest_at_least` is impossible.
+        If gravity, latitude, `rest_at_least` or `frame` is impossible.
     """
+    if frame not in FRAMES:
+        raise ArgumentError(f"no frame {frame!r}; choose one of {', '.join(FRAMES)}")
     where = f"{recording.source.path}: "
     place = gravity_at(gravity=gravity, latitude=latitude, height=height)
     accelerometer = triad(recording, Sensor.ACCELEROMETER)
@@ -91,50 +106,48 @@ def calibrate(
     try:
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
-        found = _Sensor.of(accelerometer, spans, noise)
+        found = _Sensor.of(
+            accelerometer, spans, noise, lambda rests: _scale(_first_fit(accelerometer, rests, place).C)
+        )
         require_attitudes(found.rests.means)
         require_range(accelerometer, found.rests)
-        turning = _Sensor.of(gyroscope, spans, noise) if gyroscope is not None else None
+        turning = None
+        if gyroscope is not None:
+            up = _first_fit(accelerometer, found.rests, place).up
+            turning = _Sensor.of(
+                gyroscope,
+                spans,
+                noise,
+                lambda rests: _gyro_scale(gyroscope, rests, up),
+            )
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         used = ~_excluded(z)
         estimate = _estimate(found.keeping(used), place)
     except DataError as error:
-        raise DataError(where + str(error).removeprefix(where)) from error
-    result = _accelerometer(estimate, found.keeping(used), place)
+        raise DataError(f"{where}{error}", remedy=error.remedy) from error
+    axes = Frame.of(frame, _lower(estimate.theta))
+    sigma = np.full(len(spans), np.nan)
+    sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
+    result = _accelerometer(estimate, axes, found.keeping(used), place)
     turns: tuple[Turn, ...] = ()
     trouble, rotating = "", None
     if turning is not None:
-        both = found, turning.keeping(used)
-        rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used])
-    temperature = _temperature(recording)
-    bases = {s.data.sensor.short: s.base for s in (found, turning) if s}
-    facts = Facts(
-        gravity=place,
-        in_hand=in_hand,
-        z=z,
-        spans_s=spans,
-        used=used,
-        accelerometer=estimate,
-        parameters=result.parameters,
-        gyro_parameters=rotating.parameters if rotating else {},
-        suggestion=result.suggestion,
-        turns=turns,
-        trouble=trouble,
-        earth_share=rotating.rest.earth_share if rotating else 0.0,
-        temperature=temperature,
-        bases=bases,
-    )
-    return Calibration(
+        both = found.keeping(used), turning.keeping(used)
+        rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used], frame=axes)
+    found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,
-        rests=_rests(facts, found, turning, result),
+        rests=_rests((found, turning), result, place, spans_s=spans, z=z, sigma=sigma),
         turns=turns,
         accelerometer=result,
         gyroscope=rotating,
-        temperature=temperature,
-        noise=bases,
-        findings=(*recording.findings, *findings_of(facts)),
+        temperature=_temperature(recording),
+        noise={s.data.sensor.short: s.base for s in (found, turning) if s},
+        findings=recording.findings,
+        frame=frame,
     )
+    facts = Facts(found=found_all, in_hand=in_hand, z=z, estimate=estimate, trouble=trouble)
+    return replace(found_all, findings=(*recording.findings, *findings_of(facts)))
 
 
 @frozen_alone
@@ -147,10 +160,14 @@ class _Sensor:
 
     @classmethod
     def of(
-        cls, data: Triad, spans_s: FloatArray, noise: Report | Mapping[str, NoiseModel] | None
+        cls,
+        data: Triad,
+        spans_s: FloatArray,
+        noise: Report | Mapping[str, NoiseModel] | None,
+        scale: Callable[[RestMeans], FloatArray],
     ) -> "_Sensor":
         rests = RestMeans.of(data, spans_s)
-        return cls(data=data, rests=rests, base=noise_base(noise, data, rests))
+        return cls(data=data, rests=rests, base=noise_base(noise, data, rests, scale))
 
     def keeping(self, keep: BoolArray) -> "_Sensor":
         rests = replace(self.rests, spans=self.rests.spans[keep], means=self.rests.means[keep])
@@ -158,11 +175,38 @@ class _Sensor:
 
     @property
     def covariance(self) -> FloatArray:
-        return base_covariance(self.base, self.data, self.rests)
+        return base_covariance(self.base.models, self.data, self.rests)
 
     @property
     def walk(self) -> FloatArray:
         return walk_covariance(self.rests.spans, rate_hz=self.data.rate_hz, samples=len(self.data.samples))
+
+
+def _first_fit(data: Triad, rests: RestMeans, place: Gravity) -> AccelerometerFit:
+    """Return the accelerometer with white noise; enough for scale and directions."""
+    return fit_accelerometer(
+        rests.means, base_covariance(white_models(data, rests), data, rests), gravity=place.value
+    )
+
+
+def _scale(C: FloatArray | None) -> FloatArray:
+    """Return raw units per SI unit of each axis, shape (3,); 1 if unknown."""
+    return np.ones(3) if C is None else np.linalg.norm(inverse(C), axis=1)
+
+
+def _gyro_scale(data: Triad, rests: RestMeans, up: FloatArray) -> FloatArray:
+    plain = _plain_turns(data, rests, up, unusable_turns(data, rests))
+    return _scale(None if plain is None else start_of(plain))
+
+
+def _plain_turns(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) -> TurnData | None:
+    """Return the turns without a reason against them, g-sensitivity ignored; None if there is none."""
+    which = _without(reasons)
+    return prepare_turns(data, rests, up, which) if which.size else None
+
+
+def _without(reasons: list[str]) -> IntArray:
+    return np.flatnonzero([not why for why in reasons])
 
 
 def _excluded(z: FloatArray) -> BoolArray:
@@ -187,9 +231,17 @@ def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
     )
 
 
-def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Gravity) -> AccelerometerResult:
+def _lower(theta: FloatArray) -> FloatArray:
     C = np.zeros((3, 3))
-    C[LOWER] = estimate.theta[:6]
+    C[LOWER] = theta[:6]
+    return C
+
+
+def _accelerometer(
+    estimate: AccelerometerEstimate, frame: Frame, sensor: _Sensor, place: Gravity
+) -> AccelerometerResult:
+    to_frame = np.eye(9)
+    to_frame[:6, :6] = [frame.derivatives[entry] for entry in frame.entries]
     diagonal = fit_accelerometer(
         sensor.rests.means,
         estimate.covariances,
@@ -198,10 +250,10 @@ def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Grav
         model="diagonal",
     )
     return AccelerometerResult(
-        C=C,
+        C=frame.R @ _lower(estimate.theta),
         b=estimate.theta[6:],
-        covariance=estimate.covariance,
-        parameters=accelerometer_parameters(estimate),
+        covariance=to_frame @ estimate.covariance @ to_frame.T,
+        parameters=accelerometer_parameters(estimate, frame),
         diagonal_C=diagonal.C,
         diagonal_b=diagonal.b,
         model=estimate.fit.model,
@@ -209,8 +261,15 @@ def _accelerometer(estimate: AccelerometerEstimate, sensor: _Sensor, place: Grav
         chi2=estimate.chi2,
         dof=estimate.dof,
         p=estimate.p,
-        suggestion=suggest_rest(estimate.fit, gravity=place.value),
+        suggestion=_turned(suggest_rest(estimate.fit, gravity=place.value), frame),
     )
+
+
+def _turned(suggestion: Suggestion, frame: Frame) -> Suggestion:
+    down = frame.R @ suggestion.down
+    x, y, z = down.tolist()
+    name = frame.parameters[PARAMETERS.index(suggestion.parameter)]
+    return replace(suggestion, down=(x, y, z), text=describe_direction(down), parameter=name)
 
 
 def _gyroscope(
@@ -219,52 +278,42 @@ def _gyroscope(
     place: Gravity,
     latitude: float | None,
     spans_s: FloatArray,
+    *,
+    frame: Frame,
 ) -> tuple[GyroscopeResult, tuple[Turn, ...], str]:
     """Return the gyroscope, its turns, and why they could not be explained."""
     found, turning = sensors
     data, rests, fit = turning.data, turning.rests, estimate.fit
+    at_rest = fit.f @ frame.R.T
     reasons = unusable_turns(data, rests)
-    which = np.flatnonzero([not why for why in reasons])
+    which = _without(reasons)
     trouble, start = "", None
-    if which.size:
-        try:
-            arrays = prepare_turns(
-                data.samples, rests.spans, rests.means, fit.up, which, rate_hz=data.rate_hz
-            )
-            start = start_of(arrays)
-            if turned := order_of(start):
-                trouble = (
-                    f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same "
-                    "axes, in the log or when reading it"
-                )
-                start = None
-        except DataError as error:
-            trouble = str(error)
+    plain = _plain_turns(data, rests, fit.up, reasons)
+    try:
+        start = None if plain is None else start_of(plain)
+        trouble = "" if start is None else trouble_of(start)
+        start = None if trouble else start
+    except DataError as error:
+        trouble = str(error)
     earth = earth_rate(latitude)
+    headings = None if plain is None or start is None else Headings.of(plain, start)
     covariance, walk = turning.covariance, turning.walk
     rest = estimate_gyro_rest(
         rests.means,
-        fit.f,
+        at_rest,
         covariance,
         walk,
-        scale=np.eye(3) if start is None else inverse(start),
+        scale=(np.eye(3) if start is None else inverse(start)) @ frame.R.T,
         earth=earth,
         gravity=place.value,
         checked=turning.base.checked,
+        headings=headings,
     )
     turns = None
     if start is not None:
-        f = at_other_times(found.data, (found.data.samples - fit.b) @ fit.C.T, data)
-        arrays = prepare_turns(
-            data.samples,
-            rests.spans,
-            rests.means,
-            fit.up,
-            which,
-            rate_hz=data.rate_hz,
-            g_part=f @ rest.G_apparent.T,
-            g_part_at_rest=fit.f @ rest.G_apparent.T,
-        )
+        f = at_other_times(found.data, (found.data.samples - fit.b) @ (frame.R @ fit.C).T, data)
+        parts = f @ rest.G_apparent.T, at_rest @ rest.G_apparent.T
+        arrays = prepare_turns(data, rests, fit.up, which, parts)
         models = tuple(
             NoiseModel(terms=(*model.terms, TERMS["K"].of(excess.kappa)))
             for model, excess in zip(turning.base.models, rest.excess, strict=True)
@@ -274,9 +323,13 @@ def _gyroscope(
             tau=np.array([excess.tau for excess in rest.excess]),
             rest_spans=rests.spans,
             samples=len(data.samples),
+            headings=headings,
+            horizontal=earth.horizontal_sigma,
         )
-        raw_means = (fit.f @ inverse(fit.C).T) + fit.b
-        turns = fit_turns(arrays, noise, direction_covariance(fit, raw_means, estimate.covariances))
+        accelerometer = fit, found.rests.means, estimate.covariances
+        directions = direction_covariance(*accelerometer)
+        turns = fit_turns(arrays, noise, directions)
+        turns = turns.turned(frame, direction_covariance(*accelerometer, frame.slopes) - directions)
     return _gyroscope_result(rest, turns), _turns(spans_s, fit.up, reasons, which, turns), trouble
 
 
@@ -300,61 +353,57 @@ def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None) -> GyroscopeResult
 def _turns(
     spans_s: FloatArray, up: FloatArray, reasons: list[str], which: IntArray, fit: TurnsFit | None
 ) -> tuple[Turn, ...]:
-    turns = []
-    for rest, why in enumerate(reasons):
-        cosine = float(np.clip(up[rest] @ up[rest + 1], -1.0, 1.0))
-        turn = Turn(
-            start_s=float(spans_s[rest, 1]),
-            end_s=float(spans_s[rest + 1, 0]),
-            angle_deg=float(np.degrees(np.arccos(cosine))),
-            residual_deg=None,
-            before_deg=None,
-            p=None,
-            used=False,
-            why=why or "unexplained",
+    cosines = np.clip(np.einsum("mi,mi->m", up[:-1], up[1:]), -1.0, 1.0)
+    angles = np.degrees(np.arccos(cosines)).tolist()
+    turns = [
+        Turn(start_s=start, end_s=end, angle_deg=angle, why=why or "unexplained")
+        for start, end, angle, why in zip(
+            spans_s[:-1, 1].tolist(), spans_s[1:, 0].tolist(), angles, reasons, strict=True
         )
-        if fit is not None and not why:
-            k = int(np.searchsorted(which, rest))
-            turn = replace(
-                turn,
-                residual_deg=_two(fit.residual[k]),
-                before_deg=_two(fit.before[k]),
-                p=float(fit.p[k]),
-                used=bool(fit.used[k]),
-                why="" if fit.used[k] else "wrong",
-            )
-        turns.append(turn)
+    ]
+    if fit is None:
+        return tuple(turns)
+    for k, rest in enumerate(which):
+        turns[rest] = replace(
+            turns[rest],
+            residual_deg=tuple(np.degrees(fit.residual[k]).tolist()),
+            before_deg=tuple(np.degrees(fit.before[k]).tolist()),
+            p=float(fit.p[k]),
+            used=bool(fit.used[k]),
+            why="" if fit.used[k] else "wrong",
+        )
     return tuple(turns)
 
 
-def _two(residual: FloatArray) -> tuple[float, float]:
-    first, second = np.degrees(residual).tolist()
-    return first, second
-
-
 def _rests(
-    facts: Facts, found: _Sensor, turning: _Sensor | None, result: AccelerometerResult
+    sensors: tuple[_Sensor, _Sensor | None],
+    result: AccelerometerResult,
+    place: Gravity,
+    *,
+    spans_s: FloatArray,
+    z: FloatArray,
+    sigma: FloatArray,
 ) -> tuple[Rest, ...]:
-    means, used, gravity = found.rests.means, facts.used, facts.gravity.value
+    """Return the rests; `sigma`, shape (m,), is NaN if a rest moved."""
+    found, turning = sensors
+    means = found.rests.means
     f = (means - result.b) @ result.C.T
     norm = np.linalg.norm(f, axis=1)
-    sigma = np.full(len(means), np.nan)
-    sigma[used] = np.sqrt(np.diag(facts.accelerometer.fit.residual_covariance))
     return tuple(
         Rest(
-            start_s=float(facts.spans_s[k, 0]),
-            end_s=float(facts.spans_s[k, 1]),
+            start_s=start,
+            end_s=end,
             mean_accel=tuple(means[k].tolist()),
             mean_gyro=tuple(turning.rests.means[k].tolist()) if turning else None,
             up=tuple((f[k] / norm[k]).tolist()),
-            residual=float(norm[k] - gravity),
-            before=float(np.linalg.norm(means[k]) - gravity),
-            sigma=float(sigma[k]) if used[k] else None,
-            z=float(facts.z[k, np.argmax(np.abs(facts.z[k]))]),
-            used=bool(used[k]),
-            why="" if used[k] else "moved",
+            residual=float(norm[k] - place.value),
+            before=float(np.linalg.norm(means[k]) - place.value),
+            sigma=float(sigma[k]) if np.isfinite(sigma[k]) else None,
+            z=float(z[k, np.argmax(np.abs(z[k]))]),
+            used=bool(np.isfinite(sigma[k])),
+            why="" if np.isfinite(sigma[k]) else "moved",
         )
-        for k in range(len(means))
+        for k, (start, end) in enumerate(spans_s.tolist())
     )
 
 

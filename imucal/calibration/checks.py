@@ -1,19 +1,15 @@
-"""Findings of a calibration: what limits it, and what to do next."""
+"""Findings of a calibration: its limits, and the next step."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
-from imucal.calibration.accelerometer import Suggestion
-from imucal.calibration.gravity import Gravity
-from imucal.calibration.noise_source import NoiseBase
-from imucal.calibration.parameters import Parameter
 from imucal.calibration.poses import moved_rests
+from imucal.calibration.result import Calibration
 from imucal.calibration.slow_noise import AccelerometerEstimate
-from imucal.calibration.turn_data import Turn
 from imucal.findings import Finding, Level
 from imucal.frozen import frozen_alone
 
@@ -35,22 +31,27 @@ _LISTED = 4
 
 @frozen_alone
 class Facts:
-    """What the findings follow from; see `Calibration` and `AccelerometerEstimate`."""
+    """Facts from which the findings follow, with the calibration.
 
-    gravity: Gravity
+    `z` are the differences of the halves of all rests in deviations, shape (m, 3) or (m, 6); `trouble` is why
+    the turns are not explained, or empty.
+    """
+
+    found: Calibration
     in_hand: bool
     z: FloatArray
-    spans_s: FloatArray
-    used: BoolArray
-    accelerometer: AccelerometerEstimate
-    parameters: Mapping[str, Parameter]
-    gyro_parameters: Mapping[str, Parameter]
-    suggestion: Suggestion
-    turns: tuple[Turn, ...]
+    estimate: AccelerometerEstimate
     trouble: str
-    earth_share: float
-    temperature: tuple[float, float, float] | None
-    bases: Mapping[str, NoiseBase]
+
+    @property
+    def starts_s(self) -> FloatArray:
+        """Start of each rest, shape (m,)."""
+        return np.array([rest.start_s for rest in self.found.rests])
+
+    @property
+    def used(self) -> BoolArray:
+        """Which rests are used, shape (m,)."""
+        return np.array([rest.used for rest in self.found.rests])
 
 
 def findings_of(facts: Facts) -> tuple[Finding, ...]:
@@ -67,7 +68,7 @@ def _rests(facts: Facts) -> Iterator[Finding]:
         size = np.abs(facts.z[moved]).max()
         text = (
             f"{_count(moved.size, 'rest')} moved and {'is' if moved.size == 1 else 'are'} not used, at "
-            f"{_times(facts.spans_s[moved, 0])}: their halves differ by up to {size:.1f} standard deviations."
+            f"{_times(facts.starts_s[moved])}: their halves differ by up to {size:.1f} standard deviations."
         )
         if more := int(moved_rests(facts.z).sum()) - moved.size:
             text += f" {_count(more, 'more rest')} also moved but {'is' if more == 1 else 'are'} used."
@@ -75,7 +76,7 @@ def _rests(facts: Facts) -> Iterator[Finding]:
     if facts.in_hand:
         text = "Rates up to 0.03 rad/s count as rest, so the intervals include hand tremor."
         yield Finding("info", "in-hand", text, "Put the IMU down for shorter intervals.")
-    lengths = np.diff(facts.spans_s, axis=1)[:, 0]
+    lengths = np.array([rest.end_s - rest.start_s for rest in facts.found.rests])
     short = lengths < _SHORT_S
     if short.any():
         cost = 100 * (math.sqrt(5.0 / float(np.median(lengths[short]))) - 1)
@@ -87,48 +88,54 @@ def _rests(facts: Facts) -> Iterator[Finding]:
 
 
 def _noise(facts: Facts) -> Iterator[Finding]:
-    for sensor, base in facts.bases.items():
+    for sensor, base in facts.found.noise.items():
+        if base.factors:
+            text = (
+                f"The noise report of {sensor} is in SI units and the log in others. Its noise was "
+                f"multiplied by {np.mean(base.factors):.4g}, the scale of this log."
+            )
+            yield Finding("info", "noise-scaled", text, axis=sensor)
         if not 1 / _OTHER_NOISE < base.ratio < _OTHER_NOISE:
             text = f"The noise models of {sensor} have {base.ratio:.3g} times the noise of the rests."
             advice = "Check that the noise report is for the same sensor, range and unit."
             yield Finding("warning", "noise-differs", text, advice, axis=sensor)
-    found = facts.accelerometer
+    found = facts.estimate
     if math.isnan(found.p):
         m, p = found.fit.jacobian.shape[0], int(found.fit.free.sum())
         text = f"{m} rests for {p} parameters leave no residuals to check the result."
         # Without a report the intervals are wide enough for any slow noise.
         level: Level = "info"
-        if any(base.checked for base in facts.bases.values()):
+        if any(base.checked for base in facts.found.noise.values()):
             level = "warning"
             text += " If the noise report does not fit this log, the intervals are too narrow."
         yield Finding(level, "unchecked", text, "Add three rests or more.", axis="accel")
     elif found.p < _UNEXPLAINED:
         residual = found.fit.residual
         rms, times = 1e3 * math.sqrt(float(np.mean(residual**2))), math.sqrt(found.chi2 / found.dof)
-        worst = facts.spans_s[facts.used][np.argsort(-np.abs(residual))[:3], 0]
+        worst = facts.starts_s[facts.used][np.argsort(-np.abs(residual))[:3]]
         text = (
             f"The rests differ from gravity by {rms:.2g} mm/s² rms, {times:.2g} times the noise: "
             f"nonlinearity, stress, tremor or temperature. The worst begin at {_times(worst)}."
         )
         # Without a noise report this is expected, and the intervals include it.
-        checked = any(base.checked for base in facts.bases.values())
+        checked = any(base.checked for base in facts.found.noise.values())
         advice = "Repeat the rests that differ most."
         yield Finding("warning" if checked else "info", "beyond-noise", text, advice, axis="accel")
 
 
 def _warming(facts: Facts) -> Iterator[Finding]:
     advice = "Calibrate 15 min after switching on, or repeat the first attitude at the end."
-    low, high = facts.temperature[1:] if facts.temperature else (0.0, 0.0)
+    low, high = facts.found.temperature[1:] if facts.found.temperature else (0.0, 0.0)
     if high - low > _WARMING_K:
         text = f"The temperature changed from {low:.1f} to {high:.1f} °C, and bias and scale with it."
         yield Finding("warning", "warming", text, advice)
-    elif facts.accelerometer.p < _UNEXPLAINED and facts.accelerometer.excess.walk_share > _WALK_SHARE:
+    elif facts.estimate.p < _UNEXPLAINED and facts.estimate.excess.walk_share > _WALK_SHARE:
         text = "The residuals of the rests change with time, as during a warm-up."
         yield Finding("warning", "warming", text, advice, axis="accel")
 
 
 def _place(facts: Facts) -> Iterator[Finding]:
-    place = facts.gravity
+    place, gyro = facts.found.gravity, facts.found.gyroscope
     if place.origin == "unknown":
         text = (
             f"Gravity is assumed ({place.value} m/s²); all scales of the accelerometer share an error of up "
@@ -136,8 +143,8 @@ def _place(facts: Facts) -> Iterator[Finding]:
         )
         advice = "Give the latitude: it reduces the error to ±0.01 %."
         yield Finding("warning", "gravity-unknown", text, advice, axis="accel")
-    if facts.earth_share > _EARTH_SHARE:
-        share = f"{100 * facts.earth_share:.0f} %"
+    if gyro is not None and gyro.rest.earth_share > _EARTH_SHARE:
+        share = f"{100 * gyro.rest.earth_share:.0f} %"
         text = f"The unknown earth rate causes {share} of the uncertainty of the g-sensitivity."
         yield Finding("info", "earth-rate", text, "Give the latitude.", axis="gyro")
 
@@ -150,16 +157,17 @@ _STATUSES = {
 
 
 def _observability(facts: Facts) -> Iterator[Finding]:
+    accelerometer, gyroscope = facts.found.accelerometer, facts.found.gyroscope
+    add = accelerometer.suggestion
     for status, finding in _STATUSES.items():
-        names = [name for name, parameter in facts.parameters.items() if parameter.status == status]
+        names = [name for name, parameter in accelerometer.parameters.items() if parameter.status == status]
         if names:
-            share = f"{100 * (1 - facts.suggestion.ratio):.0f} %"
+            share = f"{100 * (1 - add.ratio):.0f} %"
             text = f"The accelerometer's {_names(names)} {_are(names)} {finding.text}."
-            advice = (
-                f"Add a rest with {facts.suggestion.text}: it reduces the largest uncertainty by {share}."
-            )
+            advice = f"Add a rest with {add.text}: it reduces the largest uncertainty by {share}."
             yield replace(finding, text=text, advice=advice, axis="accel")
-        own = [name for name, parameter in facts.gyro_parameters.items() if parameter.status == status]
+        every = gyroscope.parameters if gyroscope is not None else {}
+        own = [name for name, parameter in every.items() if parameter.status == status]
         turned = [name for name in own if name.startswith(("scale", "misalignment"))]
         # Turns that nothing explains have a finding of their own.
         if turned and not facts.trouble:
@@ -198,7 +206,7 @@ def _turns(facts: Facts) -> Iterator[Finding]:
         advice = "Calibrate without the gyroscope, or read both sensors with the same axes."
         yield Finding("error", "turns-unexplained", text, advice, axis="gyro")
     for why, finding in _TURNS.items():
-        own = [turn for turn in facts.turns if turn.why == why]
+        own = [turn for turn in facts.found.turns if turn.why == why]
         if own:
             sizes = [math.hypot(*turn.residual_deg) for turn in own if turn.residual_deg]
             by = f", by up to {max(sizes):.2g}°" if sizes else ""

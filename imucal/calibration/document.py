@@ -4,12 +4,14 @@ The layout is pinned by ``schema/calibration-1.schema.json``.
 """
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from imucal.arrays import FloatArray, ReadOnlyArrays
+from imucal.calibration.frames import FRAMES, rotation_to
 from imucal.calibration.parameters import Parameter, inverse, is_si
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
 from imucal.errors import ReadError
@@ -84,12 +86,14 @@ def schema() -> JsonObject:
 
 @frozen_alone
 class Intrinsics(ReadOnlyArrays):
-    """What other programs need of a calibration: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
+    """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
 
     Attributes
     ----------
     source, topics, kind
         Name of the log, its topics and its format.
+    frame
+        A key of `FRAMES`.
     C_a, b_a, diagonal_C, diagonal_b
         Accelerometer, and its best fit without misalignment; shapes (3, 3) and (3,).
     C_g, b_g, G
@@ -107,6 +111,7 @@ class Intrinsics(ReadOnlyArrays):
     source: str
     topics: tuple[str, ...]
     kind: str
+    frame: str
     C_a: FloatArray
     b_a: FloatArray
     diagonal_C: FloatArray
@@ -121,8 +126,21 @@ class Intrinsics(ReadOnlyArrays):
 
     @classmethod
     def of(cls, found: Calibration) -> "Intrinsics":
-        """Return those of a calibration."""
+        """Return the intrinsics of a calibration."""
         return _intrinsics(Node(plain(to_document(found)), "calibration"))
+
+    def in_frame(self, frame: str) -> "Intrinsics":
+        """Return them in another frame of `FRAMES`."""
+        if frame == self.frame:
+            return self
+        R = rotation_to(frame, self.C_a)
+        return replace(
+            self,
+            frame=frame,
+            C_a=R @ self.C_a,
+            C_g=None if self.C_g is None else R @ self.C_g,
+            G=None if self.G is None else self.G @ R.T,
+        )
 
     @property
     def si(self) -> bool:
@@ -170,6 +188,7 @@ def _intrinsics(root: Node) -> Intrinsics:
         source=source["path"].text().rstrip("/").rsplit("/", 1)[-1],
         topics=source["topics"].texts(),
         kind=source["format"].text(),
+        frame=root["frame"].text(*FRAMES),
         C_a=accel["C"].matrix(3),
         b_a=accel["b"].array(like=3),
         diagonal_C=accel["diagonal_C"].matrix(3),

@@ -8,7 +8,7 @@ gyroparams).
 
 import json
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from decimal import Decimal
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +20,7 @@ from imucal._version import __version__
 from imucal.arrays import FloatArray
 from imucal.atomic import write_configs
 from imucal.calibration.document import Intrinsics
+from imucal.calibration.frames import FRAMES
 from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
 from imucal.errors import DataError
@@ -27,7 +28,7 @@ from imucal.frozen import frozen
 from imucal.printable import one_line
 from imucal.report.exports import render as render_noise
 from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
-from imucal.report.exports.target import comment, name_key
+from imucal.report.exports.target import comment, name_key, template
 from imucal.report.result import Report
 from imucal.units import G0
 
@@ -43,21 +44,24 @@ _AXES = "XYZ"
 
 @frozen
 class CalibrationTarget:
-    """One program: name, title, file, formulas, and the function that writes the text under the comment.
+    """One program: name, title, file, formulas, and the template of the text under the comment.
 
-    `sign` starts a comment, or is ``json``. `noise` is whether the file has noise numbers too. `uses` are the
-    parts that it has a place for: ``G`` for g-sensitivity, ``gyro`` for scale and misalignment of the
-    gyroscope, ``misalignment`` for that of the accelerometer.
+    `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `noise` is
+    whether the file has noise numbers too. `uses` are the parts that it has a place for: ``G`` for
+    g-sensitivity, ``gyro`` for scale and misalignment of the gyroscope, ``misalignment`` for the
+    accelerometer's. `parameters` are an autopilot's names of offsets, scales and offsets of the gyroscope.
     """
 
     name: str
     title: str
     file_name: str
     formulas: tuple[str, ...]
-    body: Callable[[Intrinsics], str]
+    text: str
     sign: str = "#"
+    frame: str = ""
     noise: bool = False
     uses: tuple[str, ...] = ("misalignment", "gyro")
+    parameters: tuple[str, ...] = ()
 
 
 def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
@@ -67,7 +71,7 @@ def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in own.items()
         }
-        yield name, CalibrationTarget(name=name, body=_BODIES[name], **values)
+        yield name, CalibrationTarget(name=name, **values)
 
 
 def find_calibration_target(name: str) -> CalibrationTarget:
@@ -101,7 +105,8 @@ def render_calibration(
         If the name or an option is unknown.
     """
     target = find_calibration_target(name)
-    body, lines = target.body(found), list(_comment(target, found))
+    found = found.in_frame(target.frame or found.frame)
+    body, lines = _body(target, found), list(_comment(target, found))
     if target.sign == "json":
         document = {"_imucal_calibration": lines, **json.loads(body)}
         if noise is not None and target.noise:
@@ -140,6 +145,8 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
     yield f"calibrated from {one_line(found.source)}, {len(found.means)} rests"
     yield "f = C_a (raw - b_a), w = C_g (raw - b_g - G f)"
     yield from (f"formula: {formula}" for formula in target.formulas)
+    if "misalignment" in target.uses:
+        yield f"frame: {FRAMES[found.frame]}"
     if not found.si:
         yield "raw samples are counts (or not in m/s^2 and rad/s): the program must use the same unit"
     if found.weak:
@@ -168,11 +175,28 @@ def _ignored(found: Intrinsics) -> float:
     return float(np.linalg.norm((found.means - found.diagonal_b) @ found.diagonal_C.T - full, axis=1).max())
 
 
-def _gyro(found: Intrinsics) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return C_g, b_g and G; the identity and 0 where they are not known."""
+def _body(target: CalibrationTarget, found: Intrinsics) -> str:
+    """Return the text below the comment; a DataError if an autopilot could not use it."""
+    # Unknown matrices are the identity or 0.
     C = np.eye(3) if found.C_g is None else found.C_g
     b = np.zeros(3) if found.b_g is None else found.b_g
-    return C, b, np.zeros((3, 3)) if found.G is None else found.G
+    G = np.zeros((3, 3)) if found.G is None else found.G
+    L, Q = _split(C)
+    degree = np.degrees(1.0)
+    # Fusion takes g and deg/s; counts stay counts and their scale changes.
+    a_unit, g_unit = (G0, 1 / degree) if found.si else (1.0, 1.0)
+    own = {"C_a": found.C_a, "b_a": found.b_a, "C_g": C, "b_g": b, "G": G}
+    return template(target.text).render(
+        **own, own=own, M_a=inverse(found.C_a), M_g=inverse(C), L=L, Q=Q,
+        I=np.eye(3), upper=np.triu_indices(3),
+        both=(("acc", np.triu(found.C_a), found.b_a), ("gyro", C, b)),
+        sensors=(
+            ("accelerometer", found.C_a, found.b_a, G0, a_unit),
+            ("gyroscope", C, b, 1 / degree, g_unit),
+        ),
+        parameters=_parameters(target, found) if target.parameters else {},
+        flat=_list, rows=_rows, yaml=_yaml,
+    )  # fmt: skip
 
 
 def _split(C: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -182,8 +206,8 @@ def _split(C: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.asarray(R.T * signs), np.asarray((Q * signs).T)
 
 
-def _list(values: FloatArray, opened: str = "[]") -> str:
-    return f"{opened[0]}{', '.join(map(repr, (values.ravel() + 0.0).tolist()))}{opened[1]}"
+def _list(values: FloatArray, opened: str = "[]", between: str = ", ") -> str:
+    return f"{opened[:1]}{between.join(map(repr, (values.ravel() + 0.0).tolist()))}{opened[1:]}"
 
 
 def _rows(values: FloatArray, opened: str = "[]") -> str:
@@ -193,30 +217,13 @@ def _rows(values: FloatArray, opened: str = "[]") -> str:
     return f"{opened[0]}{', '.join(_list(row, opened) for row in values)}{opened[1]}"
 
 
-def _yaml(names: Sequence[tuple[str, FloatArray]], indent: str) -> str:
-    """Return matrices as YAML lists of rows, which Kalibr and OpenVINS read."""
-    return "".join(
-        f"{indent}{name}:\n" + "".join(f"{indent}  - {_list(row)}\n" for row in matrix)
-        for name, matrix in names
-    )
+def _yaml(matrix: FloatArray) -> str:
+    """Return a matrix as a YAML list of rows, which Kalibr and OpenVINS read."""
+    return "\n".join(f"    - {_list(row)}" for row in matrix)
 
 
-def _kalibr(found: Intrinsics) -> str:
-    C, _, G = _gyro(found)
-    L, Q = _split(C)
-    gyro = [("M", L), ("C_gyro_i", Q), ("A", G @ Q.T)]
-    accel = _yaml([("M", inverse(found.C_a))], "  ")
-    return f"model: scale-misalignment\naccelerometers:\n{accel}gyroscopes:\n{_yaml(gyro, '  ')}"
-
-
-def _openvins(found: Intrinsics) -> str:
-    C, _, G = _gyro(found)
-    L, Q = _split(C)
-    accel = [("Ta", inverse(found.C_a)), ("R_IMUtoACC", np.eye(3))]
-    return _yaml([("Tw", L), ("R_IMUtoGYRO", Q), *accel, ("Tg", G)], "  ")
-
-
-def _autopilot(found: Intrinsics, names: tuple[str, str, str], *, px4: bool) -> str:
+def _parameters(target: CalibrationTarget, found: Intrinsics) -> dict[str, str]:
+    """Return the parameters of an autopilot; a DataError if it could not use them."""
     if not found.si:
         msg = (
             f"{found.source}: an autopilot corrects samples in m/s² and rad/s, but this log has counts; "
@@ -229,146 +236,14 @@ def _autopilot(found: Intrinsics, names: tuple[str, str, str], *, px4: bool) -> 
             "samples, such as sensor_accel and sensor_gyro"
         )
         raise DataError(msg)
+    offset, scale, turning = target.parameters
     values: dict[str, float] = {}
-    for axis, scale, offset in zip(_AXES, np.diag(found.diagonal_C), found.diagonal_b, strict=True):
-        values |= {names[0].format(axis): offset, names[1].format(axis): scale}
+    for axis, factor, b in zip(_AXES, np.diag(found.diagonal_C), found.diagonal_b, strict=True):
+        values |= {offset.format(axis): b, scale.format(axis): factor}
     if found.b_g is not None:
-        values |= {names[2].format(axis): b for axis, b in zip(_AXES, found.b_g, strict=True)}
-    shown = {name: format(Decimal(repr(float(value))), "f") for name, value in values.items()}
-    lines = [f"{name} {value}" for name, value in shown.items()]
-    tabs = [f"1\t1\t{name}\t{value}\t9" for name, value in shown.items()] if px4 else []
-    return "\n".join([*tabs, *lines])
+        values |= {turning.format(axis): b for axis, b in zip(_AXES, found.b_g, strict=True)}
+    return {name: format(Decimal(repr(float(value))), "f") for name, value in values.items()}
 
 
-def _px4(found: Intrinsics) -> str:
-    return _autopilot(found, ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE", "CAL_GYRO0_{}OFF"), px4=True)
-
-
-def _ardupilot(found: Intrinsics) -> str:
-    return _autopilot(found, ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}", "INS_GYROFFS_{}"), px4=False)
-
-
-def _dlio(found: Intrinsics) -> str:
-    _, b, _ = _gyro(found)
-    bias, sm = _list(found.C_a @ found.b_a), _list(found.C_a)
-    return (
-        "dlio:\n  imu:\n    calibration: false\n    intrinsics:\n"
-        f"      accel:\n        bias: {bias}\n        sm: {sm}\n      gyro:\n        bias: {_list(b)}"
-    )
-
-
-def _imu_calib(found: Intrinsics) -> str:
-    return f"SM: {_list(found.C_a)}\nbias: {_list(found.C_a @ found.b_a)}"
-
-
-def _basalt(found: Intrinsics) -> str:
-    C, b, _ = _gyro(found)
-    S = found.C_a - np.eye(3)
-    lower = [S[0, 0], S[1, 0], S[2, 0], S[1, 1], S[2, 1], S[2, 2]]
-    values: dict[str, Any] = {
-        "calib_accel_bias": [*(found.C_a @ found.b_a).tolist(), *map(float, lower)],
-        "calib_gyro_bias": [*(C @ b).tolist(), *(C - np.eye(3)).T.ravel().tolist()],
-    }
-    return json.dumps({"value0": values})
-
-
-def _fusion(found: Intrinsics) -> str:
-    C, b, _ = _gyro(found)
-    degree = np.degrees(1.0)
-    # Fusion takes g and deg/s; counts stay counts and their scale changes.
-    units = ((G0, G0), (1 / degree, 1 / degree)) if found.si else ((G0, 1.0), (1 / degree, 1.0))
-    lines = []
-    for sensor, M, offset, (unit, raw) in (
-        ("accelerometer", found.C_a, found.b_a, units[0]),
-        ("gyroscope", C, b, units[1]),
-    ):
-        scaled = M * (raw / unit)
-        rows = ", ".join(_list(row, "{}") for row in scaled / np.diag(scaled))
-        lines += [
-            f"const FusionMatrix {sensor}Misalignment = {{.array = {{{rows}}}}};",
-            f"const FusionVector {sensor}Sensitivity = {{.array = {_list(np.diag(scaled), '{}')}}};",
-            f"const FusionVector {sensor}Offset = {{.array = {_list(offset / raw, '{}')}}};",
-        ]
-    return "\n".join(lines)
-
-
-def _imu_tk(found: Intrinsics) -> str:
-    C, b, _ = _gyro(found)
-    # imu_tk's frame has z along the accelerometer's z axis: an upper triangular matrix.
-    upper = np.linalg.cholesky(found.C_a.T @ found.C_a).T
-    turned = upper @ inverse(found.C_a) @ C
-    parts = []
-    for name, M, offset in (("acc", upper, found.b_a), ("gyro", turned, b)):
-        scale = np.diag(np.diag(M))
-        blocks = [M / np.diag(M), scale, offset[:, None]]
-        text = "\n\n".join("\n".join(" ".join(map(repr, row.tolist())) for row in block) for block in blocks)
-        parts.append(f"# save the lines below as imu_{name}.calib\n{text}")
-    return "\n\n".join(parts)
-
-
-def _matlab(found: Intrinsics) -> str:
-    C, b, G = _gyro(found)
-    lines = []
-    for name, M, offset in (("accel", found.C_a, found.b_a), ("gyro", C, b)):
-        rows = "; ".join(", ".join(map(repr, row)) for row in (100 * inverse(M)).tolist())
-        lines += [f"{name}.ConstantBias = {_list(offset)};", f"{name}.AxesMisalignment = [{rows}];"]
-    lines.append(f"gyro.AccelerationBias = {_list(np.diag(G))};")
-    return "\n".join([*lines, "imu.Accelerometer = accel;", "imu.Gyroscope = gyro;"])
-
-
-def _matrices(found: Intrinsics) -> dict[str, FloatArray]:
-    C, b, G = _gyro(found)
-    return {"C_a": found.C_a, "b_a": found.b_a, "C_g": C, "b_g": b, "G": G}
-
-
-def _own_yaml(found: Intrinsics) -> str:
-    lines = ["calibration:"]
-    lines += [f"  {name}: {_rows(values)}" for name, values in _matrices(found).items()]
-    return "\n".join(lines)
-
-
-_C_CODE = """
-static void imucal_correct(const double raw_a[3], const double raw_g[3], double f[3], double w[3]) {
-    for (int i = 0; i < 3; i++) {
-        f[i] = 0;
-        for (int j = 0; j < 3; j++) f[i] += C_a[i][j] * (raw_a[j] - b_a[j]);
-    }
-    for (int i = 0; i < 3; i++) {
-        w[i] = 0;
-        for (int j = 0; j < 3; j++)
-            w[i] += C_g[i][j] * (raw_g[j] - b_g[j] - G[j][0] * f[0] - G[j][1] * f[1] - G[j][2] * f[2]);
-    }
-}
-"""
-
-
-def _c(found: Intrinsics) -> str:
-    lines = []
-    for name, values in _matrices(found).items():
-        sizes = "".join(f"[{size}]" for size in values.shape)
-        lines.append(f"static const double {name}{sizes} = {_rows(values, '{}')};")
-    return "\n".join(lines) + _C_CODE
-
-
-def _python(found: Intrinsics) -> str:
-    return "\n".join(
-        [
-            "import numpy as np",
-            "",
-            *(f"{name} = np.array({_rows(values)})" for name, values in _matrices(found).items()),
-            "",
-            "",
-            "def correct(raw_a, raw_g):",
-            "    f = (raw_a - b_a) @ C_a.T",
-            "    return f, (raw_g - b_g - f @ G.T) @ C_g.T",
-        ]
-    )
-
-
-_BODIES: dict[str, Callable[[Intrinsics], str]] = {
-    "kalibr": _kalibr, "openvins": _openvins, "px4": _px4, "ardupilot": _ardupilot, "dlio": _dlio,
-    "imu-calib": _imu_calib, "basalt": _basalt, "fusion": _fusion, "imu-tk": _imu_tk, "matlab": _matlab,
-    "yaml": _own_yaml, "c": _c, "python": _python,
-}  # fmt: skip
 #: Name of a program -> how its file is written.
 CALIBRATION_TARGETS: dict[str, CalibrationTarget] = dict(_targets())

@@ -67,7 +67,8 @@ def earth_rate(latitude: float | None) -> EarthRate:
     """Return the earth's rotation at a latitude in degrees; without one, only its deviation."""
     if latitude is None:
         share = EARTH_RATE / math.sqrt(2)
-        return EarthRate(vertical=0.0, vertical_sigma=share, horizontal_sigma=share / math.sqrt(2))
+        # The horizontal part has its size at the equator: a smaller one would not cover there.
+        return EarthRate(vertical=0.0, vertical_sigma=share, horizontal_sigma=share)
     phi = math.radians(latitude)
     horizontal = EARTH_RATE * math.cos(phi) / math.sqrt(2)
     return EarthRate(vertical=EARTH_RATE * math.sin(phi), vertical_sigma=0.0, horizontal_sigma=horizontal)

@@ -2,7 +2,7 @@
 
 The mean rate of rest i is b + G f_i + M earth_i + noise. The vertical part of the earth's rotation is
 proportional to f and looks like a multiple of G; its horizontal part has an unknown heading and counts as
-noise of each rest.
+noise. Turns carry this heading along, so it is correlated between rests.
 """
 
 import math
@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.gravity import EarthRate
 from imucal.calibration.slow_noise import TRUSTED, Excess, Mixture, Spread, mix
+from imucal.calibration.turn_data import Headings
 from imucal.frozen import frozen_alone
 
 __all__ = ["GyroRest", "estimate_gyro_rest"]
@@ -35,9 +36,8 @@ class GyroRest(ReadOnlyArrays):
         Bias, shape (3,), in raw units, and its 95 % interval, shape (3, 2).
     G
         What to apply, shape (3, 3), in raw units per m/s²: zero unless `significant`.
-    G_estimate, G_interval, G_covariance
-        The estimate, its 95 % intervals, shape (3, 3, 2), and covariance by rows, shape (9, 9). NaN if the
-        rests do not determine it.
+    G_estimate, G_interval
+        The estimate and its 95 % intervals, shape (3, 3, 2). NaN if the rests do not determine it.
     G_apparent
         G with the vertical part of the earth's rotation, which a correction in the earth's frame needs.
     significant
@@ -46,10 +46,6 @@ class GyroRest(ReadOnlyArrays):
         Standard deviation of the diagonal of G from an unknown earth rate, divided by its whole deviation.
     excess
         Slow noise of each axis beyond the base.
-    chi2, dof, p
-        Of the base alone, all axes.
-    residual
-        Mean rate minus the model, shape (m, 3), in raw units.
     """
 
     b: FloatArray
@@ -57,15 +53,10 @@ class GyroRest(ReadOnlyArrays):
     G: FloatArray
     G_estimate: FloatArray
     G_interval: FloatArray
-    G_covariance: FloatArray
     G_apparent: FloatArray
     significant: bool
     earth_share: float
     excess: tuple[Excess, ...]
-    chi2: float
-    dof: int
-    p: float
-    residual: FloatArray
 
 
 def estimate_gyro_rest(
@@ -78,6 +69,7 @@ def estimate_gyro_rest(
     earth: EarthRate,
     gravity: float,
     checked: bool,
+    headings: Headings | None = None,
 ) -> GyroRest:
     """Estimate bias and g-sensitivity by generalised least squares, axis by axis.
 
@@ -95,17 +87,17 @@ def estimate_gyro_rest(
         At the place of the log; gravity in m/s².
     checked
         True if `base` is a model of a long static log, which is used alone if its chi² has p >= 0.2.
+    headings
+        Of a horizontal vector at the rests, by default independent at each.
     """
     m = len(means)
-    size = np.linalg.norm(scale, axis=1)
-    base = base + (size * earth.horizontal_sigma)[:, None, None] ** 2 * np.eye(m)
+    horizontal = (np.linalg.norm(scale, axis=1) * earth.horizontal_sigma)[:, None, None] ** 2
+    base = base + horizontal * (headings.covariance if headings else np.eye(m))
     full = np.column_stack([np.ones(m), f])
     known = m >= full.shape[1] + _MIN_BEYOND and np.linalg.matrix_rank(full, tol=0.1 * gravity) == 4
     X = full if known else full[:, :1]
     fits = _axes(means, X, base, walk)
-    chi2, dof = sum(chi2 for *_, chi2 in fits), 3 * (m - X.shape[1])
-    p = float(chdtrc(dof, chi2)) if dof else math.nan
-    trusted = checked and not p < TRUSTED
+    trusted = checked and _p_value(fits, 3 * (m - X.shape[1])) >= TRUSTED
     turning = scale * earth.vertical / gravity
     unsure = (scale * earth.vertical_sigma / gravity).ravel()
     sensitivity = _sensitivity([first if trusted else mixed for first, mixed, *_ in fits], turning, unsure)
@@ -122,23 +114,22 @@ def estimate_gyro_rest(
         G=applied,
         G_estimate=sensitivity.G,
         G_interval=sensitivity.interval,
-        G_covariance=sensitivity.covariance,
         G_apparent=applied + turning,
         significant=significant,
         earth_share=sensitivity.earth_share,
         excess=tuple(excess for _, excess in chosen),
-        chi2=chi2,
-        dof=dof,
-        p=p,
-        residual=means - b - f @ (applied + turning).T,
     )
 
 
+def _p_value(fits: list[tuple[Mixture, Mixture, Excess, float]], dof: int) -> float:
+    """Return the p-value of the base's chi² of all axes; 1 without degrees of freedom."""
+    return float(chdtrc(dof, sum(chi2 for *_, chi2 in fits))) if dof else 1.0
+
+
 class _Sensitivity(NamedTuple):
-    """The estimate of G (3, 3), its covariance (9, 9) and intervals (3, 3, 2), p, and `earth_share`."""
+    """The estimate of G (3, 3), its intervals (3, 3, 2), p, and `earth_share`."""
 
     G: FloatArray
-    covariance: FloatArray
     interval: FloatArray
     p: float
     earth_share: float
@@ -147,8 +138,7 @@ class _Sensitivity(NamedTuple):
 def _sensitivity(mixtures: list[Mixture], turning: FloatArray, unsure: FloatArray) -> _Sensitivity:
     """Return G without the earth's rotation `turning`, whose deviation is `unsure`, shape (9,)."""
     if mixtures[0].mean.size == 1:
-        nothing = np.full((3, 3), np.nan), np.full((9, 9), np.nan), np.full((3, 3, 2), np.nan)
-        return _Sensitivity(*nothing, p=math.nan, earth_share=0.0)
+        return _Sensitivity(np.full((3, 3), np.nan), np.full((3, 3, 2), np.nan), p=math.nan, earth_share=0.0)
     G = np.array([mixture.mean[1:] for mixture in mixtures]) - turning
     covariance = np.outer(unsure, unsure)
     interval = np.empty((3, 3, 2))
@@ -160,7 +150,7 @@ def _sensitivity(mixtures: list[Mixture], turning: FloatArray, unsure: FloatArra
         interval[axis] = G[axis, :, None] + mixture.interval(np.eye(4)[1:]) * wider[:, None]
     share = math.sqrt(float((unsure[::4] ** 2).sum() / np.diag(covariance)[::4].sum()))
     p = float(chdtrc(9, G.ravel() @ np.linalg.solve(covariance, G.ravel())))
-    return _Sensitivity(G, covariance, interval, p, share)
+    return _Sensitivity(G, interval, p, share)
 
 
 def _axes(
@@ -177,5 +167,5 @@ def _axis(
     Xw, yw = (solve_triangular(L, values, lower=True) for values in (X, y))
     covariance = np.linalg.inv(Xw.T @ Xw)
     theta = covariance @ (Xw.T @ yw)
-    mixed, excess, _ = mix(X @ theta - y, X, theta, (K, np.ones(len(y)), walk), Spread.of(K[None], walk))
+    mixed, excess, _ = mix(X @ theta - y, X, theta, (K, np.eye(len(y)), walk), Spread.of(K[None], walk))
     return Mixture.single(theta, covariance), mixed, excess, float(np.sum((yw - Xw @ theta) ** 2))

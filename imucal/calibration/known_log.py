@@ -6,13 +6,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
-from imucal.calibration.accelerometer import describe_direction
+from imucal.calibration.accelerometer import describe_direction, faces_edges_corners
+from imucal.calibration.frames import Frame
 from imucal.calibration.gravity import earth_rate, gravity_at
 from imucal.calibration.gyro_rest import estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.parameters import Parameter, accelerometer_parameters, gyroscope_parameters
+from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import prepare_turns, rotations
+from imucal.calibration.turn_data import Headings, prepare_turns, rotations
 from imucal.calibration.turns import GyroNoise, direction_covariance, fit_turns
 from imucal.clock import Clock
 from imucal.errors import ArgumentError
@@ -164,15 +166,22 @@ def plan_rests(
         means, base[Sensor.ACCELEROMETER], walk,
         gravity=place.value, gravity_sigma=place.sigma, checked=True,
     )  # fmt: skip
+    frame = Frame.of("kalibr", estimate.fit.C)
     gyroscope: Mapping[str, Parameter] = {}
     if len(own[Sensor.GYROSCOPE]) == len(AXES):
-        none = np.zeros_like(means)
+        earth = earth_rate(latitude)
+        rests = RestMeans(spans=spans, means=np.zeros_like(means), deviations=np.zeros(3))
+        data = Triad(sensor=Sensor.GYROSCOPE, samples=motion.w, rate_hz=rate_hz)
+        turns = prepare_turns(data, rests, up, np.arange(count - 1))
+        headings = Headings.of(turns, np.eye(3))
         rest = estimate_gyro_rest(
-            none, means, base[Sensor.GYROSCOPE], walk,
-            scale=np.eye(3), earth=earth_rate(latitude), gravity=place.value, checked=True,
+            rests.means, means, base[Sensor.GYROSCOPE], walk,
+            scale=np.eye(3), earth=earth, gravity=place.value, checked=True, headings=headings,
         )  # fmt: skip
-        turns = prepare_turns(motion.w, spans, none, up, np.arange(count - 1), rate_hz=rate_hz)
-        noise = GyroNoise(models=own[Sensor.GYROSCOPE], tau=np.zeros(3), rest_spans=spans, samples=n)
+        noise = GyroNoise(
+            models=own[Sensor.GYROSCOPE], tau=np.zeros(3), rest_spans=spans, samples=n,
+            headings=headings, horizontal=earth.horizontal_sigma,
+        )  # fmt: skip
         directions = direction_covariance(estimate.fit, means, estimate.covariances)
         gyroscope = gyroscope_parameters(rest, fit_turns(turns, noise, directions))
     return RestsPlan(
@@ -180,18 +189,15 @@ def plan_rests(
         rate_hz=rate_hz,
         duration_s=n / rate_hz,
         attitudes=tuple(describe_direction(-one) for one in _ideal(count)),
-        accelerometer=accelerometer_parameters(estimate),
+        accelerometer=accelerometer_parameters(estimate, frame),
         gyroscope=gyroscope,
     )
 
 
 def _ideal(count: int) -> FloatArray:
     """Return up directions: six faces, twelve edges, eight corners, then again, shape (count, 3)."""
-    grid = np.stack(np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1], [-1.0, 0, 1]), axis=-1).reshape(-1, 3)
-    size = np.abs(grid).sum(axis=1)
-    every = np.vstack([_FACES, grid[size == 2], grid[size == 3]])
-    found = every[np.arange(count) % len(every)]
-    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+    every = np.vstack([_FACES, faces_edges_corners()[6:]])
+    return np.asarray(every[np.arange(count) % len(every)])
 
 
 def _up(count: int, rng: np.random.Generator) -> FloatArray:

@@ -1,7 +1,7 @@
 """Which noise a calibration starts from: the models of a report, or the white noise within the rests."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from imucal.prediction.propagation import MEAN
 from imucal.recording import AXES
 from imucal.report.result import Report
 
-__all__ = ["NoiseBase", "base_covariance", "noise_base", "report_models"]
+__all__ = ["NoiseBase", "base_covariance", "noise_base", "report_models", "white_models"]
 
 #: Terms that a fit may only bound and that count all the same.
 _SLOW = ("N", "B", "K")
+#: Noise that differs by more than this factor has another unit: no unit of samples is nearer to SI, except g.
+_OTHER_UNIT = 30.0
 
 
 @frozen
@@ -28,12 +30,14 @@ class NoiseBase:
 
     `origin` is ``report``, ``given`` or ``rests``; `checked` is true for the first two, which describe slow
     noise too. `ratio` is the deviation of the samples by the models, divided by that within the rests; the
-    ratio of the axis that differs most.
+    ratio of the axis that differs most. `factors` are the raw units per SI unit by which models in SI were
+    multiplied, empty if they are as given.
     """
 
     models: tuple[NoiseModel, ...]
     origin: str
     ratio: float = 1.0
+    factors: tuple[float, ...] = ()
 
     @property
     def checked(self) -> bool:
@@ -41,35 +45,75 @@ class NoiseBase:
         return self.origin != "rests"
 
 
-def noise_base(noise: Report | Mapping[str, NoiseModel] | None, data: Triad, rests: RestMeans) -> NoiseBase:
+def noise_base(
+    noise: Report | Mapping[str, NoiseModel] | None,
+    data: Triad,
+    rests: RestMeans,
+    scale: Callable[[RestMeans], FloatArray],
+) -> NoiseBase:
     """Return the noise of a sensor's axes.
 
     Parameters
     ----------
     noise
-        A report of a long static log, or models by axis name such as ``accel_x``, in the units of the log.
-        None for the white noise within the rests.
+        A report of a long static log, or models by axis name such as ``accel_x``, in SI or in the unit of the
+        log. None for the white noise within the rests.
     data, rests
         The sensor and its rests.
+    scale
+        Computes raw units per SI unit of each axis, shape (3,); only called if the noise has another unit.
 
     Raises
     ------
     DataError
-        If an axis has no model.
+        If an axis has no model, or if its noise is 30 times as large or as small as that within the rests.
     """
     if noise is None:
-        models = tuple(white_model(float(deviation), data.rate_hz) for deviation in rests.deviations)
-        return NoiseBase(models=models, origin="rests")
+        return NoiseBase(models=white_models(data, rests), origin="rests")
     origin = "report" if isinstance(noise, Report) else "given"
     known = report_models(noise) if isinstance(noise, Report) else noise
     names = [f"{data.sensor.short}_{axis}" for axis in AXES]
     if missing := [name for name in names if name not in known]:
         raise DataError(f"no noise model of {', '.join(missing)}; fit a static log of the same IMU")
     models = tuple(known[name] for name in names)
+    as_given = NoiseBase(models=models, origin=origin, ratio=_ratio(models, data, rests))
+    if not _is_other_unit(as_given.ratio):
+        return as_given
+    factors = scale(rests)
+    models = tuple(_scaled(model, factor) for model, factor in zip(models, factors.tolist(), strict=True))
+    ratio = _ratio(models, data, rests)
+    if not _is_other_unit(ratio):
+        return NoiseBase(models=models, origin=origin, ratio=ratio, factors=tuple(factors.tolist()))
+    short = data.sensor.short
+    advice = f"fit the log at rest again with the right --{short}-unit or --{short}-scale"
+    if as_given.ratio < 1:
+        advice += "; if a hand held the IMU, calibrate without --noise"
+    msg = (
+        f"the noise report has {as_given.ratio:.2g} times the noise of the rests ({short}); expected SI "
+        f"units or the unit of the log; {advice}"
+    )
+    raise DataError(msg)
+
+
+def white_models(data: Triad, rests: RestMeans) -> tuple[NoiseModel, ...]:
+    """Return the white noise within the rests, of each axis."""
+    return tuple(white_model(float(deviation), data.rate_hz) for deviation in rests.deviations)
+
+
+def _ratio(models: tuple[NoiseModel, ...], data: Triad, rests: RestMeans) -> float:
     lag = np.array([round(1.0 * data.rate_hz)])
     by_model = [math.sqrt(model.structure(lag, rate_hz=data.rate_hz)[0] / 2) for model in models]
     ratios = np.array(by_model) / rests.deviations
-    return NoiseBase(models=models, origin=origin, ratio=float(ratios[np.argmax(np.abs(np.log(ratios)))]))
+    return float(ratios[np.argmax(np.abs(np.log(ratios)))])
+
+
+def _is_other_unit(ratio: float) -> bool:
+    return not 1 / _OTHER_UNIT < ratio < _OTHER_UNIT
+
+
+def _scaled(model: NoiseModel, factor: float) -> NoiseModel:
+    terms = (type(term).of(factor * term.coefficient, *term.values[1:]) for term in model.terms)
+    return NoiseModel(terms=tuple(terms))
 
 
 def report_models(report: Report) -> dict[str, NoiseModel]:
@@ -77,12 +121,12 @@ def report_models(report: Report) -> dict[str, NoiseModel]:
     return {axis.name: _model(axis.fit) for axis in report.axes}
 
 
-def base_covariance(base: NoiseBase, data: Triad, rests: RestMeans) -> FloatArray:
+def base_covariance(models: tuple[NoiseModel, ...], data: Triad, rests: RestMeans) -> FloatArray:
     """Return the covariance of the rests' means of each axis, shape (3, m, m)."""
     return np.array(
         [
             mean_covariance(model, rests.spans, rate_hz=data.rate_hz, samples=len(data.samples))
-            for model in base.models
+            for model in models
         ]
     )
 

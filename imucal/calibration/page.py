@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from imucal._version import __version__
 from imucal.calibration.exports import CALIBRATION_TARGETS
 from imucal.calibration.figures import FIGURES
+from imucal.calibration.frames import FRAMES
 from imucal.calibration.result import Calibration
 from imucal.calibration.table import headline, remarks, rows
 from imucal.findings import phrase_of
@@ -46,6 +47,7 @@ def render_page(found: Calibration, pictures: Mapping[str, bytes]) -> str:
             findings=listed_findings([("", each) for each in found.findings]),
             targets=", ".join(name for name in CALIBRATION_TARGETS if name != "python"),
             gravity=f"{place.value:.5f} ± {1.96 * place.sigma:.2g} m/s² ({place.origin})",
+            frame=FRAMES[found.frame],
             version=__version__,
         )
     )

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.calibration.accelerometer import LOWER, PARAMETERS, Status
+from imucal.calibration.accelerometer import LOWER, Status
+from imucal.calibration.frames import Frame
 from imucal.calibration.gyro_rest import GyroRest
 from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.calibration.turns import TurnsFit
@@ -46,13 +47,13 @@ def is_si(M: FloatArray) -> bool:
     return bool(np.all((scales < _SI) & (scales > 1 / _SI)))
 
 
-def accelerometer_parameters(found: AccelerometerEstimate) -> Mapping[str, Parameter]:
-    """Return the nine parameters of an accelerometer by the names in `PARAMETERS`."""
+def accelerometer_parameters(found: AccelerometerEstimate, frame: Frame) -> Mapping[str, Parameter]:
+    """Return the nine parameters of an accelerometer by the names of the frame."""
     C = np.zeros((3, 3))
     C[LOWER] = found.theta[:6]
-    values, rows, units = _seen(inverse(C), list(zip(*LOWER, strict=True)), "m/s^2")
+    values, rows, units = _seen(inverse(frame.R @ C), frame.entries, "m/s^2")
     full = np.zeros((9, 9))
-    full[:6, :6] = rows
+    full[:6, :6] = rows @ frame.derivatives.reshape(9, 6)
     full[6:, 6:] = np.eye(3)
     values = np.concatenate([values, found.theta[6:]])
     units += ["m/s^2" if "%" in units else "raw"] * 3
@@ -60,7 +61,7 @@ def accelerometer_parameters(found: AccelerometerEstimate) -> Mapping[str, Param
     return {
         name: _parameter(value, interval, unit, status)
         for name, value, interval, unit, status in zip(
-            PARAMETERS, values, intervals, units, found.fit.statuses, strict=True
+            frame.parameters, values, intervals, units, found.fit.statuses, strict=True
         )
     }
 
@@ -98,7 +99,10 @@ def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str,
 def _seen(
     M: FloatArray, entries: list[tuple[int, int]], unit: str
 ) -> tuple[FloatArray, FloatArray, list[str]]:
-    """Return scale errors in % and misalignments M_ij / M_ii in deg, their derivatives in C, and units."""
+    """Return scale errors in % and misalignments M_ij / M_ii in deg, and units.
+
+    Also their derivatives in C by rows, shape (q, 9).
+    """
     si = is_si(M)
     values, rows, units = [], [], []
     # dM = -M dC M
@@ -113,7 +117,7 @@ def _seen(
             values.append(degree * M[i, j] / M[i, i])
             slope = degree * (slopes[i, j] - M[i, j] / M[i, i] * slopes[i, i]) / M[i, i]
             units.append("deg")
-        rows.append([slope[entry] for entry in entries])
+        rows.append(slope.ravel())
     return np.array(values), np.array(rows), units
 
 

@@ -1,4 +1,4 @@
-"""What a log needs: rests, attitudes, range and unit; and which turns can be used."""
+"""Requirements of a log: rests, attitudes, range and unit; and which turns can be used."""
 
 import numpy as np
 
@@ -8,14 +8,16 @@ from imucal.errors import DataError
 from imucal.recording import AXES
 
 __all__ = [
-    "ADVICE", "MIN_RESTS", "order_of", "require_attitudes", "require_range", "require_rests",
-    "unusable_turns",
+    "ADVICE", "MIN_RESTS", "require_attitudes", "require_range", "require_rests",
+    "trouble_of", "unusable_turns",
 ]  # fmt: skip
 
 #: Minimum number of rests for any result, and the shortest that are worth a try, in s.
 MIN_RESTS, _SHORTEST_S = 6, 0.4
 #: Lengths of gravity that belong to a log in g.
 _IN_G = 0.85, 1.15
+#: Readings at 1 rad/s that belong to a log in deg/s.
+_IN_DEGREES = 50.0, 65.0
 #: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
 _NOISY = 3
 #: A longer turn is not used, in s.
@@ -35,13 +37,14 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
         return
     short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
     held = len(find_rests(accelerometer, gyroscope, in_hand=True)) if gyroscope is not None else 0
-    hint = ""
+    hint, remedy = "", tuple[str, ...]()
     if short >= MIN_RESTS:
         hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
+        remedy = ("rest_at_least", f"{_SHORTEST_S:g}s")
     elif held >= MIN_RESTS:
-        hint = f"; {held} rests have the tremor of a hand"
-    whole = f"{accelerometer.end_s:.0f} s"
-    raise DataError(f"rests in {whole}: found {len(spans_s)}, expected at least {MIN_RESTS}; {ADVICE}{hint}")
+        hint, remedy = f"; {held} rests have the tremor of a hand", ("in_hand",)
+    found = f"rests in {accelerometer.end_s:.0f} s: found {len(spans_s)}, expected at least {MIN_RESTS}"
+    raise DataError(f"{found}; {ADVICE}{hint}", remedy=remedy)
 
 
 def require_attitudes(means: FloatArray) -> None:
@@ -57,7 +60,7 @@ def require_range(data: Triad, rests: RestMeans) -> None:
     norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
     if _IN_G[0] < norm < _IN_G[1]:
         msg = f"the accelerometer reads {norm:.3g} at rest, not 9.81 m/s²: its unit is g"
-        raise DataError(msg)
+        raise DataError(msg, remedy=("accel_unit", "g"))
     for axis, column in enumerate(data.samples.T):
         parts = [column[first:end] for first, end in rests.spans]
         extremes = np.nanmin(column), np.nanmax(column)
@@ -73,7 +76,20 @@ def require_range(data: Triad, rests: RestMeans) -> None:
             raise DataError(msg)
 
 
-def order_of(start: FloatArray) -> str:
+def trouble_of(start: FloatArray) -> str:
+    """Return why a start of the gyroscope can't be right: permuted or mirrored axes, or deg/s; or empty."""
+    if turned := _order_of(start):
+        return (
+            f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same axes, "
+            "in the log or when reading it"
+        )
+    scale = float(np.median(1 / np.linalg.norm(start, axis=0)))
+    if _IN_DEGREES[0] < scale < _IN_DEGREES[1]:
+        return f"the gyroscope reads {scale:.3g} for 1 rad/s: its unit is deg/s; try --gyro-unit deg/s"
+    return ""
+
+
+def _order_of(start: FloatArray) -> str:
     """Return such as ``y, -x, z`` for a start with permuted or mirrored axes; empty for the usual order."""
     signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
     if np.array_equal(signed, np.eye(3)):

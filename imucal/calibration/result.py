@@ -50,7 +50,8 @@ class Rest:
 class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
-    `covariance` is that of the lower triangle of C by rows, then b, shape (9, 9). `diagonal_C` and
+    `covariance` is that of the lower triangle of C by rows, then b, shape (9, 9); of the upper triangle by
+    columns in the frame ``imu-tk``. `diagonal_C` and
     `diagonal_b` are the best fit without misalignment, for consumers that have no place for it. `model`,
     `excess`, `chi2`, `dof`, `p` describe the fit; `p` is NaN if nothing could be checked. `suggestion` is the
     rest that would help most.
@@ -79,9 +80,9 @@ class AccelerometerResult(ReadOnlyArrays):
 class GyroscopeResult(ReadOnlyArrays):
     """w = C (raw - b - G f), raw = M w + b + G f.
 
-    `covariance_C` is that of C by rows, shape (9, 9). `G` is 0 unless it is significant; parameters contain
-    the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. C and M are the identity and the
-    covariance is 0 if `scaled` is false: then no turn could be used.
+    `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant; parameters
+    contain the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. C and M are the identity and
+    the covariance is 0 if `scaled` is false: then no turn could be used.
     """
 
     C: FloatArray
@@ -109,7 +110,7 @@ class Calibration(Displayed):
     Attributes
     ----------
     source, frame
-        The log, and the convention of the frame: ``kalibr``, the accelerometer's with lower triangular M.
+        The log, and the name of the frame: ``kalibr``, ``imu-tk`` or ``nearest``.
     gravity
         Length, deviation and origin of gravity.
     rests, turns

@@ -10,6 +10,7 @@ Source: Patterson & Thompson (1971), Biometrika 58, 545 (REML); Gelman (2006), B
 """
 
 import math
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
@@ -17,6 +18,7 @@ from scipy.special import chdtrc, ndtr
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import (
     AccelerometerFit,
+    Model,
     derivatives,
     fit_accelerometer,
     residual_covariance,
@@ -105,7 +107,7 @@ class Excess:
 
 @frozen
 class Spread:
-    """Sizes that scale the grid: deviation of the base between rests, and that of a walk with kappa = 1."""
+    """Sizes that scale the grid: deviation of the base, and of a walk with kappa = 1, between rests."""
 
     base: float
     walk: float
@@ -145,7 +147,7 @@ def mix(
         side.ravel() for side in np.meshgrid(shares, shares * spread.base / spread.walk, indexing="ij")
     )
     tau = tau * spread.base
-    S = base + tau[:, None, None] ** 2 * spread_out(rest) + kappa[:, None, None] ** 2 * walk
+    S = base + tau[:, None, None] ** 2 * rest + kappa[:, None, None] ** 2 * walk
     size = np.linalg.norm(J / np.sqrt(np.diag(base))[:, None], axis=0)
     L = np.linalg.cholesky(S)
     both = np.column_stack([J / size, residual])
@@ -166,11 +168,6 @@ def mix(
     best = int(np.argmax(likelihood))
     mean = (math.sqrt(float(weights @ tau**2)), math.sqrt(float(weights @ kappa**2)))
     return mixture, _excess(*mean, spread), _excess(float(tau[best]), float(kappa[best]), spread)
-
-
-def spread_out(part: FloatArray) -> FloatArray:
-    """Return a diagonal matrix for a vector of variances, shape (m,); a matrix as it is."""
-    return np.diag(part) if part.ndim == 1 else part
 
 
 @frozen_alone
@@ -201,14 +198,14 @@ class AccelerometerEstimate(ReadOnlyArrays):
 
     @property
     def theta(self) -> FloatArray:
-        """Mean of all nine parameters, shape (9,); the fit's value for those that were fixed."""
+        """Mean of all nine parameters, shape (9,); the fit's value for fixed ones."""
         theta = self.fit.theta.copy()
         theta[self.fit.free] = self.mixture.mean
         return theta
 
     @property
     def covariance(self) -> FloatArray:
-        """Of all nine parameters, shape (9, 9); zero for those that were fixed."""
+        """Of all nine parameters, shape (9, 9); zero for fixed ones."""
         full = np.zeros((9, 9))
         full[np.ix_(self.fit.free, self.fit.free)] = self.mixture.covariance
         return full
@@ -222,6 +219,7 @@ def estimate_accelerometer(
     gravity: float,
     gravity_sigma: float = 0.0,
     checked: bool,
+    model: Model | None = None,
 ) -> AccelerometerEstimate:
     """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
 
@@ -238,13 +236,16 @@ def estimate_accelerometer(
     checked
         True if `base` is a model of a long static log: it is used alone if its chi² has p >= 0.2, or if
         nothing can be checked. False if it is only the white noise within the rests.
+    model
+        As in `fit_accelerometer`; by default ``diagonal`` also if the slow noise hides misalignment.
 
     Raises
     ------
     DataError
         If the rests do not determine bias and scale.
     """
-    fit = first = fit_accelerometer(means, base, gravity=gravity, gravity_sigma=gravity_sigma)
+    fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma)
+    fit = first = fit_with(base, model=model)
     p = float(chdtrc(first.dof, first.chi2)) if first.dof > 0 else math.nan
     free, covariances = first.free, base
     mixture = Mixture.single(first.theta[free], first.covariance[np.ix_(free, free)])
@@ -257,18 +258,21 @@ def estimate_accelerometer(
             own = residual_covariance(weights, covariances)
             other = fit.residual_covariance - own
             walks = weights @ weights.T * walk
-            parts = residual_covariance(weights, base) + other, (weights**2).sum(axis=1), walks
+            parts = residual_covariance(weights, base) + other, np.diag((weights**2).sum(axis=1)), walks
             mixture, excess, likely = mix(fit.residual, J[:, free], fit.theta[free], parts, spread)
             covariances = base + likely.tau**2 * np.eye(len(means)) + likely.kappa**2 * walk
             start = (fit.C, fit.b) if first.model == "full" else None
-            fit = fit_accelerometer(
-                means,
-                covariances,
-                gravity=gravity,
-                gravity_sigma=gravity_sigma,
-                model=first.model,
-                start=start,
-            )
+            fit = fit_with(covariances, model="diagonal" if start is None else None, start=start)
+            if fit.model != first.model:
+                return estimate_accelerometer(
+                    means,
+                    base,
+                    walk,
+                    gravity=gravity,
+                    gravity_sigma=gravity_sigma,
+                    checked=checked,
+                    model="diagonal",
+                )
     return AccelerometerEstimate(
         fit=fit,
         mixture=mixture,

@@ -7,10 +7,11 @@ from itertools import permutations, product
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError
 from imucal.frozen import frozen, frozen_alone
 
-__all__ = ["Turn", "TurnData", "prepare_turns", "rotations", "start_of"]
+__all__ = ["Headings", "Turn", "TurnData", "prepare_turns", "rotations", "start_of"]
 
 #: Median residual in rad above which a start is useless.
 _LOST = 0.3
@@ -29,10 +30,10 @@ class Turn:
     start_s: float
     end_s: float
     angle_deg: float
-    residual_deg: tuple[float, float] | None
-    before_deg: tuple[float, float] | None
-    p: float | None
-    used: bool
+    residual_deg: tuple[float, ...] | None = None
+    before_deg: tuple[float, ...] | None = None
+    p: float | None = None
+    used: bool = False
     why: str = ""
 
 
@@ -75,47 +76,41 @@ class TurnData(ReadOnlyArrays):
 
 
 def prepare_turns(
-    samples: FloatArray,
-    rest_spans: IntArray,
-    rest_means: FloatArray,
+    data: Triad,
+    rests: RestMeans,
     up: FloatArray,
     which: IntArray,
-    *,
-    rate_hz: float,
-    g_part: FloatArray | None = None,
-    g_part_at_rest: FloatArray | None = None,
+    g_parts: tuple[FloatArray, FloatArray] | None = None,
 ) -> TurnData:
     """Return the turns as arrays.
 
     Parameters
     ----------
-    samples
-        Raw rates, shape (n, 3), finite inside the turns.
-    rest_spans, rest_means, up
-        Spans in samples, shape (m, 2), mean raw rates and unit vectors of the specific force, shape (m, 3).
+    data, rests
+        The gyroscope, finite inside the turns, and its m rests.
+    up
+        Unit vectors of the specific force at the rests, shape (m, 3).
     which
         Indices of the rests before the wanted turns.
-    rate_hz
-        Sampling rate, in Hz.
-    g_part, g_part_at_rest
+    g_parts
         G f at each sample and rest, shapes (n, 3) and (m, 3); by default 0.
     """
-    first, end = rest_spans[which, 1], rest_spans[which + 1, 0]
+    first, end = rests.spans[which, 1], rests.spans[which + 1, 0]
     index = first[:, None] + np.arange(int((end - first).max()))
     live = index < end[:, None]
-    index = np.minimum(index, len(samples) - 1)
-    middle = rest_spans.mean(axis=1)
+    index = np.minimum(index, len(data.samples) - 1)
+    middle = rests.spans.mean(axis=1)
     share = (index - middle[which, None]) / (middle[which + 1] - middle[which])[:, None]
-    local = rest_means - (0.0 if g_part_at_rest is None else g_part_at_rest)
+    part, part_at_rest = g_parts or (np.zeros_like(data.samples), 0.0)
+    local = rests.means - part_at_rest
     bias = (1 - share)[..., None] * local[which, None] + share[..., None] * local[which + 1, None]
-    rates = samples[index] - bias - (0.0 if g_part is None else g_part[index])
     return TurnData(
-        rates=np.where(live[..., None], rates, 0.0),
+        rates=np.where(live[..., None], data.samples[index] - bias - part[index], 0.0),
         spans=np.column_stack([first, end]),
         share=share,
         rests=which,
         up=up,
-        tau0=1 / rate_hz,
+        tau0=1 / data.rate_hz,
     )
 
 
@@ -150,6 +145,40 @@ def start_of(data: TurnData) -> FloatArray:
     )
 
 
+@frozen_alone
+class Headings(ReadOnlyArrays):
+    """A horizontal vector that is fixed to the earth, at m rests; its heading at the first one is unknown.
+
+    `ahead` and `aside` are two such vectors at right angles in the frame of the IMU, shape (m, 3). Turns
+    carry them along. After a missing turn the heading is unknown again, and another `chain` begins, shape
+    (m,).
+    """
+
+    ahead: FloatArray
+    aside: FloatArray
+    chain: IntArray
+
+    @classmethod
+    def of(cls, data: TurnData, C: FloatArray) -> "Headings":
+        """Return the headings by the turns and a gyroscope's matrix."""
+        turned = dict(zip(data.rests.tolist(), _whole(_coarse(data), C), strict=True))
+        ahead, chain = np.empty_like(data.up), np.zeros(len(data.up), dtype=np.int64)
+        for k, up in enumerate(data.up):
+            if k - 1 in turned:
+                guess, chain[k] = turned[k - 1] @ ahead[k - 1], chain[k - 1]
+            else:
+                guess, chain[k] = np.roll(up, 1) * [1.0, 1.0, -1.0], k
+            across = guess - up * (up @ guess)
+            ahead[k] = across / np.linalg.norm(across)
+        return cls(ahead=ahead, aside=np.cross(data.up, ahead), chain=chain)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of each axis's part at the rests if both components have a variance of 1, shape (3, m, m)."""
+        both = sum(np.einsum("ia,ja->aij", one, one) for one in (self.ahead, self.aside))
+        return np.asarray(both * (self.chain[:, None] == self.chain))
+
+
 def rotations(vectors: FloatArray) -> FloatArray:
     """Return the rotation matrices of rotation vectors, shape (..., 3) to (..., 3, 3)."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
@@ -172,11 +201,17 @@ def _orders() -> list[FloatArray]:
 
 def _misfit(data: TurnData, C: FloatArray) -> float:
     """Return the median angle between carried and measured directions, in rad."""
-    steps = rotations(-data.tau0 * data.rates @ C.T)
-    v = data.up[data.rests]
-    for k in range(steps.shape[1]):
-        v = np.einsum("tij,tj->ti", steps[:, k], v)
+    v = np.einsum("tij,tj->ti", _whole(data, C), data.up[data.rests])
     return float(np.median(np.linalg.norm(v - data.up[data.rests + 1], axis=1)))
+
+
+def _whole(data: TurnData, C: FloatArray) -> FloatArray:
+    """Return what each turn does to the vectors of the earth in the frame of the IMU, shape (t, 3, 3)."""
+    steps = rotations(-data.tau0 * data.rates @ C.T)
+    whole = np.broadcast_to(np.eye(3), (len(steps), 3, 3))
+    for k in range(steps.shape[1]):
+        whole = steps[:, k] @ whole
+    return whole
 
 
 def _coarse(data: TurnData) -> TurnData:

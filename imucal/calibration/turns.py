@@ -6,6 +6,7 @@ Their covariance includes the gyroscope's noise, the two bias estimates, and the
 """
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,10 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtrc, stdtrit
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from imucal.calibration.accelerometer import LOWER, AccelerometerFit, Status, observability
+from imucal.calibration.accelerometer import AccelerometerFit, Status, observability
+from imucal.calibration.frames import LOWER_SLOPES, Frame
 from imucal.calibration.mean_covariance import mean_covariance
-from imucal.calibration.turn_data import TurnData, rotations, start_of
+from imucal.calibration.turn_data import Headings, TurnData, rotations, start_of
 from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 
@@ -35,13 +37,16 @@ _MISFIT = 0.05
 class GyroNoise(ReadOnlyArrays):
     """Noise of the three axes: models, further deviation of each rest's mean, shape (3,), and the rests.
 
-    `rest_spans` has shape (m, 2); `samples` is the length of the log.
+    `rest_spans` has shape (m, 2); `samples` is the length of the log. `horizontal` is the deviation of both
+    components of the earth's horizontal rate, in rad/s, with its `headings`; it is ignored without them.
     """
 
     models: tuple[NoiseModel, ...]
     tau: FloatArray
     rest_spans: IntArray
     samples: int
+    headings: Headings | None = None
+    horizontal: float = 0.0
 
 
 @frozen_alone
@@ -52,6 +57,8 @@ class TurnsFit(ReadOnlyArrays):
     ----------
     C, covariance
         Shape (3, 3), in rad/s per raw unit; covariance of C by rows, shape (9, 9), widened if p < 0.05.
+    by_directions
+        Derivatives of C by rows in the unit vectors at the rests, shape (9, 3m).
     quantile
         Half-width of a 95 % interval in deviations.
     residual, before
@@ -66,6 +73,7 @@ class TurnsFit(ReadOnlyArrays):
 
     C: FloatArray
     covariance: FloatArray
+    by_directions: FloatArray
     quantile: float
     residual: FloatArray
     before: FloatArray
@@ -76,6 +84,12 @@ class TurnsFit(ReadOnlyArrays):
     p_fit: float
     widening: float
     statuses: tuple[Status, ...]
+
+    def turned(self, frame: Frame, more: FloatArray) -> "TurnsFit":
+        """Return the fit in a frame; `more` is the covariance that its rotation adds to the directions."""
+        own = self.covariance + self.by_directions @ more @ self.by_directions.T
+        by_rows = np.kron(frame.R, np.eye(3))
+        return replace(self, C=frame.R @ self.C, covariance=by_rows @ own @ by_rows.T)
 
 
 @frozen_alone
@@ -127,6 +141,7 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
         if p[worst] >= _WRONG or np.sum(~used) + 1 > _MOST_WRONG * used.size:
             break
         used[worst] = False
+    by_directions = -covariance @ np.linalg.solve(S, carried.J).T @ _by_directions(part, carried)
     everything = _carry(data, C)
     seen = observability(carried.J * np.repeat(np.diag(C), 3), S, np.ones(9, dtype=np.bool_))
     rank = 9 - seen.count("not-observable")
@@ -137,6 +152,7 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
     return TurnsFit(
         C=C,
         covariance=covariance * widening**2,
+        by_directions=by_directions,
         quantile=float(stdtrit(dof, 0.975)) if misfit else 1.959963985,
         residual=everything.residual,
         before=_carry(data, start).residual,
@@ -150,7 +166,9 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
     )
 
 
-def direction_covariance(fit: AccelerometerFit, means: FloatArray, covariances: FloatArray) -> FloatArray:
+def direction_covariance(
+    fit: AccelerometerFit, means: FloatArray, covariances: FloatArray, slopes: FloatArray = LOWER_SLOPES
+) -> FloatArray:
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
     The noise of the means moves a direction itself, and through C and b; both are treated jointly.
@@ -161,13 +179,14 @@ def direction_covariance(fit: AccelerometerFit, means: FloatArray, covariances: 
         The accelerometer.
     means, covariances
         Its raw means, shape (m, 3), and their covariance, shape (3, m, m).
+    slopes
+        Derivatives of C in its lower triangle, shape (3, 3, 6); another frame's add its rotation.
     """
     m = len(means)
     up = fit.up
     across = (np.eye(3) - up[:, :, None] * up[:, None, :]) / np.linalg.norm(fit.f, axis=1)[:, None, None]
-    by_parameter = np.zeros((m, 3, 9))
-    for k, (i, j) in enumerate(zip(*LOWER, strict=True)):
-        by_parameter[:, i, k] = (means - fit.b)[:, j]
+    by_parameter = np.empty((m, 3, 9))
+    by_parameter[:, :, :6] = np.einsum("ijk,mj->mik", slopes, means - fit.b)
     by_parameter[:, :, 6:] = -fit.C
     by_parameter = (across @ by_parameter).reshape(3 * m, 9)
     gain = -fit.covariance @ np.linalg.solve(fit.residual_covariance, fit.jacobian).T
@@ -259,12 +278,38 @@ def _covariance(
             known[model] = mean_covariance(model, where, rate_hz=1 / data.tau0, samples=noise.samples)
         weights = A[:, :, axis]
         S += weights @ known[model] @ weights.T + noise.tau[axis] ** 2 * (weights * extra) @ weights.T
-    D = np.zeros((2 * t, 3 * m))
+    if noise.headings is not None:
+        S += noise.horizontal**2 * _by_earth(data, carried, noise.headings)
+    D = _by_directions(data, carried)
+    return S + D @ directions @ D.T
+
+
+def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:
+    """Return the covariance of the residuals, shape (2t, 2t), by a horizontal rate with components of 1.
+
+    The bias between two rests contains the rate at both: only its change within the turn has an effect.
+    """
+    E = np.empty((2, 2 * len(data.rests)))
+    for which, ahead in enumerate((headings.ahead, headings.aside)):
+        first, last = ahead[data.rests], ahead[data.rests + 1]
+        end = np.einsum("tij,tj->ti", carried.whole, first)
+        bias = first[:, None] + data.share[..., None] * (last - first)[:, None]
+        # Beyond the end of a turn nothing is integrated.
+        live = np.arange(data.share.shape[1]) < np.diff(data.spans)
+        seen = end[:, None] - np.einsum("tnij,tnj->tni", carried.to_end, bias)
+        E[which] = np.einsum("tci,tni,tn->tc", carried.lever, seen, live * data.tau0).ravel()
+    chain = np.repeat(headings.chain[data.rests], 2)
+    return np.asarray(E.T @ E * (chain[:, None] == chain))
+
+
+def _by_directions(data: TurnData, carried: _Carried) -> FloatArray:
+    """Return the derivatives of the residuals in the unit vectors at the rests, shape (2t, 3m)."""
+    D = np.zeros((2 * len(data.rests), 3 * len(data.up)))
     for k, rest in enumerate(data.rests):
         here = slice(2 * k, 2 * k + 2)
         D[here, 3 * rest : 3 * rest + 3] = carried.tangents[k] @ carried.whole[k]
         D[here, 3 * rest + 3 : 3 * rest + 6] = -carried.tangents[k]
-    return S + D @ directions @ D.T
+    return D
 
 
 def _studentised(carried: _Carried, S: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -1,6 +1,5 @@
 """``imucal calibrate``: bias, scale, misalignment and g-sensitivity from a log of rests and turns."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,6 +46,11 @@ def command(
     gravity: float | None = option("--gravity G  Gravity in m/s^2, if known.", Number(9.7, 9.9)),
     rest_at_least: float = option("--rest-at-least TIME=1s  Minimum length of a rest.", DURATION),
     in_hand: bool = flag("--in-hand  Accept a hand-held IMU as at rest."),
+    frame: str = option(
+        "--frame=kalibr  Axes of the result: x along the accelerometer's x axis (kalibr), z along its z axis "
+        "(imu-tk), or nearest to all three.",
+        click.Choice(["kalibr", "imu-tk", "nearest"]),
+    ),
     no_gyro: bool = flag("--no-gyro  Calibrate the accelerometer only."),
     out: Path | None = option("-o --out DIR  Write the result to DIR. [default: NAME-calibration]", PATH),
     apply_to: Path | None = option(
@@ -88,7 +92,7 @@ def command(
     with progress("calibrating"), _with_options():
         found = calibrate(
             recording, report, latitude, height, gravity,
-            rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro,
+            rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro, frame=frame,
         )  # fmt: skip
     if as_json:
         click.echo(printable_json(dumps(to_document(found))), nl=False)
@@ -110,22 +114,18 @@ def _noise_report(path: Path) -> "Report":
     return report
 
 
-#: End of a message of the library -> the option to use.
-_OPTIONS = {
-    r"its unit is g$": "--accel-unit g",
-    r"rests last 0\.4 s or longer$": "--rest-at-least 0.4s",
-    r"the tremor of a hand$": "--in-hand",
-}
-
-
 @contextmanager
 def _with_options() -> Iterator[None]:
     """Add the option to use to the message about a log that can't be calibrated."""
     try:
         yield
     except DataError as error:
-        hints = [f"; try {option}" for end, option in _OPTIONS.items() if re.search(end, str(error))]
-        raise DataError(f"{error}{''.join(hints)}") from error
+        if not error.remedy:
+            raise
+        # An option has the name of the argument.
+        name, *value = error.remedy
+        typed = " ".join([f"--{name.replace('_', '-')}", *value])
+        raise DataError(f"{error}; try {typed}") from error
 
 
 def _print_table(found: "Calibration") -> None:

@@ -2,19 +2,23 @@
 
     python tests/benchmarks/calibration.py [--records N] [--seed S] [--only PART...]
 
-Parts: accelerometer, gyroscope, faults, fixture, real.
+Parts: accelerometer, gyroscope, faults, fixture, real; and, by the whole command, hand, gauss-markov, earth,
+warming, sensitivity, frames.
 """
 
 import argparse
 from collections import defaultdict
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 import imucal
+from imucal import Calibration
 from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.accelerometer import LOWER, derivatives, fit_accelerometer
 from imucal.calibration.calibrating import calibrate
+from imucal.calibration.frames import FRAMES
 from imucal.calibration.gravity import earth_rate
 from imucal.calibration.gyro_rest import estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance, white_model
@@ -35,8 +39,11 @@ from tests.calibration.simulated import (
     accelerometer_rests,
     attitudes,
     covered,
+    held,
     log,
     spans_of,
+    truth_inside,
+    warmed,
 )
 from tests.real_data import real_data
 
@@ -169,16 +176,8 @@ def one_chain(one: Log, models: tuple[NoiseModel, NoiseModel], *, white: bool = 
         checked=True,
     )
     f = (one.accelerometer - fit.b) @ fit.C.T
-    arrays = prepare_turns(
-        one.gyroscope,
-        spans,
-        rests[1].means,
-        fit.up,
-        np.arange(len(spans) - 1),
-        rate_hz=RATE,
-        g_part=f @ rest.G_apparent.T,
-        g_part_at_rest=fit.f @ rest.G_apparent.T,
-    )
+    parts = f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T
+    arrays = prepare_turns(data[1], rests[1], fit.up, np.arange(len(spans) - 1), parts)
     noise = GyroNoise(models=tuple(used[1]), tau=np.zeros(3), rest_spans=spans, samples=n)
     directions = direction_covariance(fit, rests[0].means, K_a)
     turns = fit_turns(arrays, noise, 0 * directions if white else directions)
@@ -270,6 +269,208 @@ def fixture(records: int, seed: int) -> None:
     print(f"fixture, worst | |f| - g | in m/s²: {text}", flush=True)
 
 
+#: Start of a parameter's name -> group whose coverage is printed.
+GROUPS = {
+    "a scale": "C_a", "a misalignment": "C_a", "a bias": "b_a",
+    "g scale": "C_g", "g misalignment": "C_g", "g bias": "b_g", "g g": "G",
+}  # fmt: skip
+
+
+def models_of(noise: tuple[NoiseModel, NoiseModel]) -> dict[str, NoiseModel]:
+    """Return models by axis name, for noise of the accelerometer and of the gyroscope."""
+    return {f"{s.short}_{axis}": noise[s is Sensor.GYROSCOPE] for s in Sensor for axis in AXES}
+
+
+def whole(
+    title: str,
+    seeds: Iterable[int],
+    draw: Callable[[np.random.Generator], tuple[Truth, Log]],
+    run: Callable[[Log, np.random.Generator], Calibration],
+    codes: tuple[str, ...] = (),
+) -> None:
+    """Print coverage by group, the least of one parameter, shares of findings, of G applied, and refusals."""
+    hits: dict[str, list[bool]] = defaultdict(list)
+    found: dict[str, int] = defaultdict(int)
+    applied, refused, widths = [], 0, []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        truth, one = draw(rng)
+        try:
+            result = run(one, rng)
+        except DataError:
+            refused += 1
+            continue
+        for name, inside in truth_inside(truth, one, result).items():
+            hits[name].append(inside)
+        for code in {finding.code for finding in result.findings}:
+            found[code] += 1
+        assert result.gyroscope is not None
+        applied.append(result.gyroscope.rest.significant)
+        widths.append(
+            [
+                result.accelerometer.parameters["bias_x"].half_width or 0.0,
+                result.gyroscope.parameters["bias_x"].half_width or 0.0,
+            ]
+        )
+    grouped: dict[str, list[bool]] = defaultdict(list)
+    for name, each in hits.items():
+        grouped[next(group for start, group in GROUPS.items() if name.startswith(start))] += each
+    text = ", ".join(f"{group} {100 * np.mean(each):.1f}" for group, each in grouped.items())
+    worst = min(hits, key=lambda name: float(np.mean(hits[name])))
+    shares = ", ".join(f"{code} {100 * found[code] / max(len(applied), 1):.0f}" for code in codes)
+    half = np.median(widths, axis=0)
+    least = f"least {worst} {100 * np.mean(hits[worst]):.1f}"
+    size = f"half-width of b {1e3 * half[0]:.2g} mm/s², {np.degrees(half[1]):.2g} deg/s"
+    applied_in = f"G applied {100 * np.mean(applied):.0f} %"
+    print(f"{title}: {text}; {least}; {applied_in}; {size}; {shares}; refused {refused}", flush=True)
+
+
+def of_sensor(name: str) -> tuple[NoiseModel, NoiseModel]:
+    """Return the noise of a sensor's accelerometer and gyroscope."""
+    accel, gyro = map(NoiseModel.parse, SENSORS[name])
+    return accel, gyro
+
+
+def hand(records: int, seed: int) -> None:
+    """Print coverage in a calm and in a shaky hand, with and without a report of a log on a table."""
+    noise = of_sensor("consumer")
+    for size in (0.5, 1.0):
+        for count in (12, 20):
+
+            def draw(rng: np.random.Generator, count: int = count, size: float = size) -> tuple[Truth, Log]:
+                truth = Truth.draw(rng)
+                one = log(truth, noise, attitudes(count, rng), rng, latitude=LATITUDE)
+                return truth, held(one, truth, rng, size=size)
+
+            for name, report in (("no report", None), ("report", models_of(noise))):
+                whole(
+                    f"hand {size:g} {count} x 5 s {name}",
+                    range(seed, seed + records),
+                    draw,
+                    lambda one, _, report=report: calibrate(  # type: ignore[misc]
+                        one.recording(), report, LATITUDE, gravity=GRAVITY, in_hand=True
+                    ),
+                    ("beyond-noise", "rest-moved", "turn-wrong", "noise-differs"),
+                )
+
+
+def gauss_markov(records: int, seed: int) -> None:
+    """Print coverage with Gauss-Markov noise, whose report of 30 min shows it as GM, B, K or not at all."""
+    for T in (5, 50, 500):
+        noise = (
+            NoiseModel.parse(f"N=2e-3 + GM(sigma=1e-3, T={T})"),
+            NoiseModel.parse(f"N=1.5e-4 + GM(sigma=5e-5, T={T})"),
+        )
+        fitted = [reports(model, seed) for model in noise]
+        print(f"T = {T} s is fitted as {', '.join(sorted({str(m) for own in fitted for m in own}))}")
+        for count in (12, 20):
+
+            def draw(
+                rng: np.random.Generator,
+                count: int = count,
+                noise: tuple[NoiseModel, NoiseModel] = noise,
+            ) -> tuple[Truth, Log]:
+                truth = Truth.draw(rng)
+                return truth, log(truth, noise, attitudes(count, rng), rng, latitude=LATITUDE)
+
+            def run(
+                one: Log, rng: np.random.Generator, fitted: list[list[NoiseModel]] = fitted
+            ) -> Calibration:
+                known = {
+                    f"{s.short}_{axis}": fitted[s is Sensor.GYROSCOPE][rng.integers(REPORTS)]
+                    for s in Sensor
+                    for axis in AXES
+                }
+                return calibrate(one.recording(), known, LATITUDE, gravity=GRAVITY)
+
+            whole(f"GM {T} s {count} x 5 s report", range(seed, seed + records), draw, run, ("beyond-noise",))
+
+
+def earth(records: int, seed: int) -> None:
+    """Print coverage for a quiet gyroscope, whose G the earth's rotation decides."""
+    noise = NoiseModel.parse(SENSORS["consumer"][0]), NoiseModel.parse("N=2e-5 + B=1e-6")
+    for latitude, yaw in ((0.0, 0.6), (47.4, 0.6), (80.0, 0.6), (0.0, 0.0), (47.4, 0.0)):
+
+        def draw(rng: np.random.Generator, latitude: float = latitude, yaw: float = yaw) -> tuple[Truth, Log]:
+            truth = Truth.draw(rng)
+            return truth, log(truth, noise, attitudes(18, rng), rng, latitude=latitude, yaw=yaw)
+
+        for known in (latitude, None):
+            is_known = "unknown" if known is None else "known"
+            whole(
+                f"earth {latitude:g} deg, yaw {yaw:g} rad, latitude {is_known}",
+                range(seed, seed + records),
+                draw,
+                lambda one, _, known=known: calibrate(  # type: ignore[misc]
+                    one.recording(), models_of(noise), known, gravity=GRAVITY
+                ),
+                ("earth-rate",),
+            )
+
+
+def warming(records: int, seed: int) -> None:
+    """Print coverage, and how often `warming` is found, for biases that settle within 200 s or not at all."""
+    noise = of_sensor("consumer")
+    for size in ((0.0, 0.0), (5e-3, 2e-4), (2e-2, 1e-3), (8e-2, 4e-3)):
+
+        def draw(rng: np.random.Generator, size: tuple[float, float] = size) -> tuple[Truth, Log]:
+            truth = Truth.draw(rng)
+            one = log(truth, noise, attitudes(18, rng), rng, latitude=LATITUDE)
+            return truth, warmed(one, size, 60.0)
+
+        for name, report in (("no report", None), ("report", models_of(noise))):
+            whole(
+                f"warming {1e3 * size[0]:g} mm/s² {np.degrees(size[1]):.2g} deg/s {name}",
+                range(seed, seed + records),
+                draw,
+                lambda one, _, report=report: calibrate(  # type: ignore[misc]
+                    one.recording(), report, LATITUDE, gravity=GRAVITY
+                ),
+                ("warming", "beyond-noise"),
+            )
+
+
+def sensitivity(records: int, seed: int) -> None:
+    """Print coverage for small g-sensitivities, which are not significant and then set to 0."""
+    noise = of_sensor("consumer")
+    for size in (0.0, 3e-6, 1e-5, 2e-5, 5e-5):
+
+        def draw(rng: np.random.Generator, size: float = size) -> tuple[Truth, Log]:
+            truth = Truth.draw(rng)
+            truth.G[:] = rng.normal(0, size, (3, 3))
+            return truth, log(truth, noise, attitudes(14, rng), rng, latitude=LATITUDE)
+
+        for name, report in (("no report", None), ("report", models_of(noise))):
+            whole(
+                f"G of {np.degrees(size * GRAVITY):.2g} deg/s/g {name}",
+                range(seed, seed + records),
+                draw,
+                lambda one, _, report=report: calibrate(  # type: ignore[misc]
+                    one.recording(), report, LATITUDE, gravity=GRAVITY
+                ),
+            )
+
+
+def frames(records: int, seed: int) -> None:
+    """Print coverage in each frame, for an accelerometer whose noise decides the directions."""
+    noise = NoiseModel.parse("N=2e-2 + B=5e-3"), NoiseModel.parse("N=5e-5")
+
+    def draw(rng: np.random.Generator) -> tuple[Truth, Log]:
+        truth = Truth.draw(rng)
+        truth.M_a[np.tril_indices(3, -1)] *= 3
+        return truth, log(truth, noise, attitudes(14, rng), rng, latitude=LATITUDE)
+
+    for frame in FRAMES:
+        whole(
+            f"frame {frame}",
+            range(seed, seed + records),
+            draw,
+            lambda one, _, frame=frame: calibrate(  # type: ignore[misc]
+                one.recording(), models_of(noise), LATITUDE, gravity=GRAVITY, frame=frame
+            ),
+        )
+
+
 def held_out_rests(means: FloatArray, base: FloatArray, walk: FloatArray, gravity: float) -> FloatArray:
     """Return the studentised |f| - g of each rest by a fit without its fifth of the rests."""
     z = np.empty(len(means))
@@ -324,10 +525,8 @@ def real() -> None:
         scale=found.gyroscope.M, earth=earth_rate(None), gravity=9.81744, checked=False,
     )  # fmt: skip
     f = (data[0].samples - fit.b) @ fit.C.T
-    arrays = prepare_turns(
-        data[1].samples, rests[1].spans, rests[1].means, fit.up, np.arange(len(spans_s) - 1), rate_hz=rate,
-        g_part=f @ rest.G_apparent.T, g_part_at_rest=fit.f @ rest.G_apparent.T,
-    )  # fmt: skip
+    parts = f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T
+    arrays = prepare_turns(data[1], rests[1], fit.up, np.arange(len(spans_s) - 1), parts)
     models = tuple(
         NoiseModel.parse(f"{white_model(float(s), rate).text()} + K={float(e.kappa)!r}")
         for s, e in zip(rests[1].deviations, rest.excess, strict=True)
@@ -367,11 +566,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--records", type=int, default=100)
     parser.add_argument("--seed", type=int, default=2_000_000)
-    parser.add_argument(
-        "--only", nargs="*", default=["accelerometer", "gyroscope", "faults", "fixture", "real"]
-    )
+    parts = {
+        "accelerometer": accelerometer, "gyroscope": gyroscope, "faults": faults, "fixture": fixture,
+        "hand": hand, "gauss-markov": gauss_markov, "earth": earth, "warming": warming,
+        "sensitivity": sensitivity, "frames": frames,
+    }  # fmt: skip
+    parser.add_argument("--only", nargs="*", default=[*parts, "real"])
     options = parser.parse_args()
-    parts = {"accelerometer": accelerometer, "gyroscope": gyroscope, "faults": faults, "fixture": fixture}
     for name in options.only:
         try:
             if name == "real":

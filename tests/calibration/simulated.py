@@ -1,12 +1,15 @@
 """Simulated rests and logs of an IMU with known errors."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.calibration import Calibration
 from imucal.calibration.accelerometer import LOWER
+from imucal.calibration.frames import rotation_to
 from imucal.calibration.gravity import EARTH_RATE
 from imucal.calibration.turn_data import rotations
 from imucal.clock import Clock
@@ -118,10 +121,12 @@ def log(
     rest_s: float = 5.0,
     turn_s: float = 2.0,
     latitude: float | None = None,
+    yaw: float = 0.6,
 ) -> Log:
     """Return a log of rests with these up directions and smooth turns between, which also yaw.
 
-    `noise` is that of an accelerometer's and a gyroscope's axes. With a latitude the earth turns.
+    `noise` is that of an accelerometer's and a gyroscope's axes. With a latitude the earth turns. `yaw` is
+    the deviation of the angle about the vertical in each turn, in rad.
     """
     rest, turn = int(rest_s * RATE), int(turn_s * RATE)
     bell = 1 - np.cos(2 * np.pi * (np.arange(turn) + 0.5) / turn)
@@ -140,7 +145,7 @@ def log(
         done = angle * np.concatenate([[0.0], np.cumsum(bell)[:-1]]) / RATE
         rate = -axis * angle * bell[:, None]
         # Turning about the vertical does not change its direction.
-        rate += (rng.normal(0, 0.6) * bell)[:, None] * (rotations(axis * done[:, None]) @ v)
+        rate += (rng.normal(0, yaw) * bell)[:, None] * (rotations(axis * done[:, None]) @ v)
         path, ends = np.empty((turn, 3)), np.empty((turn, 3))
         for k, step in enumerate(rotations(-rate / RATE)):
             v, north = step @ v, step @ north
@@ -164,6 +169,73 @@ def log(
         b_a=truth.b_a + e_a.mean(axis=0),
         b_g=truth.b_g + e_g.mean(axis=0),
     )
+
+
+def held(one: Log, truth: Truth, rng: np.random.Generator, *, size: float = 1.0) -> Log:
+    """Return the log of an IMU that a resting hand holds.
+
+    At rest it sways at 0.2 to 1.5 Hz (1.5 mrad, 5 mm/s²) and trembles at 8 to 10 Hz (0.1 mrad, 50 mm/s²),
+    each times `size`. Both begin and end at zero with the rest.
+    """
+    w, f = np.zeros_like(one.f), one.f.copy()
+    for first, end in one.spans:
+        n = end - first
+        window = np.minimum(1.0, 4 * np.sin(np.pi * (np.arange(n) + 0.5) / n))[:, None]
+        slow, fast = ((0.2, 1.5), (8.0, 10.0))
+        angle = size * window * (1.5e-3 * _band(n, slow, rng) + 1e-4 * _band(n, fast, rng))
+        force = size * window * (5e-3 * _band(n, slow, rng) + 5e-2 * _band(n, fast, rng))
+        w[first:end] = np.gradient(angle, axis=0) * RATE
+        f[first:end] = np.einsum("nij,nj->ni", rotations(-angle), f[first:end]) + force
+    return replace(
+        one,
+        f=f,
+        accelerometer=one.accelerometer + (f - one.f) @ truth.M_a.T,
+        gyroscope=one.gyroscope + w @ truth.M_g.T + (f - one.f) @ truth.G.T,
+    )
+
+
+def _band(n: int, band: tuple[float, float], rng: np.random.Generator) -> FloatArray:
+    """Return three axes of noise within a band in Hz, with a deviation of 1, shape (n, 3)."""
+    f = np.fft.rfftfreq(n, 1 / RATE)
+    inside_band = (f >= band[0]) & (f <= band[1])
+    drawn = np.fft.irfft(np.fft.rfft(rng.normal(size=(n, 3)), axis=0) * inside_band[:, None], n, axis=0)
+    return np.asarray(drawn * math.sqrt(n / (2 * max(int(inside_band.sum()), 1))))
+
+
+def warmed(one: Log, size: tuple[float, float], time_s: float) -> Log:
+    """Return the log with biases that settle exponentially by `size` (m/s², rad/s) within some `time_s`."""
+    settling = np.exp(-np.arange(len(one.f)) / RATE / time_s)[:, None] * np.array([1.0, -0.6, 0.4])
+    a, g = (s * settling for s in size)
+    return replace(
+        one,
+        accelerometer=one.accelerometer + a,
+        gyroscope=one.gyroscope + g,
+        b_a=one.b_a + a.mean(axis=0),
+        b_g=one.b_g + g.mean(axis=0),
+    )
+
+
+def truth_inside(truth: Truth, one: Log, result: Calibration) -> dict[str, bool]:
+    """Return which intervals contain the truth of their frame, such as ``a scale_x`` or ``g bias_z``."""
+    R = rotation_to(result.frame, np.asarray(np.linalg.inv(truth.M_a), dtype=np.float64))
+    assert result.gyroscope is not None
+    found, axes = {}, "xyz"
+    for sensor, M, b, own in (
+        ("a", truth.M_a @ R.T, one.b_a, result.accelerometer.parameters),
+        ("g", truth.M_g @ R.T, one.b_g, result.gyroscope.parameters),
+    ):
+        true = {
+            f"misalignment_{axes[i]}{axes[j]}": math.degrees(M[i, j] / M[i, i])
+            for i, j in product(range(3), repeat=2)
+        }
+        G = truth.G @ R.T
+        true |= {f"g_sensitivity_{axes[i]}{axes[j]}": G[i, j] for i, j in product(range(3), repeat=2)}
+        for i, axis in enumerate(axes):
+            true |= {f"scale_{axis}": 100 * (M[i, i] - 1), f"bias_{axis}": b[i]}
+        for name, parameter in own.items():
+            if parameter.low is not None and parameter.high is not None:
+                found[f"{sensor} {name}"] = bool(parameter.low <= true[name] <= parameter.high)
+    return found
 
 
 def covered(theta: FloatArray, intervals: FloatArray, true: FloatArray) -> BoolArray:

@@ -1,7 +1,10 @@
 """calibrate: from a recording to the result, its findings, and its application."""
 
+import pickle
 import re
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from imucal import Calibration, calibrate
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, Recording, Sensor, Temperature
-from tests.calibration.simulated import FACES, GRAVITY, RATE, Log, Truth, attitudes, log
+from tests.calibration.simulated import FACES, GRAVITY, RATE, Log, Truth, attitudes, held, log
 from tests.real_data import real_data
 
 NOISE = NoiseModel.parse("N=2e-3 + B=5e-4 + K=5e-5"), NoiseModel.parse("N=1.5e-4 + B=2e-5 + K=2e-6")
@@ -83,10 +86,7 @@ def test_apply_removes_the_errors(good: tuple[Truth, Log, Calibration]) -> None:
 def test_raw_counts_give_the_same_calibration(good: tuple[Truth, Log, Calibration]) -> None:
     """Offset-binary counts: the matrices differ by the scales, the corrected log does not."""
     _, one, found = good
-    counts = replace(
-        one, accelerometer=400 * one.accelerometer + 32768, gyroscope=4000 * one.gyroscope + 32000
-    )
-    raw = calibrate(counts.recording(), gravity=GRAVITY, latitude=47.4)
+    raw = calibrate(raw_counts(one).recording(), gravity=GRAVITY, latitude=47.4)
     assert raw.accelerometer.parameters["scale_x"].unit == "raw/(m/s^2)"
     np.testing.assert_allclose(raw.accelerometer.C * 400, found.accelerometer.C, atol=2e-3)
     assert raw.gyroscope is not None
@@ -271,3 +271,116 @@ def test_a_log_held_in_a_hand_all_the_time_cannot_be_calibrated() -> None:
     log_path = real_data("real", "mpu6050", "imu_90_x_rot.csv")
     with pytest.raises(DataError, match="put the IMU down"):
         calibrate(imucal.read(log_path, accel_scale=9.80665 / 16384, gyro_scale=np.radians(1 / 131)))
+
+
+@pytest.mark.parametrize("kind", ["g", "short", "hand"])
+def test_an_error_names_the_argument_that_helps(kind: str) -> None:
+    """`remedy` survives pickling, as between processes; with the argument the log is calibrated."""
+    rng = np.random.default_rng(8020)
+    one = log(Truth.draw(rng), NOISE, attitudes(14, rng), rng, rest_s=1.0 if kind == "short" else 4.0)
+    if kind == "g":
+        one = replace(one, accelerometer=one.accelerometer / GRAVITY)
+    if kind == "hand":
+        gyroscope = one.gyroscope.copy()
+        for k, (first, end) in enumerate(one.spans):
+            gyroscope[first:end] += (0.0005 if k < 5 else 0.005) * np.sin(0.4 * np.arange(end - first))[
+                :, None
+            ]
+        one = replace(one, gyroscope=gyroscope)
+    with pytest.raises(DataError) as caught:
+        calibrate(one.recording())
+    error = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own object
+    assert str(error) == str(caught.value)
+    helps: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+        "g": (("accel_unit", "g"), {}),
+        "short": (("rest_at_least", "0.4s"), {"rest_at_least": "0.4s"}),
+        "hand": (("in_hand",), {"in_hand": True}),
+    }
+    remedy, arguments = helps[kind]
+    assert error.remedy == remedy
+    if arguments:
+        assert len(calibrate(one.recording(), **arguments).rests) >= 12
+
+
+def raw_counts(one: Log) -> Log:
+    """Return offset-binary counts: 400 per m/s² and 4000 per rad/s."""
+    return replace(one, accelerometer=400 * one.accelerometer + 32768, gyroscope=4000 * one.gyroscope + 32000)
+
+
+def scaled(models: dict[str, NoiseModel], accel: float, gyro: float) -> dict[str, NoiseModel]:
+    """Return models in another unit; each has terms of one parameter."""
+    return {
+        name: NoiseModel.parse(
+            " + ".join(
+                f"{t.symbol}={t.coefficient * (accel if name[0] == 'a' else gyro)!r}" for t in model.terms
+            )
+        )
+        for name, model in models.items()
+    }
+
+
+def test_noise_in_si_serves_a_log_in_counts() -> None:
+    """The intervals are those of noise in counts, and of the log in SI, to 2 %; a finding has the scale."""
+    _, one = drawn(8021, 18)
+    counts = raw_counts(one).recording()
+    place: dict[str, Any] = {"gravity": GRAVITY, "latitude": 47.4}
+    si = calibrate(counts, noise=MODELS, **place)
+    (texts := [f.text for f in si.findings if f.code == "noise-scaled"]).sort()
+    assert re.search(r"accel .* multiplied by (39\d|40\d)\.?\d*,", texts[0])
+    assert re.search(r"gyro .* multiplied by (39|40)\d\d,", texts[1])
+    assert {"noise-differs", "beyond-noise"} & codes(si) == set()
+    own, plain = (
+        calibrate(counts, scaled(MODELS, 400, 4000), **place),
+        calibrate(one.recording(), MODELS, **place),
+    )
+    assert not {"noise-scaled", "noise-differs"} & codes(own)
+    for sensor, factor in (("accelerometer", 400), ("gyroscope", 4000)):
+        found, expected, reference = (getattr(result, sensor).parameters for result in (si, own, plain))
+        for name, one_parameter in found.items():
+            half = one_parameter.half_width
+            assert half == pytest.approx(expected[name].half_width, rel=0.03), name
+            unit = 1.0 if name.startswith("mis") else factor / (100 if name.startswith("scale") else 1)
+            assert half == pytest.approx(reference[name].half_width * unit, rel=0.03), name
+
+
+def test_noise_in_counts_is_refused_for_a_log_in_si() -> None:
+    """The scale of the counts is unknown; each sensor has its own message. Models 100 times too quiet too."""
+    _, one = drawn(8022)
+    for accel, gyro, said in (
+        (
+            400,
+            4000,
+            r"has 4e\+02 times the noise of the rests \(accel\); .* right --accel-unit or --accel-scale$",
+        ),
+        (1, 4000, r"has 4e\+03 times the noise of the rests \(gyro\); .* --gyro-scale$"),
+        (0.01, 1, r"has 0\.0[01]\d* times .* calibrate without --noise$"),
+    ):
+        with pytest.raises(DataError, match=said):
+            calibrate(one.recording(), noise=scaled(MODELS, accel, gyro), gravity=GRAVITY)
+    # Counts of another range: neither SI nor the unit of this log.
+    with pytest.raises(DataError, match=r"times the noise of the rests"):
+        calibrate(raw_counts(one).recording(), noise=scaled(MODELS, 16_000, 1), gravity=GRAVITY)
+
+
+def test_counts_without_a_usable_turn_keep_the_gyroscope_out() -> None:
+    """Without a turn the scale of the gyroscope is unknown; the accelerometer alone is calibrated."""
+    _, one = drawn(8023)
+    counts = raw_counts(one)
+    gyroscope = counts.gyroscope.copy()
+    for (_, end), (first, _) in pairwise(counts.spans):
+        gyroscope[(end + first) // 2] = np.nan
+    counts = replace(counts, gyroscope=gyroscope)
+    with pytest.raises(DataError, match=r"times the noise of the rests \(gyro\)"):
+        calibrate(counts.recording(), noise=MODELS, gravity=GRAVITY)
+    alone = calibrate(counts.recording(), noise=MODELS, gravity=GRAVITY, gyro=False)
+    assert codes(alone) == {"noise-scaled"}
+
+
+def test_slow_noise_can_hide_misalignment() -> None:
+    """Nine short rests in a shaky hand, two of them in one attitude: a diagonal model, no internal error."""
+    rng = np.random.default_rng(9_100_040)
+    truth = Truth.draw(rng)
+    one = held(log(truth, NOISE, attitudes(20, rng), rng, latitude=47.4), truth, rng)
+    found = calibrate(one.recording(), latitude=47.4, in_hand=True)
+    assert found.accelerometer.model == "diagonal"
+    assert found.accelerometer.parameters["misalignment_zx"].status == "not-observable"

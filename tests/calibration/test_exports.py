@@ -17,6 +17,7 @@ from imucal.arrays import FloatArray
 from imucal.calibration.accelerometer import fit_accelerometer
 from imucal.calibration.document import Intrinsics
 from imucal.calibration.exports import CALIBRATION_TARGETS, render_calibration
+from imucal.calibration.frames import FRAMES, rotation_to
 from imucal.errors import DataError
 from imucal.report.exports import render
 from imucal.units import G0
@@ -46,7 +47,7 @@ def intrinsics() -> Intrinsics:
     noise = np.tile(1e-6 * np.eye(18), (3, 1, 1))
     fit = fit_accelerometer(means, noise, gravity=GRAVITY, model="diagonal")
     return Intrinsics(
-        source="poses.mcap", topics=("/imu",), kind="mcap",
+        source="poses.mcap", topics=("/imu",), kind="mcap", frame="kalibr",
         C_a=inverse(TRUTH.M_a), b_a=TRUTH.b_a, diagonal_C=fit.C, diagonal_b=fit.b,
         C_g=inverse(TRUTH.M_g), b_g=TRUTH.b_g, G=TRUTH.G, gravity=GRAVITY, means=means,
     )  # fmt: skip
@@ -177,6 +178,29 @@ def test_a_program_corrects_as_imucal_does(name: str) -> None:
         f, w = CONSUMERS[name](text_of(name, noise=noise))
         np.testing.assert_allclose(f, F, rtol=0, atol=1e-12)
         np.testing.assert_allclose(w, W, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["imu-tk", "nearest"])
+def test_another_frame_is_turned_for_programs_that_need_their_own(frame: str) -> None:
+    """Kalibr, OpenVINS, Basalt and imu_tk correct as before; own programs give the vectors in that frame."""
+    own = FOUND.in_frame(frame)
+    R = rotation_to(frame, FOUND.C_a)
+    for name, target in CALIBRATION_TARGETS.items():
+        text = render_calibration(own, name)
+        if target.frame:
+            f, w = CONSUMERS[name](text)
+            np.testing.assert_allclose(f, F, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(w, W, rtol=0, atol=1e-12)
+        elif name in {"yaml", "python"}:
+            f, w = CONSUMERS[name](text)
+            np.testing.assert_allclose(f, F @ R.T, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(w, W @ R.T, rtol=0, atol=1e-12)
+        if "misalignment" in target.uses:
+            assert f"frame: {FRAMES[target.frame or frame]}" in text
+    back = own.in_frame("kalibr")
+    for part in ("C_a", "C_g", "G"):
+        np.testing.assert_allclose(getattr(back, part), getattr(FOUND, part), atol=1e-14)
+    assert replace(own, C_g=None, G=None).in_frame("kalibr").G is None
 
 
 @pytest.mark.parametrize(

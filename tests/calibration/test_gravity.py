@@ -38,8 +38,12 @@ def test_impossible_places_are_refused(gravity: float | None, latitude: float | 
 
 
 def test_earth_rate_has_its_length() -> None:
-    """Vertical² + 2 horizontal² is the earth's rate squared, with a latitude and without."""
-    for rate in (earth_rate(47.4), earth_rate(None)):
-        total = rate.vertical**2 + rate.vertical_sigma**2 + 2 * rate.horizontal_sigma**2
-        assert math.sqrt(total) == pytest.approx(EARTH_RATE)
+    """Vertical² + 2 horizontal² is its square; without a latitude the horizontal is the largest."""
+    rate = earth_rate(47.4)
+    assert math.sqrt(rate.vertical**2 + 2 * rate.horizontal_sigma**2) == pytest.approx(EARTH_RATE)
+    assert rate.vertical_sigma == 0
+    unknown = earth_rate(None)
+    assert unknown.vertical == 0
+    assert unknown.vertical_sigma == pytest.approx(EARTH_RATE / math.sqrt(2))
+    assert unknown.horizontal_sigma == pytest.approx(earth_rate(0.0).horizontal_sigma)
     assert earth_rate(-30.0).vertical == pytest.approx(-EARTH_RATE / 2)

@@ -7,14 +7,16 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.calibration.accelerometer import AccelerometerFit, fit_accelerometer
-from imucal.calibration.gravity import EarthRate, earth_rate
+from imucal.calibration.gravity import EARTH_RATE, EarthRate, earth_rate
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
+from imucal.calibration.poses import RestMeans, Triad
 from imucal.calibration.slow_noise import walk_covariance
-from imucal.calibration.turn_data import TurnData, prepare_turns, rotations, start_of
+from imucal.calibration.turn_data import Headings, TurnData, prepare_turns, rotations, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, _carry, direction_covariance, fit_turns
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
+from imucal.recording import Sensor
 from tests.calibration.simulated import GRAVITY, RATE, Log, Truth, attitudes, log, within_binomial
 
 NOISE = NoiseModel.parse("N=2e-3 + B=5e-4 + K=5e-5"), NoiseModel.parse("N=1.5e-4 + B=2e-5 + K=2e-6")
@@ -71,14 +73,11 @@ def chain(
     )
     f = (one.accelerometer - fit.b) @ fit.C.T
     data = prepare_turns(
-        gyroscope,
-        spans,
-        rates,
+        Triad(sensor=Sensor.GYROSCOPE, samples=gyroscope, rate_hz=RATE),
+        RestMeans(spans=spans, means=rates, deviations=np.ones(3)),
         fit.up,
         np.arange(count - 1),
-        rate_hz=RATE,
-        g_part=f @ rest.G_apparent.T,
-        g_part_at_rest=fit.f @ rest.G_apparent.T,
+        (f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T),
     )
     return Chain(
         truth=truth,
@@ -231,7 +230,8 @@ def test_an_unknown_latitude_costs_certainty_of_g() -> None:
     known, unknown = chain(7800), chain(7800, earth=earth_rate(None))
     assert known.rest.earth_share == 0
     assert unknown.rest.earth_share > 0.2
-    assert np.trace(unknown.rest.G_covariance) > np.trace(known.rest.G_covariance)
+    wide, narrow = (np.diff(one.rest.G_interval)[..., 0] for one in (unknown, known))
+    assert np.all(np.diag(wide) > 1.1 * np.diag(narrow))
 
 
 @pytest.mark.slow
@@ -244,3 +244,29 @@ def test_wrong_turns_and_false_alarms_in_100_logs() -> None:
         false += bool(excluded - {5})
     assert found >= 98
     assert false <= 1
+
+
+def test_headings_are_carried_through_turns() -> None:
+    """The earth's horizontal rate at each rest follows from one heading; a missing turn begins another."""
+    one = chain(7900, QUIET, count=10)
+    up = np.array([one.log.f[a] for a, _ in one.log.spans]) / GRAVITY
+    rates = np.array([one.log.gyroscope[a:b].mean(axis=0) for a, b in one.log.spans])
+    M, b, G = one.truth.M_g, one.truth.b_g, one.truth.G
+    earth = (rates - b - up * GRAVITY @ G.T) @ np.linalg.inv(M).T
+    horizontal = earth - up * np.einsum("mi,mi->m", earth, up)[:, None]
+    np.testing.assert_allclose(
+        np.linalg.norm(horizontal, axis=1), EARTH_RATE * np.cos(np.radians(LATITUDE)), rtol=2e-3
+    )
+    C = np.eye(3)
+    covariance = Headings.of(one.data, C).covariance
+    whole = covariance.sum(axis=0) / 2
+    # The covariance has two heading directions: what it cannot explain is the error of carrying.
+    for axis in range(3):
+        values, vectors = np.linalg.eigh(covariance[axis])
+        assert np.sum(values > 1e-9 * values.max()) == 2
+        explained = vectors[:, -2:] @ vectors[:, -2:].T @ horizontal[:, axis]
+        np.testing.assert_allclose(explained, horizontal[:, axis], atol=0.04 * EARTH_RATE)
+    np.testing.assert_allclose(np.diag(whole), 1.0)
+    broken = Headings.of(one.data.keeping(np.arange(9) != 4), C).covariance
+    assert not broken[:, :5, 5:].any()
+    np.testing.assert_allclose(broken[:, :5, :5], covariance[:, :5, :5])

@@ -1,6 +1,7 @@
 """`imucal calibrate`: table, files, JSON and its schema, the corrected log, and what it refuses."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,6 +153,8 @@ def changed(one: Log, kind: str) -> Recording:
         gyroscope = gyroscope[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
     elif kind == "mirrored":
         gyroscope = gyroscope * [-1.0, 1.0, 1.0]
+    elif kind == "degrees":
+        gyroscope = np.degrees(gyroscope)
     elif kind == "dead":
         accelerometer[:, 1] = 0.0
     return replace(one, accelerometer=accelerometer, gyroscope=gyroscope).recording()
@@ -171,6 +174,7 @@ def changed(one: Log, kind: str) -> Recording:
             "nothing was written; try --no-gyro for the accelerometer alone, or --force",
         ),
         ("mirrored", None, "turns-unexplained found; nothing was written"),
+        ("degrees", None, "turns-unexplained found; nothing was written"),
     ],
 )
 def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
@@ -191,6 +195,10 @@ def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
     text = " ".join(done.stderr.split())
     if kind == "swapped":
         assert "X, y, z of the gyroscope are y, -x, z of the accelerometer" in text
+    if kind == "degrees":
+        assert re.search(
+            r"The gyroscope reads 5\d\.?\d? for 1 rad/s: its unit is deg/s; try --gyro-unit", text
+        )
     if kind == "mirrored":
         assert "X, y, z of the gyroscope are -x, y, z of the accelerometer" in text
 
@@ -265,6 +273,11 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     expected = imucal.calibrate(one.recording(), gravity=GRAVITY)
     np.testing.assert_allclose(400 * found.C_a, expected.accelerometer.C, atol=2e-3)
     assert run("export", "out", "--to", "kalibr", "-o", "-", cwd=tmp_path).returncode == 0
+    # A report in SI is multiplied by the scale that the calibration finds.
+    write_report(tmp_path)
+    noisy = run("calibrate", *raw, *PLACE, "--noise", "still-imucal", "-o", "noisy", cwd=tmp_path)
+    assert noisy.returncode == 0, noisy.stderr
+    assert "info [noise-scaled] accel: The noise report of accel is in SI units" in noisy.stderr
     refused = run("export", "out", "--to", "px4", "-o", "-", cwd=tmp_path)
     assert refused.returncode == 4
     assert "read it with --accel-scale and --gyro-scale" in refused.stderr
@@ -285,6 +298,7 @@ def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
     for arguments, code, said in (
         ((log_path, "--latitude", "95"), 2, "--latitude"),
         ((log_path, "--gravity", "1"), 2, "--gravity"),
+        ((log_path, "--frame", "ned"), 2, "'ned' is not one of 'kalibr', 'imu-tk', 'nearest'"),
         ((log_path, "--apply", "x.txt"), 2, "'x.txt' ends in '.txt'"),
         ((log_path, "--rest-at-least", "long"), 2, "is not a duration"),
         ((log_path, "--noise", "nowhere"), 3, "nowhere: no such file"),

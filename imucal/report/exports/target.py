@@ -246,10 +246,10 @@ class Target:
         """Return the text of the file; raises `DataError` if a number is missing."""
         numbers, carried = self.numbers(report, options), self.carries.split()
         known = self._known(numbers)
-        body = _template(self.text).render(known).removesuffix("\n")
+        body = template(self.text).render(known).removesuffix("\n")
         estimates = [(axis, e) for axis in report.axes for e in axis.fit.estimates]
         lines = [(axis, line) for axis in report.axes for line in axis.fit.goodness.lines]
-        return _template(_format("file.txt")).render(
+        return template(_format("file.txt")).render(
             known,
             body=body,
             all_sensors=tuple(Sensor),
@@ -333,7 +333,8 @@ def _biased(numbers: Numbers, bias: str) -> dict[Sensor, list[WithBias]]:
 
 
 @cache
-def _template(text: str) -> "Template":
+def template(text: str) -> "Template":
+    """Return the template of a file; see `_environment`."""
     return _environment().from_string(text)
 
 
