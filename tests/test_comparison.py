@@ -45,7 +45,7 @@ def test_a_report_is_the_same_as_itself() -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), [(0.002, 0.002), (0.05, 0.2), (0.3, 0.3)])
-def test_two_records_of_one_sensor_differ_as_seldom_as_alpha_says(first: float, second: float) -> None:
+def test_two_records_of_one_sensor_differ_at_rate_alpha(first: float, second: float) -> None:
     """Without a change p is uniform: 5 % of records below 0.05.
 
     Exact for narrow intervals; with 30 % wide ones the lower limit of a ratio scale is nearer than
@@ -67,7 +67,7 @@ def test_two_records_of_one_sensor_differ_as_seldom_as_alpha_says(first: float, 
     )
 
 
-def test_many_terms_show_any_difference_as_seldom_as_alpha_says() -> None:
+def test_many_terms_have_a_false_difference_at_rate_alpha() -> None:
     """Holm's adjustment: of 18 terms of an unchanged sensor, some differ in at most 5 % of comparisons."""
     rng = np.random.default_rng(8)
     keys = [f"GM{i}" for i in range(1, 19)]

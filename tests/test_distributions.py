@@ -68,7 +68,7 @@ def test_what_tests_import_is_installed_with_them() -> None:
             assert having & named("test"), f"{path.name}: {brings}; name it in the extra [test]"
 
 
-def test_a_module_that_no_extra_names_is_told() -> None:
+def test_a_module_of_no_extra_is_reported() -> None:
     """Also one that only a method needs."""
     tree = ast.parse("import numpy.random\nfrom mypy import api\npage.cssselect('a')\nimport ast")
     assert imported(tree) == {"numpy", "mypy", "cssselect"}

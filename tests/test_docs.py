@@ -53,7 +53,7 @@ def test_numbers_of_a_block_are_renewed() -> None:
     assert renewed("y    0.3  [0.2, 0.5] deg/h\n", output) == "y    0.3  [0.2, 0.5] deg/h\n"
 
 
-def test_every_block_says_its_language() -> None:
+def test_every_block_has_a_language() -> None:
     """So that none is left out of the run by accident."""
     known = RUN | {"sh", "text", "csv", "matlab", "yaml", "json", "ini", "xml", "cpp"}
     for page in PAGES:

@@ -159,7 +159,7 @@ _api: Any = imucal
         (lambda: imucal.info("nothing.mcap"), "nothing.mcap"),
     ],
 )
-def test_refusals_say_what_to_type(call: Callable[[], object], said: str) -> None:
+def test_refusals_suggest_a_command(call: Callable[[], object], said: str) -> None:
     """Each is an `ImucalError`, in one sentence, with a code that a script may end with."""
     with pytest.raises(imucal.ImucalError) as caught:
         call()

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("forks")
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_results_stand_in_the_order_of_the_items(workers: int) -> None:
+def test_results_are_in_the_order_of_the_items(workers: int) -> None:
     """Also where the first takes longest."""
 
     def work(item: int) -> int:
@@ -38,7 +38,7 @@ def test_results_stand_in_the_order_of_the_items(workers: int) -> None:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_what_is_done_is_told(workers: int) -> None:
+def test_progress_contains_the_count(workers: int) -> None:
     """With the first item that is not done; it rises one by one, and ends with all."""
     told: list[tuple[int, str | None]] = []
     side_by_side(str.upper, list("abcd"), workers=workers, done=lambda *what: told.append(what))

@@ -93,7 +93,7 @@ def test_the_rate_and_the_unit_don_t_matter_where_they_can_t() -> None:
     assert slow == pytest.approx(fast, rel=1e-3)
 
 
-def test_absent_terms_and_short_records_tell_nothing() -> None:
+def test_absent_terms_and_short_records_give_no_information() -> None:
     """Infinite, without a warning."""
     assert _errors("N=1 + K=0", 100)["K"] == math.inf
     assert _errors("N=1 + K=1", 3) == {"N": math.inf, "K": math.inf}
@@ -155,7 +155,7 @@ def test_what_is_planned_is_found() -> None:
             assert np.median(widths) == pytest.approx(0.12, rel=0.25)
 
 
-def test_what_no_record_tells_is_infinite() -> None:
+def test_undetermined_terms_have_an_infinite_error() -> None:
     """A walk too faint for ten years."""
     found = plan(NoiseModel.parse("N=1 + K=1e-9"), rate_hz=100)
     assert found.needed_s == math.inf
@@ -256,7 +256,7 @@ def test_what_may_be_there_makes_the_others_less_sure() -> None:
     assert beside > alone
 
 
-def test_flicker_must_be_told_better_than_a_walk_to_be_shown() -> None:
+def test_flicker_needs_more_evidence_than_a_walk() -> None:
     """Of records that tell both to the same error more show the walk."""
     shown = {}
     for text, name in (("N=1e-4 + B=3e-5", "B"), ("N=1e-4 + K=3e-6", "K")):
@@ -271,7 +271,7 @@ def test_flicker_must_be_told_better_than_a_walk_to_be_shown() -> None:
 
 
 @pytest.mark.parametrize("text", ["R=2e-10", "N=6.7e-30 + B=8.87e6 + K=7.7e-22", "K=1e-200 + R=1"])
-def test_noise_that_is_lost_beside_other_noise_tells_nothing(text: str) -> None:
+def test_noise_below_other_noise_gives_no_information(text: str) -> None:
     """No division by zero, whatever the sizes: what is not seen is not told."""
     found = relative_deviations(NoiseModel.parse(text), rate_hz=100.0, duration_s=1e4, added=["B", "K"])
     assert all(deviation >= 0 for deviation in found.values())

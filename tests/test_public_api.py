@@ -24,7 +24,7 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
         assert value.__doc__
 
 
-def test_every_module_says_what_it_is() -> None:
+def test_every_module_has_a_docstring() -> None:
     """Each has a docstring; a folder names what it offers, and offers it."""
     for name in MODULES:
         module = importlib.import_module(name)

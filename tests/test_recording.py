@@ -97,7 +97,7 @@ def test_a_series_is_read_only_and_one_dimensional() -> None:
         AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.zeros((2, 2)), clock=Clock.even(4, 1.0))
 
 
-def test_a_recording_says_which_axes_it_has() -> None:
+def test_a_recording_lists_its_axes() -> None:
     """Asking for a missing axis lists those found."""
     series = AxisSeries.from_samples(np.zeros(3), rate_hz=1.0, sensor="accelerometer", axis="z")
     recording = Recording(source=Source(path="a.csv", format="csv"), series=(series,))
@@ -107,7 +107,7 @@ def test_a_recording_says_which_axes_it_has() -> None:
     assert str(caught.value) == "a.csv: no axis gyroscope x; found accel_z"
 
 
-def test_a_cut_beyond_the_log_says_how_long_it_lasts() -> None:
+def test_a_cut_beyond_the_end_reports_the_duration() -> None:
     """Leaving out more than there is can't be meant."""
     series = AxisSeries.from_samples(np.zeros(30), rate_hz=10.0)
     recording = Recording(source=Source(path="a.csv", format="csv"), series=(series,))

@@ -99,7 +99,7 @@ def test_a_rest_keeps_its_own_level() -> None:
     assert curve.tau[-1] <= 90 / 4
 
 
-def test_the_fit_of_all_rests_tells_more_than_the_longest() -> None:
+def test_the_fit_of_all_rests_is_more_precise_than_of_the_longest() -> None:
     """At 99.9 % all intervals hold the truth, and those of N and B are narrower."""
     rests = imucal.at_rest(drive((200.0, 150.0, 250.0, 180.0), seed=4)[0])
     for series in rests.series[:3]:
@@ -187,7 +187,7 @@ def test_a_moved_log_prints_no_numbers_but_what_to_do(tmp_path: Path) -> None:
     assert {len(axis.gaps) for axis in report.axes} == {1}
 
 
-def test_one_line_says_that_there_is_no_rest(tmp_path: Path) -> None:
+def test_one_line_reports_that_there_is_no_rest(tmp_path: Path) -> None:
     """And nothing is written."""
     write(drive((10.0, 12.0), moving_s=40.0)[0], tmp_path / "drive.csv")
     done = run("fit", "drive.csv", "--rests", "-q", cwd=tmp_path)

@@ -161,7 +161,7 @@ def test_a_picture_that_fails_costs_no_report(
 
 
 @pytest.mark.usefixtures("as_a_user")
-def test_the_command_says_which_picture_is_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_command_names_the_missing_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """On standard error; the table is there, and exit code 0."""
     monkeypatch.setattr(figure, "sensor_figure", _failing(ArithmeticError("no ticks")))
     done = run("fit", str(SAMPLE_LOGS / "too_short.db3"), "-o", "out", cwd=tmp_path)

@@ -13,9 +13,7 @@ from tests.benchmarks.bench_job import REPEATS, STAGES
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_tables_take_the_place_of_those_that_stand_in_a_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tables_replace_those_in_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What stands above the mark stays; another run replaces the whole of what stands below it."""
     page = tmp_path / "speed.md"
     page.write_text((ROOT / "docs" / "results" / "speed.md").read_text(encoding="utf-8"), encoding="utf-8")

@@ -222,7 +222,7 @@ def test_the_lightest_tails_that_are_believed_are_uniform() -> None:
     assert found == pytest.approx(10 / (1 - 1.2 * 10 / (2 * 399)))
 
 
-def test_only_differences_of_neighbours_tell_the_tails_of_a_record_with_gaps() -> None:
+def test_tails_of_a_record_with_gaps_come_from_neighbours_only() -> None:
     """Normal samples on two levels with a gap at each step: as many degrees of freedom as on one."""
     rng = np.random.default_rng(14)
     keep = np.ones(2000, dtype=bool)

@@ -41,7 +41,7 @@ def test_an_estimator_is_complete(name: str) -> None:
     assert forgotten(name, ESTIMATORS[name]) == []
 
 
-def test_what_a_new_estimator_lacks_is_said() -> None:
+def test_an_incomplete_new_estimator_is_reported() -> None:
     """A line in the table alone, with a slip in it: one sentence for each thing that is missing."""
     fake = Estimator(name="totl", integrations=1, order=2, overlapping=True, weight=2)
     assert forgotten("total", fake) == [

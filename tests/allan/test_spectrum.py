@@ -64,7 +64,7 @@ def test_refuses_a_series_without_neighbours() -> None:
     assert str(caught.value) == "gyro_x: a spectrum needs at least 2 neighbouring samples, got 2 samples"
 
 
-def test_the_lowest_eight_frequencies_stand_alone() -> None:
+def test_the_lowest_eight_frequencies_have_their_own_bins() -> None:
     """Above, an octave from the ninth each, where one bin an octave is wanted."""
     samples = np.random.default_rng(2).standard_normal(100)
     psd = spectrum(_series(samples), per_octave=1)

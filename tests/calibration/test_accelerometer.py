@@ -121,7 +121,7 @@ def test_unknown_gravity_widens_scales_only(truth: Truth) -> None:
     assert unknown.statuses == known.statuses
 
 
-def test_the_suggested_rest_helps_as_much_as_it_says(truth: Truth) -> None:
+def test_the_suggested_rest_helps_as_predicted(truth: Truth) -> None:
     """No x-z edge, but a face tilted by 10°: the suggestion is an edge, and it helps that much."""
     edges = np.array([[1, 1, 0], [1, -1, 0], [0, 1, 1]]) / np.sqrt(2)
     up = np.vstack([FACES, edges, [[np.sin(0.17), 0, np.cos(0.17)]]])

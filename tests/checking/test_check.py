@@ -56,7 +56,7 @@ def test_a_bound_never_exceeds_a_largest_value(limit: float, verdict: str) -> No
     assert judge("gyro_x", "K", measured, side="max", limit=limit).verdict == verdict
 
 
-def test_a_true_value_at_the_limit_fails_and_passes_as_seldom_as_the_level_says() -> None:
+def test_a_true_value_at_the_limit_fails_and_passes_at_the_rate_of_the_level() -> None:
     """With 95 % intervals a sensor exactly at its limit fails in 2.5 % and passes in 2.5 % of records."""
     replications, deviation = 20_000, 0.1
     estimates = np.exp(deviation * np.random.default_rng(6).standard_normal(replications))
@@ -118,7 +118,7 @@ def test_a_sensors_limit_is_for_each_of_its_axes() -> None:
     assert not result.passed
 
 
-def test_sentences_say_what_was_found_and_allowed() -> None:
+def test_sentences_contain_the_value_and_the_limit() -> None:
     """One sentence a verdict; a bound is named as one."""
     texts = [row.text for row in _check("[gyroscope]\nK = { max = 5e-7 }").rows]
     assert texts[:3] == [

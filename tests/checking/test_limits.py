@@ -145,7 +145,7 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
         ("[baseline]\nreport = 1", "l.toml: baseline.report: 1, expected the path of a report"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(text: str, message: str) -> None:
+def test_errors_contain_their_place(text: str, message: str) -> None:
     """A typing mistake never opens the gate; exit code 2."""
     with pytest.raises(LimitsError) as error:
         parse_limits(text, name="l.toml")
@@ -162,7 +162,7 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
         read_limits(tmp_path / "b.toml")
 
 
-def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
+def test_a_baseline_is_relative_to_the_limits_file(tmp_path: Path) -> None:
     """So that the check is the same from every folder."""
     file = tmp_path / "limits.toml"
     file.write_text('[baseline]\nreport = "golden/report.json"\nmax_decrease = 0.5\n')

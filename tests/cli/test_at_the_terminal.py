@@ -25,7 +25,7 @@ def _write(path: Path, seconds: int, *, carried_s: float = 0.0) -> None:
 
 
 @pytest.mark.usefixtures("pictures")
-def test_a_folder_is_one_line_and_a_second_run_says_that_it_replaces(tmp_path: Path) -> None:
+def test_a_folder_is_one_line_and_a_second_run_reports_the_replacement(tmp_path: Path) -> None:
     """Instead of a line a file."""
     _write(tmp_path / "log.csv", 40)
     first = run("fit", "log.csv", "-o", "out", *_QUICK, cwd=tmp_path)

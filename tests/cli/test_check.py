@@ -107,7 +107,7 @@ def test_a_baseline_needs_no_limits(tmp_path: Path) -> None:
     assert "forbidden error [motion]" in done.stdout
 
 
-def test_a_baseline_of_the_limits_file_is_beside_it(tmp_path: Path) -> None:
+def test_a_baseline_path_is_relative_to_the_limits_file(tmp_path: Path) -> None:
     """The limits may be in another folder; --baseline takes its place."""
     write_report(tmp_path)
     write_report(tmp_path / "ci", "golden")

@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_files_and_table_say_what_the_bias_did(folder: Path) -> None:
+def test_files_and_table_contain_the_bias(folder: Path) -> None:
     """Per axis a picture, a table and, where asked for, arrays, whose parts add up; one document."""
     done = run("decompose", LOG, *MODEL, "--axis", "gyro_x", "--axis", "accel_z", "--npz", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -131,7 +131,7 @@ def test_what_is_not_noise_ends_with_code_4_unless_forced(tmp_path: Path) -> Non
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_what_the_fit_took_out_is_said(tmp_path: Path) -> None:
+def test_effects_taken_out_are_reported(tmp_path: Path) -> None:
     """A step is no noise, so the fit takes it out; here it is in the bias."""
 
     def stepped(rows: FloatArray) -> None:

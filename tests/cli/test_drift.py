@@ -44,7 +44,7 @@ def test_a_report_gives_a_table(tmp_path: Path) -> None:
     ]
 
 
-def test_both_sensors_tell_heading_and_both_parts(tmp_path: Path) -> None:
+def test_both_sensors_determine_heading_and_both_parts(tmp_path: Path) -> None:
     """In the order of the library; nothing is extrapolated of three hours."""
     write_report(tmp_path, "a")
     lines = run("drift", "a", cwd=tmp_path).stdout.splitlines()

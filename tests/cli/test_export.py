@@ -64,7 +64,7 @@ def test_policy_inflation_and_topic_reach_the_file(still: str, tmp_path: Path) -
     assert "white (N) x 2, walk (K) x 10; ALREADY in the numbers" in done.stdout
 
 
-def test_n_and_k_of_the_fit_say_what_they_leave_out(still: str, tmp_path: Path) -> None:
+def test_n_and_k_of_the_fit_state_what_they_leave_out(still: str, tmp_path: Path) -> None:
     """On standard error which are bounds, in the file that a filter with them is too sure."""
     done = run("export", still, "--to", "kalibr", "-o", "-", "--numbers", "as-fitted", cwd=tmp_path)
     assert "K was not detected on gyro_y, accel_y" in done.stderr

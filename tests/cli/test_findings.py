@@ -24,7 +24,7 @@ FINDINGS = (
 )
 
 
-def test_one_stands_for_those_that_differ_in_figures(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_finding_represents_those_that_differ_in_numbers(capsys: pytest.CaptureFixture[str]) -> None:
     """It is said how many there are and on which axes; nothing goes to standard output."""
     print_findings(FINDINGS)
     out, err = capsys.readouterr()

@@ -118,7 +118,7 @@ def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Pa
         assert done.stderr.startswith(f"Error: {folder}: ")
 
 
-def test_hints_can_be_typed_as_they_stand(tmp_path: Path) -> None:
+def test_hints_can_be_typed(tmp_path: Path) -> None:
     """A folder with a blank, or one that begins like an option, is quoted."""
     (tmp_path / "log.csv").write_bytes(one_axis())
     done = run("fit", "log.csv", *OPTIONS, *QUICK, "--no-html", "-o", "-my report", cwd=tmp_path)

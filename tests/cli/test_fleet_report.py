@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_report_writes_its_files_and_says_what_matters(folder: Path) -> None:
+def test_report_writes_its_files_and_prints_the_result(folder: Path) -> None:
     """Paths on standard output, one sentence on the other."""
     done = run("fleet", "report", "fleet", "--no-pictures", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -63,7 +63,7 @@ def test_report_writes_its_files_and_says_what_matters(folder: Path) -> None:
     assert other["median"] == one["median"]
 
 
-def test_report_says_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_report_lists_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An old page does not stay in place of the one that can't be drawn."""
 
     def broken(*_: object) -> str:
@@ -79,7 +79,7 @@ def test_report_says_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPat
     assert not (folder / "two" / "fleet.html").exists()
 
 
-def test_report_says_which_labels_to_type(folder: Path) -> None:
+def test_report_lists_the_labels_to_type(folder: Path) -> None:
     """Where no log has a unit."""
     done = run("fleet", "report", "loose", "--no-pictures", cwd=folder)
     assert done.returncode == 0
@@ -114,7 +114,7 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
         (("check", "like.npz", "--fleet", "two"), 4, "found 2 units of ACME-6, expected at least 3"),
     ],
 )
-def test_what_does_not_go_together_is_said(
+def test_contradicting_options_are_reported(
     folder: Path, words: tuple[str, ...], code: int, text: str
 ) -> None:
     """With the exit code of its kind."""

@@ -67,7 +67,7 @@ def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
     assert sorted((done / "fleet" / "logs").iterdir()) == parts
 
 
-def test_status_says_it_too(done: Path) -> None:
+def test_status_reports_it_too(done: Path) -> None:
     """For people and for programs."""
     said = run("fleet", "status", "fleet", cwd=done)
     assert said.returncode == 0
@@ -94,7 +94,7 @@ def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
     assert "No log has the label unit, so logs are not grouped" in first.stderr
 
 
-def test_the_help_says_the_defaults_that_hold(tmp_path: Path) -> None:
+def test_the_help_shows_the_actual_defaults(tmp_path: Path) -> None:
     """It has a copy of its own of two of them."""
     text = " ".join(run("fleet", "run", "--help", cwd=tmp_path).stdout.split())
     assert f"Fit these terms to every log. [default: {MODEL}]" in text
@@ -120,7 +120,7 @@ def test_a_dry_run_writes_nothing(logs: Path) -> None:
         (100_000, 224_000_000, 8, "100000 logs, 22.4 TB, about 2 d 1 h on 8 workers\n"),
     ],
 )
-def test_what_a_fleet_would_take_is_said_as_people_do(
+def test_the_cost_of_a_fleet_has_readable_units(
     number: int, size: int, workers: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of two days not how many minutes, of terabytes not how many megabytes."""
@@ -149,7 +149,7 @@ def test_a_report_that_cannot_be_written_ends_with_5(
     assert ended.stderr.endswith("Error: fleet.json: can't be written\n")
 
 
-def test_a_dry_run_says_what_is_done_and_what_stands_twice(done: Path, tmp_path: Path) -> None:
+def test_a_dry_run_lists_logs_and_duplicates(done: Path, tmp_path: Path) -> None:
     """The manifest's own folder is where its paths begin."""
     (done / "copy.npz").write_bytes((done / "logs/alpha/u00/15C/log0000.npz").read_bytes())
     (tmp_path / "m.csv").write_text(f"path,unit\n{done}/copy.npz,9\n")

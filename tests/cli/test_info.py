@@ -89,7 +89,7 @@ def test_shows_what_can_not_be_read(tmp_path: Path) -> None:
     assert done.stderr == "Error: nowhere.mcap: can't be opened: No such file or directory\n"
 
 
-def test_a_finding_is_said_once() -> None:
+def test_a_finding_is_printed_once() -> None:
     """Not for each sensor, and not for each topic where it is about the whole log."""
     gap = Finding(level="warning", code="gaps", text="3 samples are missing.")
     whole = Finding(level="info", code="dropouts", text="The logger lost some.", advice="Log less.")
@@ -109,7 +109,7 @@ def test_a_finding_is_said_once() -> None:
     ]
 
 
-def test_units_of_a_table_stand_once(tmp_path: Path) -> None:
+def test_units_of_a_table_are_printed_once(tmp_path: Path) -> None:
     """Where they were read with the samples, the list of topics does not repeat them."""
     rows = "\n".join(f"{0.01 * i:.2f},0.1,0.2,0.{i % 7},1,2,9.8{i % 3}" for i in range(200))
     heading = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"

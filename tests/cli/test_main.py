@@ -98,7 +98,7 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [f"adev -q {SAMPLE_LOGS / 'too_short.db3'}", "--help"])
-def test_a_full_disk_under_standard_output_is_said(command: str, tmp_path: Path) -> None:
+def test_a_full_disk_under_standard_output_is_reported(command: str, tmp_path: Path) -> None:
     """Exit code 5 and one message, not an internal error."""
     if not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
@@ -153,7 +153,7 @@ def test_a_name_that_is_no_text_is_read_and_reported(tmp_path: Path) -> None:
         assert document["source"]["path"].isascii()
 
 
-def test_an_interrupted_command_leaves_nothing_and_says_so(tmp_path: Path) -> None:
+def test_an_interrupted_command_leaves_no_file_and_reports_it(tmp_path: Path) -> None:
     """Ctrl-C ends with 130 and leaves the folder as it was."""
     process = subprocess.Popen(
         [sys.executable, "-m", "imucal", "simulate", "N=1", "--duration", "3h", "-o", "big.csv"],

@@ -87,7 +87,7 @@ def test_a_log_is_simulated_of_a_data_sheet(tmp_path: Path) -> None:
         (("plan",), "Missing argument"),
     ],
 )  # fmt: skip
-def test_what_is_no_model_is_said(typed: tuple[str, ...], said: str, tmp_path: Path) -> None:
+def test_invalid_models_are_reported(typed: tuple[str, ...], said: str, tmp_path: Path) -> None:
     """Usage, exit code 2, in one sentence."""
     done = run(*typed, cwd=tmp_path)
     assert done.returncode == 2

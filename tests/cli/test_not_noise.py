@@ -99,7 +99,7 @@ def test_a_log_that_is_not_noise_is_not_exported(tmp_path: Path) -> None:
     assert (tmp_path / "imu.yaml").exists()
 
 
-def test_the_report_is_written_and_says_so(tmp_path: Path) -> None:
+def test_the_report_is_written_and_named(tmp_path: Path) -> None:
     """JSON, page and table begin with it; no export is suggested; the gate stays shut."""
     write(tmp_path / "log.csv", moved, ("gx", "gy", "gz"))
     done = run("fit", "log.csv", "--model", "N", "--segments", "1", "--format", "svg", cwd=tmp_path)

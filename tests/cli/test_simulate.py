@@ -35,7 +35,7 @@ def test_the_truth_is_printed_as_json(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_mistake_is_a_usage_error_that_says_what_to_write(
+def test_a_mistake_is_a_usage_error_with_a_correction(
     arguments: list[str], message: str, tmp_path: Path
 ) -> None:
     """Exit code 2 and nothing written."""

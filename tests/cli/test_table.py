@@ -11,7 +11,7 @@ from imucal.report.result import Report
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
 
-def test_both_sensors_stand_side_by_side() -> None:
+def test_both_sensors_are_side_by_side() -> None:
     """Word for word, in data-sheet units."""
     report = consumer_report()
     report = replace(report, axes=report.axes[:2] + report.axes[3:5])
@@ -85,7 +85,7 @@ def test_a_heading_keeps_numbers_with_their_units() -> None:
     assert [line[:39].rstrip() for line in lines[4:6]] == ["508.281 Hz, 14992000 samples,", "8 h 12 min"]
 
 
-def test_axes_with_different_clocks_are_told_apart() -> None:
+def test_axes_with_different_clocks_are_listed_separately() -> None:
     """A missing axis, another rate: the heading says which is which."""
     report = consumer_report()
     slow = replace(report.axes[1], rate_hz=100.0)

@@ -10,7 +10,7 @@ from tests.cli.run import run
 FOLDER = Path(imucal.__file__).resolve().parent
 
 
-def test_the_version_says_where_it_runs(tmp_path: Path) -> None:
+def test_the_version_contains_the_folder(tmp_path: Path) -> None:
     """Version, distribution, folder and Python, on one line."""
     done = run("--version", cwd=tmp_path)
     assert done.returncode == 0

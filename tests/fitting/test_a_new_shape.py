@@ -108,7 +108,7 @@ def test_its_coefficient_and_time_are_recovered(method: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("method", ["mle", "gmwm"])
-def test_it_stands_beside_a_term_of_another_shape(method: str) -> None:
+def test_it_is_fitted_next_to_a_term_of_another_shape(method: str) -> None:
     """Each has its own time; Gauss-Markov's spectrum falls far more slowly."""
     text = "N=1e-3 + GM(sigma=5e-3, T=0.2) + SE(sigma=1e-2, T=4.0)"
     found = fit_of(text, "N + GM + SE", method, seed=5)

@@ -48,7 +48,7 @@ def test_the_two_densities_have_one_curve() -> None:
 
 
 @pytest.mark.parametrize("method", ["gmwm", "slope"])
-def test_a_curve_alone_is_said_to_be_one(method: str) -> None:
+def test_a_curve_alone_is_reported_as_a_curve(method: str) -> None:
     """By info, once, with what to do."""
     curve = allan_curve(AxisSeries.from_samples(simulated("N=1 + K=0.01", 20_000, 71), rate_hz=1.0))
     (said,) = _said(fit(curve, method=method, model="N + K").findings)
@@ -68,7 +68,7 @@ def test_a_ripple_that_the_curve_hides_is_found_in_the_spectrum() -> None:
     assert any(finding.code == "model-misfit" for finding in fit(series, model="N + B").findings)
 
 
-def test_it_is_said_where_a_log_is_characterised() -> None:
+def test_a_characterised_log_is_reported() -> None:
     """With the method that was asked for; not by the second opinion of the default."""
     series = _drawn(2**18, 73)
     recording = Recording(source=Source(path="log", format="csv"), series=(series,))

@@ -43,7 +43,7 @@ def _moved(estimate: Estimate, factor: float) -> Estimate:
     )
 
 
-def test_fits_that_agree_say_nothing(fit: NoiseFit) -> None:
+def test_fits_that_agree_have_no_finding(fit: NoiseFit) -> None:
     """Nor do differences below one per cent, however sure both are."""
     assert second_opinion(replace(fit, method="mle"), fit) == ()
     assert second_opinion(_with(fit, _moved(fit["N"], 1.009), 1e-6), fit) == ()
@@ -78,7 +78,7 @@ def test_terms_of_one_fit_only_are_passed_over(fit: NoiseFit) -> None:
 
 
 @pytest.mark.slow
-def test_a_right_model_is_seldom_doubted() -> None:
+def test_a_right_model_rarely_has_a_misfit() -> None:
     """Of 15 records of N + K, at most 2 have a finding (three in a thousand are expected a term)."""
     model, rng = NoiseModel.parse("N=0.1 + K=1e-2"), np.random.default_rng(32)
     doubts = 0

@@ -262,7 +262,7 @@ def test_the_cost_grows_with_the_samples_only() -> None:
     assert seconds[1] < 20 * seconds[0]
 
 
-def test_progress_is_told() -> None:
+def test_progress_is_reported() -> None:
     """Up to all places."""
     told: list[tuple[int, int]] = []
     samples = np.random.default_rng(50).standard_normal(1000)

@@ -111,7 +111,7 @@ def test_a_curve_alone_is_too_little_for_maximum_likelihood() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_is_where_the_table_says(method: str) -> None:
+def test_every_method_is_in_its_listed_place(method: str) -> None:
     """A new method is a file and a line of the table; its folder has to offer the function."""
     folder, function = METHODS[method]
     offered = importlib.import_module(folder)

@@ -193,7 +193,7 @@ def test_finding_names_term_factor_and_times() -> None:
     assert "The intervals are wider to allow for it: N 10 times." in found.text
 
 
-def test_a_small_spread_is_said_without_a_warning() -> None:
+def test_a_small_spread_is_reported_without_a_warning() -> None:
     """What is sure and small widens the interval; it is no reason to look."""
     logs = 0.01 * np.array([0, 1, 0, 1, 0, 1, 0, 1.0])
     weight = np.full(8, 1e6)
@@ -202,7 +202,7 @@ def test_a_small_spread_is_said_without_a_warning() -> None:
     assert found.level == "info"
 
 
-def test_a_swing_is_said_with_and_without_its_period() -> None:
+def test_a_swing_is_reported_with_and_without_its_period() -> None:
     """Also where segments show nothing."""
     swing = VarianceChange(score=9.0, low=0.4, high=1.7, period_s=30.0)
     (found,) = nonstationary_finding(None, swing, "gyro_x")

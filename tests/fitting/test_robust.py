@@ -57,7 +57,7 @@ def test_spikes_do_not_reach_the_noise(share: float, size: float) -> None:
     assert [finding.code for finding in findings] == ["spikes"]
 
 
-def test_spikes_are_told_from_the_baseline_not_from_zero() -> None:
+def test_spikes_are_measured_from_the_baseline_not_from_zero() -> None:
     """Gravity on the axis, or none, or its opposite: the same samples are spikes."""
     samples = _noise(5_000, 8)
     samples[[70, 4000]] += 30.0
@@ -188,7 +188,7 @@ def test_one_spike_in_a_hundred_samples_is_the_most_that_is_no_warning() -> None
 @pytest.mark.parametrize(
     ("white", "level"), [(0.21, None), (0.2, "info"), (0.0501, "info"), (0.0499, "warning"), (0.0, None)]
 )
-def test_rounding_is_said_from_two_per_cent_and_hides_the_noise_below_half_a_step(
+def test_rounding_is_reported_from_two_per_cent_and_hides_noise_below_half_a_step(
     white: float, level: str | None
 ) -> None:
     """Steps of 1 at 100 Hz: 1/1200 is 2.08 % of 0.2², 1.89 % of 0.21²; N = 0.05 is half a step."""
@@ -208,7 +208,7 @@ def test_a_grid_holds_to_a_millionth_of_its_step_or_to_single_precision(
 
 
 @pytest.mark.parametrize(("copies", "found"), [(3, False), (4, True)])
-def test_a_grid_has_values_that_stand_four_times_on_average(copies: int, *, found: bool) -> None:
+def test_a_grid_has_values_that_occur_four_times_on_average(copies: int, *, found: bool) -> None:
     """And at least three of them."""
     assert (step_size(np.repeat(np.arange(3.0), copies)) is not None) == found
     assert step_size(np.repeat(np.arange(2.0), copies)) is None
@@ -252,7 +252,7 @@ def test_heavy_tails_leave_n_as_it_is() -> None:
 
 @pytest.mark.parametrize("spike", [4.0, 5.9, 6.3, 7.0, 40.0])
 @pytest.mark.parametrize("n", [1234, 60_000])
-def test_no_median_is_taken_where_a_count_says_that_there_is_no_spike(
+def test_a_count_that_excludes_spikes_skips_the_median(
     spike: float, n: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same samples are spikes as by the median of all distances; without spikes it is not taken."""

@@ -155,7 +155,7 @@ def test_a_filter_of_one_record_is_not_that_of_all() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_log_has_the_values_of_a_blind_search_where_its_fit_tells_the_band(seed: int) -> None:
+def test_a_known_band_gives_the_same_values_as_a_search(seed: int) -> None:
     """Behind a filter, whose band the fit has found; one that did not have these terms tells none."""
     corner = np.exp(-2 * np.pi * (8 + 4 * seed) / RATE)
     behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-4", 3000, 95, seed))

@@ -87,7 +87,7 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     assert np.ptp(differences) < 0.03
 
 
-def test_a_median_lies_among_units_that_are_told() -> None:
+def test_a_median_is_within_the_estimated_units() -> None:
     """Four of them, each at three to five of its errors: no limit is far from all of them."""
     logs = [
         LogValue(unit=f"u{i}", value=None, low=0.0, high=9.0, variance=v, variance_sd=sd, variance_growth=0.1)
@@ -261,7 +261,7 @@ def test_p_values_are_adjusted_as_scipy_does() -> None:
     assert adjusted(p) == pytest.approx(stats.false_discovery_control(p))
 
 
-def test_few_units_have_no_spread_and_it_is_said() -> None:
+def test_few_units_have_no_spread_with_a_finding() -> None:
     """One or two units: what they are, and what is missing."""
     found = population(strong_fleet(np.random.default_rng(49), units=2, tau=0.1, error=0.1))
     assert found.spread is None

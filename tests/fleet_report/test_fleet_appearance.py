@@ -86,7 +86,7 @@ def test_bands_and_prices_are_short(fleet: Fleet) -> None:
     assert float(low) < float(high)
 
 
-def test_the_first_failures_stand_in_sight(fleet: Fleet) -> None:
+def test_the_first_failures_are_visible(fleet: Fleet) -> None:
     """Print has no folded lists."""
     log = fleet.logs[0]
     failed = tuple(_failed(log, f"bad{i}.mcap") for i in range(7))
@@ -102,7 +102,7 @@ def _failed(log: FleetLog, path: str) -> FleetLog:
     return replace(log, path=path, status="unreadable", reason="no footer", left_out="no footer")
 
 
-def test_pictures_say_all_inside_their_frames(one_axis: Fleet) -> None:
+def test_pictures_have_all_text_inside_their_frames(one_axis: Fleet) -> None:
     """Titles of narrow ones, too; each has a key."""
     model = one_axis.models[0]
     heat = heat_figure(model)

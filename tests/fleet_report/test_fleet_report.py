@@ -135,7 +135,7 @@ def test_units_are_tested_in_turn_as_at_once(tmp_path: Path, monkeypatch: pytest
     assert [len(tests) for tests in at_once] == [3, 3, 3]
 
 
-def test_the_document_is_as_its_schema_says(fleet: Fleet) -> None:
+def test_the_document_matches_its_schema(fleet: Fleet) -> None:
     """And so is that of a fleet of two units, and of one without labels."""
     jsonschema.validate(fleet_document(fleet), SCHEMA)
     document = fleet_document(fleet)
@@ -210,7 +210,7 @@ def test_labels_do_no_harm_in_a_table(fleet: Fleet, label: str, cell: str) -> No
     assert {row["unit"] for row in rows} == {f"u{number:02}" for number in range(24)}
 
 
-def test_few_units_have_neither_spread_nor_bound_and_it_is_said(tmp_path: Path) -> None:
+def test_few_units_have_neither_spread_nor_bound_with_a_finding(tmp_path: Path) -> None:
     """In the document, on the page, and by the export."""
     write_store(tmp_path / "two", units=2, failures=False, special=False, weak="", names=("gyro_x",))
     fleet = imucal.load_fleet(tmp_path / "two")
@@ -504,7 +504,7 @@ def svg_of(element: html.HtmlElement) -> str:
     return base64.b64decode((element.get("src") or "").partition(",")[2]).decode()
 
 
-def test_pictures_say_which_units_are_odd(fleet: Fleet, page: html.HtmlElement) -> None:
+def test_pictures_name_odd_units(fleet: Fleet, page: html.HtmlElement) -> None:
     """By a shape and a name, not by colour alone; the words beside them, too."""
     gyro, _ = page.cssselect("#units-0 figure img")
     assert gyro.get("alt") == "ACME-6, gyroscope: units sorted, each with its 95 % interval"
@@ -517,7 +517,7 @@ def test_pictures_say_which_units_are_odd(fleet: Fleet, page: html.HtmlElement) 
     assert ">!<" in svg_of(heat)
 
 
-def test_an_odd_unit_has_its_price_beside_the_bound(fleet: Fleet, page: html.HtmlElement) -> None:
+def test_an_odd_unit_is_listed_with_its_effect_on_the_bound(fleet: Fleet, page: html.HtmlElement) -> None:
     """What it widens its own yardstick by: the bound without it, as a fleet without it has."""
     term = fleet.model()["gyro_z", "N"]
     others = imucal.population([log for log in term.logs if log.unit != "u07"])
@@ -624,7 +624,7 @@ def _larger(term: FleetTerm, factor: float) -> FleetTerm:
     )
 
 
-def test_two_models_stand_side_by_side(fleet: Fleet, tmp_path: Path) -> None:
+def test_two_models_are_side_by_side(fleet: Fleet, tmp_path: Path) -> None:
     """A row each in every strip, and the picture on the page."""
     both = replace(fleet, models=(fleet.model(), replace(fleet.model(), name="BOLT-9")))
     names = [picture.name for picture in fleet_pictures(both)]

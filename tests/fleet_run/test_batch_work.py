@@ -67,7 +67,7 @@ def test_a_report_of_a_log_that_cannot_be_written_is_no_fault_of_the_log(tmp_pat
     assert store.logs().is_empty()
 
 
-def test_a_run_says_what_it_has_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_reports_the_logs_in_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before a batch is done, not only after: a long one looked like nothing at work."""
     monkeypatch.setattr(running, "OWN_BATCH_S", 0.0)
     monkeypatch.setattr(running, "work_on_batch", lambda _, __, ___: 0)

@@ -41,7 +41,7 @@ def fails(*_: object, **__: object) -> None:
         ),
     ],
 )
-def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch, played: object, said: str) -> None:
+def test_missing_parts_are_reported(monkeypatch: pytest.MonkeyPatch, played: object, said: str) -> None:
     monkeypatch.setattr("distributed.Client", played)
     said = f"tcp://head:8786: {said}"
     with pytest.raises(EngineError, match=f"^{re.escape(said)}$"), dask_workers("tcp://head:8786", str):
@@ -56,7 +56,7 @@ def test_an_address_that_nobody_else_reaches_is_as_it_should_be(address: str) ->
 
 
 @pytest.mark.parametrize("address", ["tcp://head:8786", "10.1.2.3:8786", "ucx://head", "tcp://0.0.0.0:1"])
-def test_an_address_that_others_may_reach_is_said(address: str) -> None:
+def test_a_public_address_is_reported(address: str) -> None:
     """Tasks are pickles: who can send one is the user of the workers."""
     said = unprotected(address)
     assert said.startswith(f"{address}: is neither tls:// nor local: anyone who reaches it can run programs")

@@ -116,7 +116,7 @@ def test_a_notebook_may_call_it(folder: Path) -> None:
     assert (done.stdout, done.stderr) == ("3 3\n", "")
 
 
-def test_a_nought_is_not_taken_for_nothing() -> None:
+def test_a_zero_is_not_treated_as_missing() -> None:
     """A take of 0 s was the whole log; what is off or empty is not said."""
     said = {
         "take_s": 0.0,
@@ -202,7 +202,7 @@ def test_the_report_is_written_once(folder: Path) -> None:
     assert json.loads((folder / "typed/fleet.json").read_text())["schema"]
 
 
-def test_a_fresh_run_does_all_of_it_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fresh_run_repeats_everything(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a folder that holds a report, and also where another model is asked for."""
     monkeypatch.chdir(folder)
     logs = "logs/beta"
@@ -216,7 +216,7 @@ def test_a_fresh_run_does_all_of_it_anew(folder: Path, monkeypatch: pytest.Monke
     assert FleetStore("anew").settings() == {"model": "N + B + K", "level": 0.95}
 
 
-def test_labels_may_be_said_later(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_may_be_given_later(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the logs that the folder has, as its page says to type it; labels that they have besides stay."""
     monkeypatch.chdir(folder)
     fleet = imucal.run_fleet("logs", "later", labels="{model}/*/*/*.npz", shard=(1, 1))

@@ -110,7 +110,7 @@ def test_it_is_parsed_written_and_added_up(text: str) -> None:
     assert parse_structure(f"{model.terms[1].symbol} + N") == ("N", model.terms[1].symbol)
 
 
-def test_a_model_may_hold_it_as_often_as_it_says() -> None:
+def test_a_model_may_contain_a_term_as_often_as_it_declares() -> None:
     """One sinusoid; several second-order terms, numbered."""
     with pytest.raises(ValueError, match="S appears more than once; only GM and SGM may"):
         parse_structure("2*S")
@@ -171,7 +171,7 @@ def test_the_command_line_makes_and_refuses_it(tmp_path: Path) -> None:
     assert "method 'mle' can't fit S (sinusoid)" in " ".join(refused.output.split())
 
 
-def test_planning_knows_how_well_it_can_be_told() -> None:
+def test_planning_predicts_the_precision() -> None:
     """By its psd: four times the record, half the error; a line without density is told by none."""
     model = NoiseModel.parse(f"N=0.1 + {NEW['SGM']}")
     short, long = (relative_deviations(model, rate_hz=10.0, duration_s=s) for s in (2e3, 8e3))
@@ -212,7 +212,7 @@ def test_units_page_and_pictures_take_it_from_the_class() -> None:
     ).startswith("S 2.06")
 
 
-def test_what_is_forgotten_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_incomplete_term_is_reported_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those added here stand in no docs and no schema; one without units is told so as well."""
     said = missing("S")
     assert any("README.md has no row for S" in sentence for sentence in said), said

@@ -87,7 +87,7 @@ def test_two_parts_add_up_as_squares() -> None:
     assert [point.term for point in both][-1] == "gyro_x B"
 
 
-def test_gravity_tells_heading_from_tilt() -> None:
+def test_gravity_determines_tilt_but_not_heading() -> None:
     """By the accelerometer's means, if one axis lies along g and they are g together; else it is an angle."""
     report = consumer_report()
     assert imucal.drift(report).vertical == "z"

@@ -88,7 +88,7 @@ def test_scale_and_offset_change_no_score() -> None:
     np.testing.assert_allclose(scores[1], scores[0], atol=1e-3)
 
 
-def test_a_short_record_says_nothing() -> None:
+def test_a_short_record_has_no_finding() -> None:
     """A half must last for twelve times the averaging time."""
     series = series_of(noise("N=1e-3", 51, n=int(230 * RATE)))
     assert half_predictions(series, imucal.fit(series)) == ()

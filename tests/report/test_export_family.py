@@ -45,7 +45,7 @@ def test_a_format_is_complete(name: str) -> None:
     assert forgotten(TARGETS[name]) == []
 
 
-def test_what_a_new_format_lacks_is_said() -> None:
+def test_an_incomplete_new_format_is_reported() -> None:
     """A line in the table alone: one sentence for each thing that is missing."""
     fake = Target(name="fake", title="", file_name="", heading="", source="", kind="", formulas=(), text="")
     assert forgotten(fake) == [
@@ -60,7 +60,7 @@ def test_what_a_new_format_lacks_is_said() -> None:
     ]
 
 
-def test_a_name_or_file_that_is_taken_is_said() -> None:
+def test_an_existing_name_or_file_is_reported() -> None:
     """A copy of Kalibr's format under a new name keeps nothing for itself."""
     copy = replace(TARGETS["kalibr"], name="Kalibr 2", aliases=("open-vins",))
     assert forgotten(copy)[:2] == [

@@ -89,7 +89,7 @@ def test_a_consumer_reads_the_fits_own_numbers(
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_every_file_says_how_its_numbers_came_about(target: str) -> None:
+def test_every_file_explains_its_numbers(target: str) -> None:
     """Tool and version, log, rate, kind, formula, axes and inflation stand in a comment."""
     text = render(consumer_report(), target, ExportOptions(inflate={"white": 2, "walk": 10}))
     for said in (
@@ -125,7 +125,7 @@ def test_the_axis_policy_chooses_or_averages(policy: AxisPolicy, scale: float) -
     assert data["accelerometer_random_walk"] == pytest.approx(scale * 1e-5)
 
 
-def test_a_bound_is_written_and_said() -> None:
+def test_a_bound_is_written_and_reported() -> None:
     """A term that the data don't show is written as its upper bound, with words beside it."""
     text = render(consumer_report(), "kalibr", fitted(axis_policy="y"))
     assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
@@ -133,7 +133,7 @@ def test_a_bound_is_written_and_said() -> None:
     assert "not detected, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
 
 
-def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> None:
+def test_a_bound_comes_with_its_ratio_to_the_curve() -> None:
     """The largest K under the curve, by hand: its line touches the curve where they are closest."""
     report = consumer_report()
     curve = report.axes[1].fit.curve
@@ -145,7 +145,7 @@ def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> 
     assert Numbers(report=report, options=ExportOptions(), target="x").of(report.axes[0], "K").excess is None
 
 
-def test_a_number_comes_with_its_interval_and_with_what_may_stand_in_its_place() -> None:
+def test_a_number_comes_with_its_interval_and_alternatives() -> None:
     """The limits are the fit's, inflated as the number is; "B or GM" stands beside the value."""
     report = _plain_report()
     axis = report.axes[2]
@@ -377,7 +377,7 @@ def _two_rates() -> Report:
 
 
 @pytest.mark.parametrize("target", READERS)
-def test_every_number_is_for_the_rate_that_the_file_says(target: str, tmp_path: Path) -> None:
+def test_every_number_is_for_the_rate_in_the_file(target: str, tmp_path: Path) -> None:
     """A reader knows one rate, that of the file, and finds N and K of both sensors with it."""
     report = _two_rates()
     (path,) = export(report, target, tmp_path, fitted())
@@ -565,7 +565,7 @@ def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) 
     assert ("fitted spectrum (80%)" in text) == (count == 1)
 
 
-def test_inflation_of_a_pair_is_what_it_says() -> None:
+def test_inflation_multiplies_a_pair() -> None:
     """White noise and walk by their factors; flicker before it is covered, which raises both."""
     plain = yaml.safe_load(render(_plain_report(), "kalibr"))
     text = render(_plain_report(), "kalibr", ExportOptions(inflate={"white": 2.0, "walk": 10.0}))
@@ -590,7 +590,7 @@ def test_inflation_of_flicker_holds_where_a_table_only_bounds_it() -> None:
         assert raised[key] == pytest.approx(10 * plain[key], rel=0.01)
 
 
-def test_the_comment_says_what_two_numbers_do_not_cover() -> None:
+def test_the_comment_lists_what_two_numbers_do_not_cover() -> None:
     """Rounding adds a step to an angle, a tone swings it by 2A/omega; the fit's own numbers stand there."""
     text = render(consumer_report(), "px4")
     assert "accel_x: quantization adds up to sqrt(2) Q = 2.83e-06" in text
@@ -621,7 +621,7 @@ def test_a_walk_gets_a_time_long_against_horizon_and_record() -> None:
     assert data["corrtime"] == 10
 
 
-def test_px4_numbers_outside_its_range_are_said() -> None:
+def test_px4_numbers_outside_its_range_are_reported() -> None:
     """A good accelerometer at rest is below it; a ground station would warn without saying why."""
     assert "EKF2_ACC_NOISE: 0.003 is outside the range that PX4 documents, 0.01 to 1" in render(
         replace(

@@ -200,7 +200,7 @@ def test_an_unknown_format_is_refused() -> None:
 
 
 @pytest.mark.parametrize("group", [{symbol: term.stroke for symbol, term in TERMS.items()}, AXES])
-def test_colours_are_readable_and_told_apart_without_colour(group: dict[str, Stroke]) -> None:
+def test_colours_are_readable_and_distinguishable_without_colour(group: dict[str, Stroke]) -> None:
     """As text on white the contrast is 4.5 or more (WCAG 2.2, AA), on the dark page too; dashes differ."""
     for stroke in (*group.values(), MODEL, DATA):
         assert _contrast(stroke.light, "#ffffff") >= 4.5
@@ -209,7 +209,7 @@ def test_colours_are_readable_and_told_apart_without_colour(group: dict[str, Str
     assert len(set(dashes)) == len(dashes)
 
 
-def test_axes_of_an_overview_are_told_apart_by_the_colour_blind() -> None:
+def test_axes_of_an_overview_are_distinguishable_by_the_colour_blind() -> None:
     """Under simulated protanopia and deuteranopia (Viénot 1999) no two colours come near each other."""
     for matrix in (
         [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
@@ -307,7 +307,7 @@ def test_the_legend_shows_a_mark_only_if_the_plot_has_it() -> None:
     assert marks["B"] in {"None", "", None}
 
 
-def test_a_picture_shows_what_may_stand_in_a_terms_place() -> None:
+def test_a_picture_shows_the_alternatives_of_a_term() -> None:
     """In the table of a sensor and at the line of an axis."""
     report = consumer_report()
     axis = report.axes[0]

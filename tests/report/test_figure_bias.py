@@ -66,7 +66,7 @@ def test_the_picture_is_the_same_each_time() -> None:
     )
 
 
-def test_a_bias_that_stands_still_is_drawn() -> None:
+def test_a_constant_bias_is_drawn() -> None:
     """White noise alone: a level with its band."""
     (axes,) = bias_figure(_parts("N=1e-3")).axes
     low, high = axes.get_ylim()

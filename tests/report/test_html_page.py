@@ -106,7 +106,7 @@ def test_findings_are_in_words(page: html.HtmlElement) -> None:
     assert text.index("Warnings") < text.index("Notes")
 
 
-def test_findings_with_the_same_advice_stand_together() -> None:
+def test_findings_with_the_same_advice_are_grouped() -> None:
     """Six axes with one trouble are one item; a sentence that starts with a name keeps it."""
     report = consumer_report()
     finding = replace(report.axes[0].findings[0], code="odd", axis=None, advice="look at it")
@@ -123,7 +123,7 @@ def test_findings_with_the_same_advice_stand_together() -> None:
     assert "No findings: no gap" in findings_section(calm)
 
 
-def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
+def test_page_explains_which_number_goes_where(page: html.HtmlElement) -> None:
     """The formulas of the consumers, worked out at 200 Hz for the worst axis."""
     rows = {
         row.xpath("th")[0].text_content(): [cell.text_content() for cell in row.xpath("td")]
@@ -145,7 +145,7 @@ def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
     assert rows["N² f"][0].startswith("discrete")
 
 
-def test_page_says_it_for_every_program(page: html.HtmlElement) -> None:
+def test_page_explains_it_for_every_program(page: html.HtmlElement) -> None:
     """One row an export, with the formulas that stand in its file."""
     rows = page.get_element_by_id("downstream").xpath("(.//details)[2]//tbody/tr")
     said = {row.xpath(".//code")[0].text_content(): row.text_content() for row in rows}
@@ -234,7 +234,7 @@ def test_gaps_nearer_than_a_five_hundredth_are_one(apart: float, count: int) -> 
 
 
 @pytest.mark.parametrize(("height", "count"), [(7.9, 0), (8.1, 1)])
-def test_a_spike_stands_out_from_eight_deviations_on(height: float, count: int) -> None:
+def test_a_spike_is_found_from_eight_deviations_on(height: float, count: int) -> None:
     """Robust ones: an eighth of std here, where the neighbours are all alike; 25 stretches are enough."""
     values = np.zeros(25)
     values[3] = height / 8
@@ -287,7 +287,7 @@ def test_six_lines_are_named_and_the_rest_is_counted(count: int, named: str, cou
         (3.14, "3.1 (the model does not fit)"),
     ],
 )
-def test_the_misfit_score_is_said_in_words(score: float, text: str) -> None:
+def test_the_misfit_score_is_explained(score: float, text: str) -> None:
     """Above 3 something else is in the data."""
     axis = consumer_report().axes[0]
     fit = replace(axis.fit, goodness=replace(axis.fit.goodness, statistic=score))
@@ -310,7 +310,7 @@ def _page(axis: AxisReport) -> html.HtmlElement:
     return html.document_fromstring("".join(sections))
 
 
-def test_the_page_says_what_it_does_to_a_filter(page: html.HtmlElement) -> None:
+def test_the_page_explains_the_effect_on_a_filter(page: html.HtmlElement) -> None:
     """Main quantities at four times, with limits and the term that makes most; none where it is not noise."""
     section = page.get_element_by_id("drift")
     rows = {row.findtext("th"): row.xpath("string(td[3])") for row in section.xpath(".//tbody/tr")}
@@ -327,7 +327,7 @@ def test_the_page_says_what_it_does_to_a_filter(page: html.HtmlElement) -> None:
     assert not page.xpath("//*[@id='drift']")
 
 
-def test_spikes_stand_out_and_drift_does_not() -> None:
+def test_spikes_are_found_and_drift_is_not() -> None:
     """A stretch whose extreme is far from its neighbours' is marked; a slow drift is not."""
     rng = np.random.default_rng(5)
     time = np.arange(1000.0)
@@ -427,7 +427,7 @@ def test_every_plot_is_drawn_without_an_error_or_a_request(browser: Browser, add
     assert [url for url in asked[1:] if not url.startswith(("data:", "blob:"))] == []
 
 
-def test_hover_says_tau_deviation_interval_and_model(browser: Browser, address: str) -> None:
+def test_hover_shows_tau_deviation_interval_and_model(browser: Browser, address: str) -> None:
     """With the mouse on a point, as a user would."""
     _load(browser, address)
     _show(browser, "gyro_x-allan")
@@ -552,7 +552,7 @@ def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) ->
     browser.devtools("Emulation.clearDeviceMetricsOverride")
 
 
-def test_pictures_stand_in_where_scripts_are_off(browser: Browser, address: str) -> None:
+def test_pictures_replace_charts_without_scripts(browser: Browser, address: str) -> None:
     """Both overviews, and one in each axis's fold; no empty plot, no switch that does nothing."""
     browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
     try:

@@ -138,7 +138,7 @@ def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
     assert dict(again.settings) == dict(report.settings)
 
 
-def test_what_may_stand_in_a_terms_place_comes_back() -> None:
+def test_alternatives_of_a_term_are_read_back() -> None:
     """Other terms, for how long it holds, and how much wider it became; a file without them has none."""
     report = small_report()
     axis = report.axes[0]
@@ -301,7 +301,7 @@ def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_error_says_where_what_and_what_was_expected(
+def test_errors_contain_place_finding_and_expectation(
     place: tuple[Any, ...], value: object, message: str
 ) -> None:
     """The place is a path into the document."""

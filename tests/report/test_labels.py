@@ -56,7 +56,7 @@ def test_boxes_that_touch_do_not_overlap() -> None:
     ("angle", "box"),
     [(0, (13, 19, 17, 21)), (90, (8, 23, 12, 25)), (180, (3, 19, 7, 21)), (270, (8, 15, 12, 17))],
 )
-def test_a_label_stands_beside_its_point(angle: float, box: tuple[float, ...]) -> None:
+def test_a_label_is_next_to_its_point(angle: float, box: tuple[float, ...]) -> None:
     """Its nearest edge is 3 away from the point (10, 20)."""
     found = _beside(_points((10, 20))[0], (4.0, 2.0), 3.0, math.radians(angle))
     npt.assert_allclose([found.x0, found.y0, found.x1, found.y1], box, atol=1e-12)
@@ -209,7 +209,7 @@ def test_a_line_has_no_hole_for_a_label() -> None:
     assert _dense(axes, np.zeros(0), np.zeros(0)).shape == (0, 2)
 
 
-def test_labels_are_written_beside_their_points() -> None:
+def test_labels_are_next_to_their_points() -> None:
     """The mark nearest to a side first, lines last; offsets are in points, at any resolution."""
     figure, axes = _axes()
 

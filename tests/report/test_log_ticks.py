@@ -79,7 +79,7 @@ def test_ticks_lie_inside_and_rise(low: float, factor: float) -> None:
     assert len({tick_label(place) for place in major}) == len(major)
 
 
-def test_minor_ticks_stand_at_their_values_on_both_axes() -> None:
+def test_minor_ticks_are_at_their_values_on_both_axes() -> None:
     """The tick of 2 lies at log 2 of a decade, from the left edge up and from the foot up."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure

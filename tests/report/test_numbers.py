@@ -64,7 +64,7 @@ def test_uncertainty_decides_the_digits(value: float, half: float, text: str) ->
         (_quantity(0.099996, 0.099996, 0.099996), "0.1000 deg/h"),
     ],
 )
-def test_lopsided_bounded_and_unknown_are_said_as_such(quantity: Quantity, text: str) -> None:
+def test_asymmetric_bounded_and_unknown_values_are_printed_differently(quantity: Quantity, text: str) -> None:
     """Where ± would mislead, the limits stand; a bound is rounded up, never down."""
     assert with_uncertainty(quantity) == text
 
@@ -84,7 +84,9 @@ def test_a_printed_bound_is_never_below_the_bound(high: float) -> None:
     below=st.floats(1e-4, 0.9),
     above=st.floats(1e-4, 5.0),
 )
-def test_rounding_keeps_what_the_interval_tells(value: float, below: float, above: float) -> None:
+def test_rounding_keeps_the_digits_that_the_interval_supports(
+    value: float, below: float, above: float
+) -> None:
     """What is printed tells the value apart as well as its interval does."""
     quantity = _quantity(value, value * (1 - below), value * (1 + above))
     exponent = numbers.power_of_ten(quantity)
@@ -95,7 +97,7 @@ def test_rounding_keeps_what_the_interval_tells(value: float, below: float, abov
     assert float(low) <= float(text) <= float(high)
 
 
-def test_a_bounded_term_that_is_drawn_says_so() -> None:
+def test_a_drawn_bounded_term_is_reported() -> None:
     """In its row's unit and places, in tables as in pictures; a value says nothing of it."""
     bound = replace(_quantity(None, 0, 4.7e-6), drawn=2.5e-6)
     assert compact(bound, exponent=-6) == ("< 4.7", "(drawn 2.5)")
@@ -106,7 +108,7 @@ def test_a_bounded_term_that_is_drawn_says_so() -> None:
     assert numbers.si(shown, Sensor.GYROSCOPE).drawn is None
 
 
-def test_a_walk_says_for_how_long_it_holds() -> None:
+def test_a_walk_reports_its_horizon() -> None:
     """Where a Gauss-Markov term may stand in its place, up to the least T of that."""
     k = Estimate(key="K", symbol="K", status="bounded", value=None, low=0.0, high=1.0)
     assert numbers.alternatives(k) == ""
@@ -193,7 +195,7 @@ def test_minimum_carries_the_interval_of_its_point() -> None:
         (3 * 86400, "3 d"),
     ],
 )
-def test_durations_are_as_people_say_them(seconds: float, text: str) -> None:
+def test_durations_have_readable_units(seconds: float, text: str) -> None:
     """Two units at most, the smaller one left out where it is nought."""
     assert duration(seconds) == text
 

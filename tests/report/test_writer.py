@@ -52,7 +52,7 @@ def weak_user() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
+def test_the_folder_has_the_designed_files(tmp_path: Path) -> None:
     """One JSON and one picture an axis, one overview a sensor, the page; report.json comes first."""
     report = consumer_report()
     report = replace(report, axes=report.axes[2:4])
@@ -286,7 +286,7 @@ def test_a_scratch_folder_in_use_is_left_alone(tmp_path: Path) -> None:
     assert scratch.is_dir()
 
 
-def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_move_reports_the_remaining_files(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Past the point of no return the message no longer says that nothing changed."""
     move = Path.replace
 

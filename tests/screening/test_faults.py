@@ -289,7 +289,9 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
 @pytest.mark.parametrize(
     ("fault", "level", "code", "axis", "text"), FAULTS, ids=[fault[0].__name__ for fault in FAULTS]
 )
-def test_a_fault_is_found_and_said(fault: Fault, level: str, code: str, axis: str | None, text: str) -> None:
+def test_a_fault_is_found_and_reported(
+    fault: Fault, level: str, code: str, axis: str | None, text: str
+) -> None:
     """One fault, one finding, with its figures."""
     look = at_rest if code == "motion" else found
     finding = one(look(*fault(*still(N, 1))))

@@ -85,7 +85,7 @@ def test_noise_without_a_filter_has_no_corner(kind: str) -> None:
         assert "roll-off" not in {f.code for f in found}
 
 
-def test_too_short_an_axis_says_nothing() -> None:
+def test_too_short_an_axis_has_no_finding() -> None:
     """Fewer samples than a noise model needs."""
     assert not_noise(axis(np.arange(10.0))) == ()
 

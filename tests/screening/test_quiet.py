@@ -91,7 +91,7 @@ WILD: list[Callable[[int, np.random.Generator], FloatArray]] = [
 
 
 @pytest.mark.parametrize("seed", first_by_default(range(13), 5))
-def test_damaged_data_neither_crash_nor_say_nan(seed: int) -> None:
+def test_damaged_data_neither_crash_nor_print_nan(seed: int) -> None:
     """Six of the wild axes, each kind in six of the tests, give findings whose figures are numbers.
 
     Warnings are errors here.

@@ -30,7 +30,7 @@ def _correlation(covariance: FloatArray) -> FloatArray:
     return np.asarray(covariance / np.outer(deviation, deviation))
 
 
-def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_grid_of_lags_represents_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum on graded lags is that over every lag, to 1e-3 of the standard deviations."""
     m = 2 ** np.arange(11)
     quick = avar_covariance(m, 5_000, TERMS, overlapping=True)

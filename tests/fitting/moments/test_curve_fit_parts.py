@@ -59,7 +59,7 @@ def test_a_record_too_short_for_its_curve_is_of_unknown_length(n: int, *, known:
 
 
 @pytest.mark.parametrize(("size", "heavy"), [(100, False), (101, True)])
-def test_tails_are_told_by_a_hundred_differences(size: int, *, heavy: bool) -> None:
+def test_tails_need_a_hundred_differences(size: int, *, heavy: bool) -> None:
     """Half the steps' excess is the samples'; two steps of a hundred are all there is of them."""
     samples = np.zeros(size)
     samples[50] = 1.0
@@ -153,7 +153,7 @@ def _said(*, known: bool = True, dropped: int = 0, statistic: float = 0.0) -> li
     return [f.text for f in _findings(None, points, fit, dropped, "N + K") if f.code != "narrow-intervals"]
 
 
-def test_each_finding_of_a_curve_stands_alone() -> None:
+def test_each_finding_of_a_curve_is_separate() -> None:
     """Nothing of a curve of known length that the model describes."""
     assert _said(statistic=2.99) == []
     assert _said(known=False) == [

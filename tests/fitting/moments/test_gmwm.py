@@ -278,7 +278,7 @@ def test_refuses_other_variances() -> None:
         fit_gmwm(None, replace(curve, estimator="hadamard"), FitSettings())
 
 
-def test_a_curve_of_unknown_length_says_so() -> None:
+def test_a_curve_of_unknown_length_is_reported() -> None:
     """Intervals take the shortest record that allows the curve, and are wider for it."""
     curve = simulated_curve("N=1 + K=1e-2", 20_000, np.random.default_rng(3))
     known = fit_gmwm(None, curve, FitSettings(model=WALK))

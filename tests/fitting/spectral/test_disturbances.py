@@ -191,7 +191,7 @@ def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
 
 
 @pytest.mark.parametrize("shape", [0.0, 1.0, 2.0])
-def test_chance_makes_steps_no_oftener_than_its_choice_says(shape: float) -> None:
+def test_false_steps_are_as_rare_as_the_chosen_level(shape: float) -> None:
     """Of white noise, flicker and a walk: the gain that one in ten exceeds, of 200 draws of ordinates.
 
     In white noise the best place moves by leaps, so that it comes out lower.

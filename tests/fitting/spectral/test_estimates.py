@@ -136,7 +136,7 @@ def test_an_interval_is_widened_in_logarithms(monkeypatch: pytest.MonkeyPatch) -
     assert bounded.high == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(0.4))
 
 
-def test_the_fewer_ordinates_tell_a_variance_the_farther_are_its_limits(
+def test_limits_widen_with_fewer_ordinates(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Student's quantile with 2/variance degrees of freedom, ten at least; of times and ramps the normal."""

@@ -62,7 +62,7 @@ def test_at_most_four_lines_are_named(count: int, text: str | None) -> None:
 
 
 @pytest.mark.parametrize(("statistic", "said"), [(2.99, False), (3.0, True)])
-def test_a_misfit_from_a_score_of_three_is_said(statistic: float, *, said: bool) -> None:
+def test_a_misfit_is_reported_from_a_score_of_three(statistic: float, *, said: bool) -> None:
     """With its mean squared residual and its score."""
     found = _misfit_findings(
         Goodness(statistic=statistic, p_value=0.1, chi2_per_bin=1.234),
@@ -207,7 +207,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
         ),
     ],
 )
-def test_what_is_said_about_a_filter(
+def test_findings_about_a_filter(
     pole: float | None, fraction: float, order: Order, text: str | None, *, named: bool
 ) -> None:
     """Nothing of a flat whole band; else its name, or what bends the spectrum, or where the fit ends."""

@@ -151,7 +151,7 @@ def test_many_long_gaps_are_no_hindrance() -> None:
     assert result["N"].value == pytest.approx(1.0, abs=0.03)
 
 
-def test_a_record_without_gaps_says_nothing() -> None:
+def test_a_record_without_gaps_has_no_finding() -> None:
     """One block at place 0, and no finding."""
     found = make_blocks(series_of(simulated(TEXT, 1000, 5)))
     assert found.findings == ()

@@ -120,7 +120,7 @@ def test_n_is_always_a_value(monkeypatch: pytest.MonkeyPatch) -> None:
         assert n.drawn is None
 
 
-def test_a_bounded_term_that_the_model_has_says_what_is_drawn(fits: list[NoiseFit]) -> None:
+def test_a_bounded_term_of_the_model_reports_the_drawn_value(fits: list[NoiseFit]) -> None:
     """Its interval reaches zero, and yet the model without it would be less likely."""
     bounded = [e for fit in fits for e in fit.estimates if e.value is None]
     drawn = [e.drawn for e in bounded if e.drawn is not None]
@@ -130,7 +130,7 @@ def test_a_bounded_term_that_the_model_has_says_what_is_drawn(fits: list[NoiseFi
     assert all(e.drawn == e.value for e in shown)
 
 
-def test_what_one_thing_may_be_is_said() -> None:
+def test_accepted_types_are_listed() -> None:
     """To half an hour a Gauss-Markov term of 5 s beside a walk is flicker as well."""
     text = "N=1e-4 + GM(sigma=4e-5, T=5) + K=8e-6"
     fits = [fitted(simulated(text, N, seed, rate_hz=RATE), rate_hz=RATE) for seed in range(4)]
@@ -139,7 +139,7 @@ def test_what_one_thing_may_be_is_said() -> None:
     assert all(fit["N"].alternatives == () for fit in fits)
 
 
-def test_white_noise_stands_for_nothing_else() -> None:
+def test_white_noise_has_no_alternative() -> None:
     """Nothing is missing, so nothing may stand in its place; N is as sure as with the model given."""
     samples = np.random.default_rng(5).normal(size=N)
     chosen, given = (fitted(samples, model, rate_hz=RATE) for model in ("auto", "N + B + K"))

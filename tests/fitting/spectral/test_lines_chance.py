@@ -10,7 +10,7 @@ from imucal.noise import NoiseModel
 
 @pytest.mark.parametrize("text", ["N=1e-3", "N=1e-4 + K=2e-5", "N=1e-3 + B=5e-4"])
 @pytest.mark.parametrize("n", [2_000, 16_000])
-def test_a_record_without_lines_seldom_has_one(text: str, n: int) -> None:
+def test_a_record_without_lines_rarely_has_one(text: str, n: int) -> None:
     """One record in a hundred, by design; the bound of 4 % is three standard errors above, of 150 records."""
     bins, model = dct_bins(n), NoiseModel.parse(text)
     found = 0

@@ -66,7 +66,7 @@ def test_the_precision_of_missing_samples_is_its_definition(
     npt.assert_allclose(found, block, atol=1e-13 * np.abs(block).max())
 
 
-def test_few_and_many_missing_samples_are_completed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_and_many_missing_samples_are_completed_equally(monkeypatch: pytest.MonkeyPatch) -> None:
     """By sums of cosines and by transforms to the same expectation, also of the first and the last sample."""
     rng = np.random.default_rng(1311)
     samples = rng.standard_normal(5000) + 0.01 * np.cumsum(rng.standard_normal(5000))

@@ -115,7 +115,7 @@ def test_a_bounded_term_of_a_given_model_leaves_the_model() -> None:
     assert result.parameters == ("N",)
 
 
-def test_of_two_terms_that_may_stand_for_one_another_one_stays() -> None:
+def test_of_two_exchangeable_terms_one_stays() -> None:
     """B and K are each not shown beside the other, but one of them is needed and stays."""
     result = fitted(simulated("N=1 + K=0.012", 3000, 4), "N + B + K")
     assert result.goodness.statistic < 3

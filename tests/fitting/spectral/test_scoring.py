@@ -74,7 +74,7 @@ def test_a_search_ends_at_rest() -> None:
     assert partly.objective[0] > found.objective[0]
 
 
-def test_the_covariance_holds_what_the_data_do_not_tell() -> None:
+def test_the_covariance_contains_undetermined_directions() -> None:
     """Parameters of no information, or held, have variance inf; the others that of theirs alone."""
     information = np.array([[4.0, 1.0, 0.0, 1.0], [1.0, 2.0, 0.0, 0.5], [0.0] * 4, [1.0, 0.5, 0.0, 3.0]])
     found = covariance(information, np.array([True, True, True, False]))

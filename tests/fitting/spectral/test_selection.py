@@ -106,7 +106,7 @@ def test_candidates_count_their_parameters() -> None:
     assert candidates.parameters.tolist() == [1, 8]
 
 
-def test_says_which_terms_stand_for_one_another() -> None:
+def test_exchangeable_terms_are_reported() -> None:
     """A record too short to tell flicker from walk says so in words."""
     result = fitted(simulated("N=1 + B=0.15", 6000, 3))
     if len(result.candidates) > 1:
@@ -203,7 +203,7 @@ def test_models_that_do_as_well_are_named_with_what_they_differ_in(
 
 
 @pytest.mark.parametrize(("second", "said"), [(1.9, True), (2.0, False), (np.inf, False)])
-def test_a_second_maximum_is_said_where_it_is_about_as_good(second: float, *, said: bool) -> None:
+def test_a_second_maximum_is_reported_if_it_is_about_as_good(second: float, *, said: bool) -> None:
     """Twice the log-likelihood within 4 of the best one's."""
     findings = choice_findings(_models([("N", "GM")], [1.0], second), "gyro_x")
     assert [(f.level, f.code) for f in findings] == ([("warning", "two-maxima")] if said else [])
