@@ -4,6 +4,7 @@ import inspect
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,28 @@ import imucal
 from imucal.errors import ArgumentError
 
 RECORDING = imucal.simulate("N=1e-4 + B=2e-5", rate_hz=20.0, duration=120.0)
-REPORT = imucal.fit(RECORDING, model="N")
-FIT = REPORT["gyro_x"].fit
+
+
+@cache
+def still() -> imucal.Report:
+    """Return the report of the recording."""
+    return imucal.fit(RECORDING, model="N")
+
+
+def fit_of_x() -> imucal.NoiseFit:
+    """Return the fit of its first axis."""
+    return still()["gyro_x"].fit
+
+
 WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.allan_curve(RECORDING), 'type imucal.allan_curve(recording["gyro_x"])'),  # type: ignore[arg-type]
     (lambda: imucal.spectrum(RECORDING), 'type imucal.spectrum(recording["gyro_x"])'),  # type: ignore[arg-type]
     (lambda: imucal.fit(RECORDING, axis="x"), 'for one axis type imucal.fit(recording["gyro_x"])'),  # type: ignore[call-overload]
-    (lambda: imucal.filter_numbers(FIT), 'type imucal.filter_numbers([report["gyro_x"].fit])'),  # type: ignore[arg-type]
+    (lambda: imucal.filter_numbers(fit_of_x()), 'type imucal.filter_numbers([report["gyro_x"].fit])'),  # type: ignore[arg-type]
     (lambda: imucal.decompose(RECORDING), 'type imucal.decompose(recording["gyro_x"], report["gyro_x"].fit)'),  # type: ignore[call-arg,arg-type]
     (lambda: imucal.drift(RECORDING), "type imucal.drift(imucal.fit(recording))"),  # type: ignore[arg-type]
     (lambda: imucal.plan(RECORDING), "plan: source is a Recording"),  # type: ignore[arg-type]
-    (lambda: imucal.compare(REPORT, RECORDING), "compare: b is a Recording"),  # type: ignore[arg-type]
+    (lambda: imucal.compare(still(), RECORDING), "compare: b is a Recording"),  # type: ignore[arg-type]
     (lambda: imucal.characterize("log.mcap"), 'imucal.characterize(imucal.read("log.mcap"))'),  # type: ignore[arg-type]
     (lambda: imucal.screen("log.mcap"), 'imucal.screen(imucal.read("log.mcap"))'),  # type: ignore[arg-type]
     (lambda: imucal.at_rest("log.mcap"), 'imucal.at_rest(imucal.read("drive.mcap"))'),  # type: ignore[arg-type]
@@ -38,7 +50,7 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.Settings(modl="N"), "Settings: got an unexpected keyword argument 'modl'"),  # type: ignore[call-arg]
     (lambda: imucal.Settings(verify=True), "Settings: verify was removed: imucal's tests compare"),  # type: ignore[call-arg]
     (lambda: imucal.fit(RECORDING, verify=True), "fit: verify was removed: imucal's tests compare"),  # type: ignore[call-overload]
-    (lambda: REPORT["gyro_x"]["N"].in_units("deg"), "'deg' is no unit of N; expected one of rad/s/sqrt(Hz)"),
+    (lambda: still()["gyro_x"]["N"].in_units("deg"), "'deg' is no unit of N; expected one of rad/s/sqrt(Hz)"),
 ]  # fmt: skip
 
 
@@ -61,13 +73,13 @@ def test_every_value_shows_itself_in_twelve_short_lines(tmp_path: Path) -> None:
     """Reports, axes, estimates, curves, plans, comparisons, checks, drifts, logs and their parts."""
     path = tmp_path / "log.csv"
     imucal.simulate("N=1e-4", rate_hz=10.0, duration="1min", path=path)
-    axis = REPORT["gyro_x"]
+    axis = still()["gyro_x"]
     values = [
         *(RECORDING, RECORDING["gyro_x"], RECORDING["gyro_x"].clock, RECORDING.source, imucal.Settings()),
-        *(REPORT, axis, axis["N"], axis.fit, axis.fit.curve, axis.fit.model, axis.spectrum, axis.overview),
-        *(axis.fit.goodness, REPORT.verdict, imucal.plan(REPORT), imucal.compare(REPORT, REPORT)),
-        imucal.check(REPORT, "[gyroscope]\nN = { max = 1e-4 }\n"),
-        *(imucal.drift(REPORT), imucal.filter_numbers([axis.fit]), imucal.info(path)),
+        *(still(), axis, axis["N"], axis.fit, axis.fit.curve, axis.fit.model, axis.spectrum, axis.overview),
+        *(axis.fit.goodness, still().verdict, imucal.plan(still()), imucal.compare(still(), still())),
+        imucal.check(still(), "[gyroscope]\nN = { max = 1e-4 }\n"),
+        *(imucal.drift(still()), imucal.filter_numbers([axis.fit]), imucal.info(path)),
         imucal.decompose(RECORDING["gyro_x"], axis.fit),
     ]
     for value in values:
@@ -79,13 +91,13 @@ def test_every_value_shows_itself_in_twelve_short_lines(tmp_path: Path) -> None:
 
 def test_a_report_is_written_and_loaded_by_the_name_of_its_folder(tmp_path: Path) -> None:
     """A text will do for both."""
-    imucal.write_report(REPORT, str(tmp_path / "out"), formats=(), html=False)
-    assert imucal.load_report(str(tmp_path / "out"))["gyro_x"]["N"].value == REPORT["gyro_x"]["N"].value
+    imucal.write_report(still(), str(tmp_path / "out"), formats=(), html=False)
+    assert imucal.load_report(str(tmp_path / "out"))["gyro_x"]["N"].value == still()["gyro_x"]["N"].value
 
 
 def test_an_estimate_in_other_units() -> None:
     """Those of data sheets by default; a bound has no value; limits follow."""
-    white, flicker = REPORT["gyro_x"]["N"], FIT["B"]
+    white, flicker = still()["gyro_x"]["N"], fit_of_x()["B"]
     assert white.value is not None
     sheet = white.in_units()
     assert sheet.unit == "deg/sqrt(h)"
@@ -113,10 +125,10 @@ def test_a_recording_has_a_rate_if_its_axes_share_one(tmp_path: Path) -> None:
 
 def test_a_report_of_vague_or_moved_noise_is_exported_by_force_only(tmp_path: Path) -> None:
     """As on the command line: nothing is written, and the message has the next step."""
-    axis = REPORT["gyro_x"]
+    axis = still()["gyro_x"]
     white = replace(axis["N"], low=1e-5, high=1e-3)
     fit = replace(axis.fit, estimates=(white, *axis.fit.estimates[1:]))
-    vague = replace(REPORT, axes=(replace(axis, fit=fit), *REPORT.axes[1:]))
+    vague = replace(still(), axes=(replace(axis, fit=fit), *still().axes[1:]))
     swaying = [replace(one, samples=one.samples + np.sin(np.arange(one.n) / 9)) for one in RECORDING.series]
     moved = imucal.characterize(replace(RECORDING, series=tuple(swaying)))
     for report, found in (

@@ -155,6 +155,7 @@ def test_shards_share_all_logs_whenever_they_start(settings: FleetSettings) -> N
     assert sorted(path for one in (part, *later) for path in paths(one.tasks)) == sorted(names)
 
 
+@pytest.mark.slow
 def test_a_shard_of_very_many_logs_is_found_at_once(settings: FleetSettings) -> None:
     """A hundred thousand: by a look at each, and not at each for each."""
     names = [f"{number}.mcap" for number in range(100_000)]

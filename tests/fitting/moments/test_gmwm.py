@@ -163,6 +163,7 @@ def test_intervals_cover(weights: str) -> None:
         assert 0.88 <= np.mean(hit) <= 1.0, key
 
 
+@pytest.mark.slow
 def test_terms_that_are_not_there_are_bounded() -> None:
     """On white noise, at most 5 % of records show B or K (three standard errors more), and bounds hold."""
     rng = np.random.default_rng(6)

@@ -6,6 +6,7 @@ from scipy import signal
 
 from imucal.arrays import FloatArray
 from tests.fitting.fits import fitted, simulated
+from tests.slow_cases import first_by_default
 
 TEXT = "N=1 + B=0.1 + K=2e-3"
 N = 200_000
@@ -37,7 +38,7 @@ FILTERS = {
 }
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", first_by_default(FILTERS, 5))
 def test_n_is_right_behind_a_filter(name: str) -> None:
     """N is within 2 %, inside its interval in most records, and B inside its own."""
     hits, errors = [], []
@@ -93,7 +94,7 @@ def test_given_gauss_markov_terms_may_be_short() -> None:
     assert times[1].low < 200 < times[1].high
 
 
-@pytest.mark.parametrize("share", [0.12, 0.05, 0.02])
+@pytest.mark.parametrize("share", first_by_default([0.05, 0.12, 0.02], 1))
 def test_smoothing_is_a_filter(share: float) -> None:
     """Smoothing, y += a (x - y), has the spectrum of a Gauss-Markov term; N is the noise in front of it."""
     held = {"N": 0, "B": 0}

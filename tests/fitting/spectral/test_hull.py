@@ -73,7 +73,8 @@ def test_whether_a_walk_is_shown_is_no_matter_of_the_rate(walks: list[NoiseFit])
     assert alike >= 20
 
 
-def test_a_slow_gauss_markov_term_speaks_for_the_walk() -> None:
+@pytest.mark.slow
+def test_a_slow_gauss_markov_term_describes_the_walk() -> None:
     """Of T = D / 7 it begins as the walk sigma sqrt(2/T), and for how long is said."""
     sigma, time = 2e-4, 300.0
     found = [
