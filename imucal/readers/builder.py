@@ -1,4 +1,4 @@
-"""Build a `Recording` from columns of samples, for every kind of log."""
+"""Build a `Recording` from columns of samples."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,25 +19,22 @@ from imucal.units import SAMPLE_UNITS
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class RecordingBuilder:
-    """Collects the parts of a recording; sensors keep the order in which they are added."""
+    """Collects the parts of a recording; sensors stay in the order added."""
 
-    #: The log as the user named it, and its format.
+    #: Path as given, and format.
     path: str
     format: str
-    #: The caller's choices.
     options: ReadOptions = field(default_factory=ReadOptions)
-    #: Sampling rate stated in the log in addition to its stamps, in Hz; None if there is none.
+    #: Declared in the log, in Hz.
     rate_hz: float | None = None
-    #: Decisions with their reasons, in order.
     decisions: list[tuple[str, str]] = field(default_factory=list)
-    #: Findings in order; `build` removes duplicates.
+    #: `build` removes duplicates.
     findings: list[Finding] = field(default_factory=list)
     series: list[AxisSeries] = field(default_factory=list)
     temperature: Temperature | None = None
 
     @property
     def room(self) -> Room:
-        """Memory for samples that have to be copied."""
         return Room(self.options.memory_limit)
 
     def decide(self, what: str, how: str) -> None:
@@ -48,8 +45,8 @@ class RecordingBuilder:
     def add(self, samples: Sequence[Unscaled], *, where: str = "") -> None:
         """Add sensors in SI; error messages start with `where`, or with the path if it is empty.
 
-        Raises ChoiceError if a unit is unknown, a given unit does not suit the sensor, or the measured rate
-        is not plausible for an IMU and the caller gave none.
+        Raises ChoiceError if a unit is unknown or unsuitable, or if the measured rate is implausible for an
+        IMU and the caller gave none.
         """
         for entry in samples:
             clock, given = entry.clock, self.options.rate_hz is not None or self.options.time_unit is not None
@@ -78,7 +75,6 @@ class RecordingBuilder:
             self.temperature = Temperature(samples=_kept(samples, order, self.room), clock=clock)
 
     def build(self, *, topics: Sequence[str], message_types: Sequence[str] = ()) -> Recording:
-        """Return the recording."""
         source = Source(
             path=self.path,
             format=self.format,
@@ -99,7 +95,6 @@ def _kept(values: FloatArray, order: IntArray | None, room: Room) -> FloatArray:
 
 
 def _scaled(samples: FloatArray, scale: float, room: Room) -> FloatArray:
-    """Return samples in SI; writeable samples are scaled in place."""
     if scale == 1.0:
         return samples
     scaled = samples if samples.flags.writeable else room.empty(samples.size, np.float64)

@@ -1,7 +1,7 @@
-"""Chunks and files that are compressed: zstd, lz4, bz2.
+"""Decompress chunks and files: zstd, lz4, bz2.
 
-No claim of a damaged or hostile file is believed before memory is taken for it: a chunk may not grow by
-more than `_MAX_RATIO`, unless it is small anyway, and never beyond the size that its header states.
+Sizes in damaged or hostile files are checked before memory is allocated: a chunk may grow at most to the size
+in its header, and by `_MAX_RATIO` unless it is small.
 """
 
 import bz2
@@ -25,33 +25,33 @@ __all__ = [
     "unpack_file",
 ]
 
-#: Sizes up to this are taken as they come, in bytes.
+#: Sizes up to this many bytes are not checked.
 _SMALL = 1 << 26
-#: Above, data may grow by this factor.
+#: Largest ratio of larger sizes.
 _MAX_RATIO = 400
 
-#: The first bytes of an lz4 frame.
+#: Signature of an lz4 frame.
 _LZ4 = b"\x04\x22\x4d\x18"
 
-#: Names of compressions; MCAP writes "" and ROS bags write "none".
+#: Compression names; MCAP writes "" and ROS bags write "none".
 KINDS = ("", "none", "zstd", "lz4", "bz2")
 
 
 def keep_freed_memory() -> None:
-    """Tell glibc to keep freed chunk buffers instead of giving each one back to the system.
+    """Make glibc keep freed chunk buffers instead of returning each one to the system.
 
-    Freeing one block of 31 MiB raises the thresholds above which glibc maps and unmaps memory; without
-    it, lz4 spends six times as long in page faults as in decompression. Harmless elsewhere.
+    Freeing one block of 31 MiB raises glibc's thresholds for mapping memory. Otherwise page faults take six
+    times as long as decompressing lz4. No effect with other libraries.
     """
-    # Taken as zeros from the system, which are never touched; a bytearray would be written.
+    # `bytes` of zeros are never written, so they take no pages; a bytearray would.
     del_me = bytes(31 << 20)
     del del_me
 
 
 def decompress(kind: str, data: memoryview, size: int) -> memoryview:
-    """Return the `size` bytes that `data` holds.
+    """Return the `size` bytes of decompressed data.
 
-    Raises DamagedError if the data are damaged, hold another number of bytes, or claim an impossible one.
+    Raises DamagedError if the data are damaged, have a different size, or claim an impossible one.
     """
     if kind in {"", "none"}:
         damaged_if(len(data) != size, f"a chunk of {len(data)} bytes has a declared size of {size}")
@@ -74,7 +74,6 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
 
 
 def _damage() -> tuple[type[Exception], ...]:
-    """Return the errors of data that can't be unpacked."""
     import zstandard
 
     return ValueError, OSError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError
@@ -86,9 +85,9 @@ def check_crc(raw: memoryview, expected: int) -> None:
 
 
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
-    """Decompress a zstd file into an open file, block by block; calls `progress` with the bytes read.
+    """Decompress a zstd file into an open file; calls `progress` with the number of bytes read.
 
-    Raises DamagedError if the file ends early or is damaged; what came before is written.
+    Raises DamagedError if the file is damaged or ends early; the part before the damage is written.
     """
     import zstandard
 
@@ -112,14 +111,14 @@ def _unpack_zstd(data: memoryview, size: int) -> bytes:
 def _unpack_lz4(data: memoryview, size: int) -> bytes:
     import lz4.frame
 
-    # Bit 3 of the fifth byte says whether the frame's header states a size. Source: LZ4 frame format 1.6.
+    # Bit 3 of the fifth byte: the header contains a size. Source: LZ4 frame format 1.6.
     told = data[:4] == _LZ4 and len(data) > 13 and data[4] & 8
     stated = int.from_bytes(data[6:14], "little") if told else 0
     damaged_if(stated > size, f"an lz4 frame states {stated} bytes, its chunk {size}")
     raw, used = lz4.frame.decompress(data, return_bytes_read=True)
     if used == len(data):
         return bytes(raw)
-    # ROS bags may hold several frames in a row.
+    # ROS bags may contain several frames in a row.
     joined = bytearray(raw)
     while used < len(data) and len(joined) < size:
         raw, more = lz4.frame.decompress(data[used:], return_bytes_read=True)
@@ -130,7 +129,7 @@ def _unpack_lz4(data: memoryview, size: int) -> bytes:
 
 def _unpack_bz2(data: memoryview, size: int) -> bytes:
     machine = bz2.BZ2Decompressor()
-    # One byte more than is wanted: the checksum is only looked at when the end is reached.
+    # One byte more, because the checksum is verified only at the end of the stream.
     raw = machine.decompress(data, max_length=size + 1)
     damaged_if(not machine.eof, "a bz2 chunk is longer than declared, or cut off")
     return raw

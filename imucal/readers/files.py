@@ -1,4 +1,4 @@
-"""Bytes of a log file, read at any place by any thread."""
+"""Read bytes of a log file from any thread."""
 
 import threading
 from pathlib import Path
@@ -11,12 +11,12 @@ Refusal = TypeVar("Refusal", bound=ImucalError)
 
 
 def refused(where: object, text: str, kind: type[Refusal] = ReadError) -> Refusal:  # type: ignore[assignment]
-    """Return the error of a log that is not read: `where`, and what was found, expected and to be done."""
+    """Return the error for a log that can't be read; `text` contains the problem and advice."""
     return kind(f"{where}: {text}")
 
 
 class DamagedError(Exception):
-    """A part of a log can't be decoded; `code` is the finding it leads to. Never leaves the readers."""
+    """A part of a log can't be decoded; `code` is that of the finding. Caught within the readers."""
 
     def __init__(self, text: str, code: str = "damaged") -> None:
         super().__init__(text)
@@ -24,13 +24,13 @@ class DamagedError(Exception):
 
 
 def damaged_if(wrong: object, text: str, code: str = "damaged") -> None:
-    """Raise a DamagedError where something is wrong."""
+    """Raise DamagedError if `wrong`."""
     if wrong:
         raise DamagedError(text, code)
 
 
 def first_bytes(path: Path, size: int) -> bytes:
-    """Return the first bytes of a file; a ReadError if it can't be opened."""
+    """Return the first bytes of a file; raises ReadError if it can't be opened."""
     try:
         with path.open("rb") as file:
             return file.read(size)
@@ -39,7 +39,7 @@ def first_bytes(path: Path, size: int) -> bytes:
 
 
 class LogFile:
-    """A file read by absolute position; safe to share between threads."""
+    """A file read by absolute position; thread-safe."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -51,11 +51,10 @@ class LogFile:
         self._lock = threading.Lock()
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def scan_finding(self, reason: DamagedError, end: int) -> Finding:
-        """Return the finding of a file whose records were scanned up to `end`, as its index has damage."""
+        """Return the finding for a file scanned up to `end` because its index is damaged."""
         text = f"The index can't be used ({reason}); all records were scanned instead."
         if end < self.size:
             text += f" The last {self.size - end} of {self.size} bytes are cut off or damaged."
@@ -63,7 +62,7 @@ class LogFile:
         return Finding("warning", code, text)
 
     def read(self, position: int, size: int) -> bytes:
-        """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
+        """Return `size` bytes from `position` on; raises DamagedError if the file ends earlier."""
         beyond = min(position, size) < 0 or position + size > self.size
         damaged_if(beyond, f"{size} bytes at byte {position} are beyond the end of the file", "truncated")
         data = self._bytes(position, size)

@@ -1,16 +1,11 @@
-"""Logs of flight controllers: PX4's ULog, read by pyulog, and ArduPilot's, read by pymavlink, an extra.
+"""Logs of flight controllers: PX4's ULog (pyulog) and ArduPilot's ``.bin`` (pymavlink, an extra).
 
-Either package may loop for ever on a damaged file, so they run in a child process. Each instance of a message
+Both packages may loop forever on a damaged file, so they run in a child process. Each instance of a message
 is a topic, such as ``sensor_gyro:1``.
 
-Messages of PX4: ``sensor_combined`` (the estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each
-sensor), ``sensor_gyro_fifo`` and ``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu``
-(integrals, divided by their time here). Source: PX4's message definitions (`msg/SensorCombined.msg`,
-`SensorGyro.msg`, `SensorGyroFifo.msg`, `VehicleImu.msg`, and those of the accelerometer): microseconds since
-boot, rad/s and m/s^2.
-
-Messages of ArduPilot's ``.bin``, from the board's memory: ``IMU``, or ``GYR`` and ``ACC`` of a batch log, in
-SI. Source: ArduPilot, `AP_InertialSensor/LogStructure.h`.
+PX4: microseconds since boot, rad/s and m/s^2; ``_fifo`` messages contain every sample of a buffer,
+``vehicle_imu`` integrals. Source: PX4's message definitions. ArduPilot: ``IMU``, or ``GYR`` and ``ACC`` of a
+batch log, in SI. Source: `AP_InertialSensor/LogStructure.h`.
 """
 
 import re
@@ -36,35 +31,33 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.dialects import Dialect
 from imucal.recording import AXES, Recording
 
-#: The first bytes of a ULog, and of each record of a dataflash log.
+#: Signatures of a ULog, and of a record of a dataflash log.
 ULOG, DATAFLASH = b"ULog\x01\x12\x35", b"\xa3\x95"
 
-#: Field -> its values, shape (n,) each.
+#: Field -> values, shape (n,) each.
 Fields: TypeAlias = Mapping[str, NDArray[Any]]
 
-#: An instance logged at less than this share of the fastest rate is a health check, not a recording.
+#: Instances below this share of the fastest rate are health checks, not recordings.
 _TOO_SLOW = 0.2
-#: No board runs longer, in microseconds: a stamp beyond it is damaged. About 140 years.
+#: Later stamps are damaged: about 140 years, in microseconds.
 _LATEST_US = 1 << 52
-#: A log ends with up to so many bytes of an unfinished page.
+#: Most bytes of an unfinished page at the end.
 _PAGE = 528
 
 _GYRO, _ACCEL = (tuple(f"{name}[{i}]" for i in range(3)) for name in ("gyro_rad", "accelerometer_m_s2"))
 _OF_BOARD = tuple(f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ")
-#: Message -> the columns of its samples.
 PX4 = {
     **dict.fromkeys(("sensor_combined", "vehicle_imu"), _GYRO + _ACCEL),
     **dict.fromkeys(("sensor_gyro", "sensor_accel", "sensor_gyro_fifo", "sensor_accel_fifo"), tuple(AXES)),
 }
 _BOARD = {"IMU": _OF_BOARD, "GYR": _OF_BOARD[:3], "ACC": _OF_BOARD[3:]}
-#: Stamps, best first; those whose name ends in MS are in ms, others in µs.
+#: Stamps, best first; names ending in MS are in ms, others in µs.
 _STAMPS = ("timestamp_sample", "timestamp", "SampleUS", "TimeUS", "TimeMS")
-#: Names of a temperature.
 _TEMPERATURES = ("temperature", "T")
 
 
 class FlightLog(NamedTuple):
-    """The IMU messages of a log by name and instance; whether it is damaged; the logger's dropouts in ms."""
+    """IMU messages by name and instance, whether the log is damaged, and the logger's dropouts in ms."""
 
     messages: dict[tuple[str, int], Fields]
     damaged: bool
@@ -72,13 +65,13 @@ class FlightLog(NamedTuple):
 
 
 def ulog_content(path: Path) -> FlightLog:
-    """Return the IMU messages of a ULog file."""
+    """Return the IMU messages of a ULog."""
     from pyulog import ULog
 
     with path.open("rb") as file:
         log = ULog(file, message_name_filter_list=list(PX4))
     known = [e for e in log.data_list if e.name in PX4 and np.size(e.data.get("timestamp", ()))]
-    # Copies: the fields of pyulog are views of all messages together.
+    # Copy: pyulog's fields are views of the whole messages.
     found = {
         (entry.name, int(entry.multi_id)): {k: np.ascontiguousarray(v) for k, v in entry.data.items()}
         for entry in known
@@ -105,7 +98,7 @@ def flight_log(
 
 
 def columns_of(message: str, fields: Fields, names: Sequence[str]) -> Fields:
-    """Return the time in ns, the samples and the temperature of a message, without damaged stamps.
+    """Return time in ns, samples and temperature of a message, without damaged stamps.
 
     Raises KeyError or StopIteration if a field is missing.
     """
@@ -122,7 +115,6 @@ def columns_of(message: str, fields: Fields, names: Sequence[str]) -> Fields:
 
 
 def _rates(fields: Fields) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the rates of integrals over a time; those over no time have no rate."""
     for step, names in (("delta_angle", _GYRO), ("delta_velocity", _ACCEL)):
         over = np.asarray(fields[f"{step}_dt"], np.float64) * 1e-6
         over[over <= 0] = np.nan
@@ -132,7 +124,7 @@ def _rates(fields: Fields) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def _of_fifo(fields: Fields, last: IntArray, good: NDArray[np.bool_]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield every sample of a sensor's buffer: the stamp is the last one's, the others go before it."""
+    """Yield every sample of a buffer; its stamp is that of the last sample."""
     count = np.asarray(fields["samples"], np.int64)
     index = np.arange(sum(1 for name in fields if name.startswith("x[")))
     step, scale = np.asarray(fields["dt"], np.float64) * 1e3, np.asarray(fields["scale"], np.float64)
@@ -146,12 +138,12 @@ def _of_fifo(fields: Fields, last: IntArray, good: NDArray[np.bool_]) -> Iterato
 
 
 def dataflash_content(path: Path) -> FlightLog:
-    """Return the IMU messages of a ``.bin``; a part that is none of its records is damage."""
+    """Return the IMU messages of a ``.bin``; bytes outside records are damage."""
     from pymavlink.DFReader import DFReader_binary
 
     class Index(DFReader_binary):  # type: ignore[misc]
         def init_clock(self) -> None:
-            """Pass over the records once, not twice: the time since 1970 is not needed."""
+            """Skip a second pass: the time since 1970 is not needed."""
 
     log = Index(str(path))
     found: dict[tuple[str, int], Fields] = {}
@@ -160,7 +152,7 @@ def dataflash_content(path: Path) -> FlightLog:
         starts = np.asarray(log.offsets[number], np.int64)
         starts = starts[starts + form.len <= log.data_len]
         spans.append(np.stack([starts, starts + form.len]))
-        # Old logs have a message for each IMU: IMU2, IMU3.
+        # Old logs have a message per IMU: IMU2, IMU3.
         name, last = form.name.rstrip("123"), form.name[-1:]
         if name in _BOARD and starts.size:
             data = _records(log.data_map, starts, form)
@@ -173,7 +165,6 @@ def dataflash_content(path: Path) -> FlightLog:
 
 
 def _records(buffer: bytes, starts: IntArray, form: Any) -> Fields:  # noqa: ANN401 - of the package
-    """Return the numbers of all records of one kind by their names, shape (n,) each."""
     codes = re.findall(r"\d*[a-zA-Z]", form.msg_struct)
     types = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     row = np.dtype({"names": form.columns, "formats": types, "itemsize": form.len - 3})
@@ -185,8 +176,8 @@ def _records(buffer: bytes, starts: IntArray, form: Any) -> Fields:  # noqa: ANN
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the IMU of a flight controller's log.
 
-    Raises ReadError if it can't be read, or the package that reads it is not installed; ChoiceError if
-    several message instances could be meant, or none fits; DataError if there are no samples.
+    Raises ReadError if it can't be read or a package is missing; ChoiceError if several message instances
+    fit, or none; DataError without samples.
     """
     log, options = _open(path, options)
     if not log.topics:
@@ -211,7 +202,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 
 
 def _open(path: Path, options: ReadOptions) -> tuple[OpenLog, ReadOptions]:
-    """Return the topics of a log, and the options with the names of instances as in the log."""
+    """Return the topics of a log, and the options with the log's names of instances."""
     if first_bytes(path, len(ULOG)).startswith(ULOG[:4]):
         form, maker, log = "ulog", "PX4", isolated(path, ulog_content, "ULog")(path.absolute())
     else:

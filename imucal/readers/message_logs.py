@@ -1,4 +1,4 @@
-"""Logs of messages -> Recording: choose topics, decode them in order, and report what was lost."""
+"""Logs of messages -> Recording: choose topics, decode them in order, and report losses."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -19,17 +19,15 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.recording import Recording, Sensor
 
-#: Codes of findings that say a log is damaged.
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
                     "definition"})  # fmt: skip
 
-#: Fields of messages that are listed.
 _MOST = 60
 
 
 @dataclass(frozen=True, slots=True)
 class MessageReader:
-    """The reader of a format whose files are containers of messages."""
+    """Reader of a format whose files contain messages."""
 
     open_files: OpenFiles
 
@@ -43,28 +41,26 @@ class MessageReader:
             return read_log(_opened(containers, path, options, form), options)
 
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
-        """Return the topics of a log, by its index."""
         containers, form = self.open_files(path, options.progress)
         return describe_logs(containers, path, options, form=form)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenLog:
-    """A log that the user named `path`: its format, its topics, and the files that contain their messages."""
+    """An open log: the path as given, its format, topics and files."""
 
     path: Path
     form: str
     topics: Sequence[Topic]
     findings: Sequence[Finding] = ()
-    #: None if the topics are in memory.
+    #: Empty if the topics are in memory.
     containers: Sequence[Container] = ()
-    #: The sampling rate in the log, in Hz, if there is one.
+    #: Sampling rate in the log, in Hz.
     rate_hz: float | None = None
 
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Name the log in errors that know only its topics."""
     try:
         yield
     except ReadError as error:
@@ -74,7 +70,6 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _closing(containers: Sequence[Container]) -> ExitStack:
-    """Return what closes containers at the end of its block."""
     closed = ExitStack()
     for container in containers:
         closed.callback(container.close)
@@ -84,7 +79,7 @@ def _closing(containers: Sequence[Container]) -> ExitStack:
 def describe_logs(
     containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
 ) -> LogContents:
-    """Return the topics of the files of one log, which the user named `path`, and close them."""
+    """Return the topics of a log's files, and close them."""
     with _closing(containers):
         log = _opened(containers, path, options, form)
         contents = describe_topics(log, options)
@@ -110,7 +105,7 @@ def _opened(containers: Sequence[Container], path: Path, options: ReadOptions, f
 
 
 def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, ...]:
-    """Return the contents of all topics of a log."""
+    """Describe all topics of a log."""
     return tuple(_contents(log.containers, topic, options) for topic in log.topics)
 
 
@@ -140,7 +135,7 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
 
 
 def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
-    """Return the sensors of a topic whose samples change; all if it is not clear which columns are theirs."""
+    """Return the sensors of a topic whose samples change; all if its columns are ambiguous."""
     try:
         return plan_of(containers, topic, options)[1]
     except ChoiceError:
@@ -175,20 +170,18 @@ def read_log(log: OpenLog, options: ReadOptions) -> Recording:
 def _sensors(
     work: RecordingBuilder, jobs: Sequence[Job], decodings: Sequence[Decoding]
 ) -> list[SensorColumns]:
-    """Return the columns of all sensors, with findings about losses and missing sensors."""
     sensors: list[SensorColumns] = []
     for job, decoding in zip(jobs, decodings, strict=True):
         work.findings += _loss_findings(decoding.losses, decoding.missing)
         _require_messages(work, job.topic, decoding)
         sensors += sensor_columns(work, job, decoding.columns)
-    # What one topic lacks another may contain.
+    # Another topic may contain a sensor that is missing in one.
     found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
     work.findings += [one for job in jobs for one in job.plan.findings if one.axis not in found]
     return sensors
 
 
 def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequence[Decoding]:
-    """Return the columns of each job."""
     if not log.containers:
         return [Decoding([job.topic.held[index] for index in job.indices], [], None) for job in jobs]
     streams = [job.topic.stream(job.columns) for job in jobs]
@@ -196,7 +189,6 @@ def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequenc
 
 
 def _require_messages(work: RecordingBuilder, topic: Topic, decoding: Decoding) -> None:
-    """Refuse a topic without a message that can be read, with the first reason."""
     if not decoding.columns[0].size:
         seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
         why = next(iter(seen), "the log has none")
@@ -206,7 +198,6 @@ def _require_messages(work: RecordingBuilder, topic: Topic, decoding: Decoding) 
 def _add_temperature(
     work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], imu: Topic
 ) -> None:
-    """Add the temperature in a topic of its own, if the IMU's has none."""
     topic = temperature_beside(topics, imu.name) if work.temperature is None else None
     work.temperature = work.temperature or (read_temperature(containers, topic) if topic else None)
     if topic and work.temperature:
@@ -214,7 +205,6 @@ def _add_temperature(
 
 
 def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -> None:
-    """Refuse a damaged log where that is asked for, and one in which nothing changes."""
     damage = [finding for finding in work.findings if finding.code in DAMAGE]
     if options.strict and damage:
         raise refused(path, f"the log is damaged, and strict reading was requested: {damage[0].text}")
@@ -224,7 +214,7 @@ def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -
 
 
 def _loss_findings(losses: Sequence[Loss], missing: int | None = None) -> list[Finding]:
-    """Return one finding for each kind of loss; `missing` messages are in parts that could not be read."""
+    """Return one finding per kind of loss; `missing` messages are in unreadable parts."""
     findings = []
     unread = {loss.code for loss in losses if loss.messages is None}
     for code in dict.fromkeys(loss.code for loss in losses):
@@ -236,7 +226,7 @@ def _loss_findings(losses: Sequence[Loss], missing: int | None = None) -> list[F
         elif missing is None:
             count = "the number of lost messages is unknown"
         else:
-            # The file's count does not distinguish the reasons.
+            # The count does not distinguish the reasons.
             count = _lost(lost + missing) if len(unread) == 1 else f"{_lost(missing)} in all unreadable parts"
         text = f"The log is damaged in {where}: {same[0].text}; {count}."
         findings.append(Finding("warning", code, text))

@@ -27,15 +27,14 @@ from imucal.readers.tables.tabular import SensorColumns
 from imucal.recording import Sensor
 from imucal.resources import column_limit
 
-#: Name of the time in the messages.
 HEADER = "header stamp"
-#: The time of recording; it is no column of the topic.
+#: The time of recording, which is not a column.
 LOG = TimeChoice(kind="ns", indices=(), name=LOG_TIME)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """What to read of a topic: the plan of its sensors, and the indices of the columns."""
+    """The columns to read of a topic."""
 
     topic: Topic
     plan: TablePlan
@@ -43,12 +42,11 @@ class Job:
 
     @property
     def columns(self) -> list[Column]:
-        """The columns to decode."""
         return [self.topic.columns[index] for index in self.indices]
 
 
 def job_of(containers: Sequence[Container], choice: Choice, options: ReadOptions) -> Job:
-    """Return what to read of a chosen topic; raises ChoiceError if it is not clear."""
+    """Return the columns to read of a chosen topic; raises ChoiceError if they are ambiguous."""
     topic = choice.topic
     plan, _ = plan_of(containers, topic, options)
     chosen = [sensor for sensor in plan.sensors if sensor.triad.sensor in choice.sensors]
@@ -60,29 +58,27 @@ def job_of(containers: Sequence[Container], choice: Choice, options: ReadOptions
         indices += [*(sensor.time.indices if sensor.time else ()), *sensor.triad.indices]
         indices += [*(sensor.log_time.indices if sensor.log_time else ()), *_row_column(topic, sensor)]
     indices += [] if plan.temperature is None else [plan.temperature]
-    # The columns of messages of a known type are no decision.
+    # Columns of a known message type are not a decision.
     decisions = plan.decisions if topic.file or plan.dialect is None else ()
     plan = replace(plan, sensors=tuple(chosen), decisions=decisions)
     return Job(topic, plan, tuple(dict.fromkeys(indices)))
 
 
 def _with_times(topic: Topic, first: SensorPlan, sensor: SensorPlan, options: ReadOptions) -> SensorPlan:
-    """Return the plan of a sensor in messages, with the time of the first one; else the log time."""
+    """Use the first sensor's time for a sensor in messages, or log time if it has none."""
     if sensor.triad.rows != first.triad.rows:
         raise _of_other_rows(topic)
-    # The log time is better than a count of samples, or their steps.
+    # Log time is better than a count of samples.
     own = first.time is not None and first.time.kind != "counter" and options.time != "log"
     return replace(sensor, time=first.time if own else LOG, log_time=LOG)
 
 
 def _in_ns(topic: Topic, time: TimeChoice | None) -> TimeChoice | None:
-    """Return a time; stamps of seconds and nanoseconds are complete."""
     stamp = time is not None and time.indices and topic.columns[time.indices[0]].type == TIME
     return replace(time, kind="ns") if time is not None and stamp else time
 
 
 def _row_column(topic: Topic, sensor: SensorPlan) -> list[int]:
-    """Return the column that selects the rows of a sensor, if there is one."""
     rows = sensor.triad.rows
     if rows is not None and (rows[0] < 0 or not (topic.held or is_number(rows[1]))):
         raise _of_other_rows(topic)
@@ -96,14 +92,14 @@ def _of_other_rows(topic: Topic) -> ChoiceError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Values:
-    """The columns that were read of a topic, by their indices; the log times if there are any."""
+    """Columns read of a topic by index, and the log times."""
 
     topic: Topic
     columns: Mapping[int, NDArray[Any]]
     log: Sequence[IntArray]
 
     def axes(self, sensor: SensorPlan, limit: int) -> list[FloatArray]:
-        """Return the samples of a sensor: copies of columns in memory, as samples are scaled in place."""
+        """Return a sensor's samples; copies if in memory, because samples are scaled in place."""
         rows = [self.columns[index] for index in sensor.triad.indices]
         if not self.topic.held:
             return [np.asarray(row, np.float64) for row in rows]
@@ -114,7 +110,6 @@ class _Values:
             raise ChoiceError(msg) from error
 
     def times(self, time: TimeChoice | None) -> Sequence[Numbers]:
-        """Return the columns of a time as whole numbers or floats; texts in ns."""
         if time is None or time is LOG:
             return [] if time is None else self.log
         found: list[Numbers] = []
@@ -129,13 +124,12 @@ class _Values:
         return found
 
     def source(self, time: TimeChoice | None) -> str:
-        """Return the name of a time as the source of a clock; empty for a file's own columns."""
+        """Return the source name of a clock; empty for a file's own columns."""
         if self.topic.held:
             return "" if self.topic.file or time is None else f"{time.name} of {self.topic.name}"
         return LOG_TIME if time is LOG else HEADER
 
     def rows(self, rows: tuple[int, str]) -> BoolArray:
-        """Return which rows have a tag in a column."""
         column, tag = self.columns[rows[0]], rows[1]
         if column.dtype.kind in "iuf" and is_number(tag):
             return np.asarray(column == float(tag), np.bool_)
@@ -145,7 +139,7 @@ class _Values:
 def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[SensorColumns]:
     """Return the columns of each sensor; a block of messages begins with the log times.
 
-    A finding reports a sensor whose samples never change.
+    A sensor with constant samples becomes a finding.
     """
     topic, plan = job.topic, job.plan
     log = [] if topic.held else [block[0]]
@@ -154,10 +148,10 @@ def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[Senso
         time = plan.sensors[0].time
         stamps = values.columns[time.indices[0]] if time and time.indices else log[0]
         work.findings += in_time_order(stamps, log[0], block[1:], work.room)
-    # Half of the limit is for each of two sensors.
+    # Half of the limit for each of two sensors.
     limit = (work.options.memory_limit or column_limit()) // 2
     axes = {sensor.triad.sensor: values.axes(sensor, limit) for sensor in plan.sensors}
-    # A table's constant sensor is a finding of the screening, and one sample is no evidence.
+    # The screening reports constant sensors of tables; a single sample is no evidence.
     constant = [
         one for one, rows in axes.items() if rows[0].size > 1 and is_constant(rows) and not topic.file
     ]
@@ -173,11 +167,10 @@ def _columns(
     sensor: SensorPlan,
     axes: Mapping[Sensor, list[FloatArray]],
 ) -> SensorColumns:
-    """Return the columns of one sensor of a topic in its rows."""
     topic, heat = job.topic, None
     if job.plan.temperature is not None:
         heat = np.asarray(values.columns[job.plan.temperature], np.float64)
-    # A sensor alone may well give the same values twice.
+    # One sensor alone may repeat values by chance.
     compared = list(chain.from_iterable(axes.values())) if len(axes) > 1 else []
     columns = SensorColumns(
         plan=sensor,
@@ -195,14 +188,13 @@ def _columns(
 
 
 def _without_data(topic: Topic, sensor: Sensor, rows: Sequence[FloatArray]) -> Finding:
-    """Return the finding of a sensor whose samples never change."""
     value = ", ".join(f"{row[0]:g}" for row in rows)
     text = f"The {sensor} of {topic.where} is always ({value}): no data."
     return Finding("warning", "no-data", text, axis=sensor.short)
 
 
 def steps_back(times: IntArray) -> int:
-    """Return how many times are earlier than the one before."""
+    """Return the number of times earlier than the previous one."""
     return sum(
         int(np.count_nonzero(times[part.start + 1 : part.stop + 1] < times[part]))
         for part in blocks(times.size - 1, times)
@@ -210,12 +202,12 @@ def steps_back(times: IntArray) -> int:
 
 
 def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
-    """Yield the parts (start, stop) that must be sorted, each for itself, so that all times are in order.
+    """Yield the parts (start, stop) to be sorted separately so that all times are in order.
 
-    A cut is a place before which nothing is later than anything after it; between two cuts lies a part.
+    No time before a part's start is later than any time after it.
     """
     lowest = [int(times[part].min()) for part in blocks(times.size, times)]
-    # The lowest of all times behind each block.
+    # Minimum of all times after each block.
     behind = [*np.minimum.accumulate(lowest[::-1])[::-1].tolist()[1:], np.iinfo(np.int64).max]
     begun, highest = 0, np.iinfo(np.int64).min
     for part, low in zip(blocks(times.size, times), behind, strict=True):
@@ -231,10 +223,9 @@ def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
 
 
 def in_time_order(stamps: IntArray, log: IntArray, others: Block, room: Room) -> list[Finding]:
-    """Sort samples by log time where the file does not hold them in that order, in place.
+    """Sort samples by log time in place if joined files, merged channels or parallel writers disordered them.
 
-    Files are joined, channels merged and chunks written by several threads; a recorder's clock that was
-    set back is none of these. So nothing is sorted where it brings the stamps out of order.
+    Nothing is sorted if that disorders the stamps: then the recorder's clock was set back.
     """
     late = steps_back(log)
     if not late:

@@ -1,4 +1,4 @@
-"""What is in a remote log, from its index: some hundred kB instead of the file."""
+"""Describe a remote log from its index: some hundred kB instead of the file."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,19 +18,17 @@ from imucal.remote import RemoteLog
 from imucal.remote.addresses import ChangedError, RemoteFile
 from imucal.remote.copies import LocalCopy, entry_of
 
-#: Below this many bytes a log is downloaded for its description too: its parts would take no less time.
+#: Smaller logs, in bytes, are downloaded: parts would take as long.
 _SMALL = 1 << 20
-#: First bytes that tell a format.
 _HEAD = 4096
-#: Formats whose description is read from the index.
 _INDEXED: dict[str, Callable[[Path, LogFile], Container]] = {"MCAP": McapFile, "ROS 1 bag": BagFile}
 
 
 def index_of(log: RemoteLog, options: ReadOptions) -> LogContents | None:
-    """Return what is in a log by reading its index alone, some hundred kB.
+    """Return the contents of a log from its index alone.
 
-    None where that saves nothing: a small or cached log, a format without an index, a damaged index, a
-    server that gives no parts.
+    None if that saves nothing: a small or cached log, a format without an index, a damaged index, or a server
+    without parts.
     """
     entry = entry_of(log)
     if (log.size or 0) < _SMALL or entry.is_whole(log):
@@ -58,7 +56,6 @@ def _file(remote: RemoteFile, path: Path) -> tuple[list[Container], str] | None:
 
 
 def _bag(log: RemoteLog, path: Path, files: Sequence[Path]) -> tuple[list[Container], str] | None:
-    """Open the folder of a bag of ROS 2 whose files are MCAP."""
     remote = dict(zip(files, log.files, strict=True))
     metadata = remote.pop(path / METADATA, None)
     if metadata is None or any(file.suffix != ".mcap" for file in remote):

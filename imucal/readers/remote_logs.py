@@ -1,4 +1,4 @@
-"""Logs by URL: readers get copies on this machine, or parts of a file; users read of URLs."""
+"""Logs given by URL: readers get local copies or parts of a file; messages and results contain the URLs."""
 
 import threading
 from collections.abc import Iterator, Sequence
@@ -21,23 +21,21 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value")
 
-#: Bytes of a block: small reads are rounded to these, as an answer takes as long as some of its bytes.
+#: Bytes of a block: latency makes smaller requests inefficient.
 _BLOCK = 1 << 17
-#: Beyond this share of the file, and this many bytes, downloading it takes less time than asking for parts.
+#: Above this fraction (1/n) of the file and this many bytes, downloading the whole file is faster.
 _SHARE, _LEAST = 4, 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
 class LocalLogs:
-    """Logs on this machine, those by URL as copies."""
+    """Logs on this machine, including copies of remote ones."""
 
-    #: What the readers read.
     paths: tuple[Path, ...]
-    #: The copies among them.
     copies: tuple["LocalCopy", ...] = ()
 
     def said(self, value: Value) -> Value:
-        """Return a value whose texts have URLs in the place of the copies' paths, and no secret of them."""
+        """Replace the paths of copies by URLs without secrets in the texts of a value."""
         said: Any = value
         if type(value) is str:
             for copy in self.copies:
@@ -51,14 +49,12 @@ class LocalLogs:
         return cast("Value", said)
 
     def named(self, recording: Recording) -> Recording:
-        """Return a recording that names URLs."""
         if not self.copies:
             return recording
         source = replace(self.said(recording.source), files=self.named_files(recording.source.files))
         return replace(recording, source=source, findings=self.said(recording.findings))
 
     def named_files(self, files: Sequence[LogFileInfo]) -> tuple[LogFileInfo, ...]:
-        """Return files with their URLs and ETags."""
         tags = {
             str(path): file.etag
             for copy in self.copies
@@ -70,7 +66,6 @@ class LocalLogs:
 
     @contextmanager
     def errors_named(self) -> Iterator[None]:
-        """Let errors name URLs."""
         try:
             yield
         except ImucalError as error:
@@ -84,11 +79,9 @@ class LocalLogs:
 def local_logs(
     logs: Sequence[str | Path | RemoteLog], *, progress: Progress | None = None
 ) -> Iterator[LocalLogs]:
-    """Lend logs as files of this machine; errors inside the block name URLs.
+    """Yield logs as local files; errors inside the block contain URLs.
 
-    Wildcards and folders of URLs become their logs, as a shell and `imucal.readers.logs_of` do it with files.
-
-    Raises ReadError if a URL can't be fetched.
+    Wildcards and folders of URLs are expanded as for files. Raises ReadError if a URL can't be fetched.
     """
     if not any(isinstance(log, RemoteLog) or is_url(log) for log in logs):
         yield LocalLogs(tuple(Path(str(log)) for log in logs))
@@ -120,18 +113,17 @@ def local_logs(
 
 
 def _tell_part(progress: Progress, before: int, total: int, done: int, _: int) -> None:
-    """Tell of one log as a part of all, behind those `before` it."""
     progress(before + done, total)
 
 
 class TooMuchError(Exception):
-    """So much of the file is asked for that all of it had better be downloaded."""
+    """Downloading the whole file is faster than further requests for parts."""
 
 
 class RangedFile(LogFile):
-    """A file of a store, read by absolute position; safe to share between threads.
+    """A file of a store, read by absolute position; thread-safe.
 
-    `path` is for messages; nothing has to be there. `fetched` counts the bytes that were asked for.
+    `path` is only for messages. `fetched` is the number of requested bytes.
     """
 
     def __init__(self, remote: RemoteFile, path: Path) -> None:
@@ -147,7 +139,6 @@ class RangedFile(LogFile):
         self._lock = threading.Lock()
 
     def close(self) -> None:
-        """Let the blocks go."""
         self._blocks.clear()
 
     def _bytes(self, position: int, size: int) -> bytes:
@@ -159,7 +150,6 @@ class RangedFile(LogFile):
         return data[start : start + size]
 
     def _fetch(self, wanted: range) -> None:
-        """Ask for the blocks that are missing, neighbours in one request."""
         missing = [index for index in wanted if index not in self._blocks]
         for _, run in groupby(enumerate(missing), key=lambda item: item[1] - item[0]):
             indices = [index for _, index in run]

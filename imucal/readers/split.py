@@ -1,4 +1,4 @@
-"""Several logs as one recording: joined where each goes on where the one before ends, else refused."""
+"""Read several logs as one recording if each continues the previous one; otherwise raise an error."""
 
 import re
 from collections.abc import Sequence
@@ -17,41 +17,38 @@ from imucal.readers.tables.text_table import read_many
 from imucal.recording import AxisSeries, Recording, Temperature, span_ns
 from imucal.resources import column_limit
 
-#: A part goes on within this time of the end of the one before, in s.
+#: Longest pause between two parts, in s.
 _PAUSE = 10.0
-#: Stamps of two parts may run over each other by so many samples, or by this time in s.
+#: Largest overlap of two parts: in samples, or in s.
 _SAMPLES_OVER, _TIME_OVER = 10, 0.1
-#: Endings of a name, and the number that rotation puts behind them.
+#: File extensions, and the number that log rotation appends.
 _ENDINGS = re.compile(
     r"(?:\.(?:csv|tsv|txt|log|dat|mcap|db3|bag|active|ulg|parquet|npz|npy|mat|gz|bz2|xz|lz4|zst|zstd))+"
     r"(?P<number>(?:\.\d+)?)$"
 )
-#: Names that number devices: unit1, imu2, sensor3; a recording called imu has parts imu_0 and imu_1.
+#: Names that number devices, not parts: unit1, imu2, sensor3. Parts of a recording are imu_0, imu_1.
 _DEVICE = re.compile(r"(?<![a-z])(?:(?:unit|device|dev|board|serial|sn)[\W_]*|imu|sensor|gyro)\d+$")
 
-#: Two parts of one recording may differ this much in their measured rates.
+#: Largest relative difference of the rates of two parts.
 _SAME_RATE = 0.01
-#: Logs that a message lists.
 _MOST = 12
-#: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
+#: Stamps before 1 January 1980, in ns, count from power-on and are not dates.
 _NO_DATE = 315_532_800_000_000_000
 
-#: Decisions that parts of one recording have in common.
 _COMMON = ("frame", "layout", "gyroscope unit", "accelerometer unit")
 
 
 def why_not_one(paths: Sequence[Path], parts: Sequence[Recording]) -> str:
-    """Return why recordings, in the order of their times, are not parts of one; empty where they are.
+    """Return why recordings, ordered by time, are not parts of one; empty if they are.
 
-    They are where their names differ in numbers alone, topic, frame and units are the same, and each goes
-    on where the one before ends.
+    Parts have names that differ only in numbers, the same topics, frame and units, and no pause in between.
     """
     names = [path.name for path in paths]
     return overlap(names, parts) or _differences(parts) or _names(names) or _pauses(names, parts)
 
 
 def overlap(names: Sequence[str], parts: Sequence[Recording]) -> str:
-    """Return which recordings, in the order of their times, overlap; empty where none do."""
+    """Return which recordings, ordered by time, overlap; empty if none do."""
     for (first, one), (second, other) in pairwise(zip(names, (part.series for part in parts), strict=True)):
         if (before := span_ns(one)) and (after := span_ns(other)):
             over = (min(before[1], after[1]) - after[0]) / 1e9
@@ -61,14 +58,13 @@ def overlap(names: Sequence[str], parts: Sequence[Recording]) -> str:
 
 
 def _differences(parts: Sequence[Recording]) -> str:
-    """Return in what recordings differ: topics, columns, and what was decided of them."""
     topics = [", ".join(part.source.topics) for part in parts]
     if len(set(topics)) > 1:
         what = "topics" if parts[0].source.message_types else "columns"
         return f"their {what} differ ({' and '.join(dict.fromkeys(topics))})"
     for question in _COMMON:
         whole = (dict(part.source.decisions).get(question, "none") for part in parts)
-        # Of a unit without the reason, but a scale with it.
+        # Drop the reason of a unit, but keep a scale.
         answers = dict.fromkeys(one if one.startswith("count") else one.partition(",")[0] for one in whole)
         if len(answers) > 1:
             return f"their {question}s differ ({' and '.join(answers)})"
@@ -76,7 +72,6 @@ def _differences(parts: Sequence[Recording]) -> str:
 
 
 def _names(names: Sequence[str]) -> str:
-    """Return that names are no series of parts: they differ in more than numbers, or number devices."""
     if len({series_of(name.lower()) for name in names}) > 1:
         return "their names are not a series: they differ in more than a number"
     if all(_DEVICE.search(_ENDINGS.sub("", name.lower())) for name in names):
@@ -85,12 +80,11 @@ def _names(names: Sequence[str]) -> str:
 
 
 def series_of(name: str) -> str:
-    """Return what is left of a name without its numbers and the endings of formats."""
+    """Return a name without numbers and file extensions."""
     return re.sub(r"[\W_]*\d+", "", _ENDINGS.sub(r"\g<number>", name))
 
 
 def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
-    """Return between which recordings there is a pause, or none that is known."""
     spans = zip(names, (span_ns(part.series) for part in parts), strict=True)
     for (first, before), (second, after) in pairwise(spans):
         if before is None or after is None:
@@ -104,22 +98,20 @@ def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
 def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     """Read several logs as one recording, in the order of their times.
 
-    Raises ReadError if a log can't be read; ChoiceError if the logs are not parts of one recording:
-    they overlap in time, differ in topic, frame or unit, or nothing says that one goes on where another
-    ends. With `ReadOptions.join` only logs of other axes or rates are refused.
+    Raises ReadError if a log can't be read. Raises ChoiceError if the logs overlap, differ in topic, frame or
+    unit, or do not continue each other; with `ReadOptions.join`, only if their axes or rates differ.
     """
     ordered = sorted(paths, key=natural)
     formats = [detect(path) for path in ordered]
     if all(entry.name == "text" for entry in formats) and (found := read_many(ordered, options)):
-        # A gyroscope's file and an accelerometer's.
+        # One file per sensor.
         return _named(found, ordered)
-    # Half of what may be held is for the parts, half for what they become.
+    # Half of the memory is for the parts, half for the joined recording.
     limit = options.memory_limit or column_limit()
     part_options = replace(options, memory_limit=max(1, limit // (2 * len(ordered))))
     parts = [load(f).read(path, part_options) for path, f in zip(ordered, formats, strict=True)]
     spans = [span for part in parts if (span := span_ns(part.series))]
     if len(spans) == len(parts):
-        # In the order of their first samples, else in that of their names.
         order = sorted(range(len(parts)), key=lambda i: spans[i][0])
         ordered, parts = [ordered[i] for i in order], [parts[i] for i in order]
     problem = why_not_one(ordered, parts)
@@ -147,7 +139,6 @@ def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) ->
 
 
 def _row(path: Path, part: Recording) -> tuple[str, str, str, str]:
-    """Return a log as its name, when it was recorded, how much of it there is, and what was read."""
     span, series = span_ns(part.series), part.series[0]
     frame = dict(part.source.decisions).get("frame")
     topics = ", ".join(part.source.topics) if part.source.message_types else part.source.format
@@ -168,7 +159,6 @@ def _when(ns: int) -> str:
 
 
 def _refuse_others(paths: Sequence[Path], parts: Sequence[Recording]) -> None:
-    """Refuse logs that can't be joined at all: of different axes or rates."""
     names = [[series.name for series in part.series] for part in parts]
     if any(row != names[0] for row in names):
         rows = zip(paths, names, strict=True)
@@ -186,9 +176,9 @@ def _refuse_others(paths: Sequence[Path], parts: Sequence[Recording]) -> None:
 
 
 def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, limit: int) -> Recording:
-    """Join recordings axis by axis, one behind the other; a `problem` is said, as the user knows better."""
+    """Join recordings axis by axis; a `problem` that the user overrides becomes a warning."""
     columns: list[tuple[AxisSeries, ...]] = list(zip(*(part.series for part in parts), strict=True))
-    # One clock is one object: axes that share the clocks of their parts share the joined one.
+    # Axes that share the clocks of their parts share the joined clock.
     clocks: dict[tuple[int, ...], Clock] = {}
     in_order = not overlap([path.name for path in paths], parts)
     rows = join_rows([[series.samples for series in column] for column in columns], limit=limit)
@@ -216,7 +206,6 @@ def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, lim
 def _temperature(
     parts: Sequence[Recording], clocks: dict[tuple[int, ...], Clock], *, in_order: bool
 ) -> Temperature | None:
-    """Return the temperature of all parts, where each has one."""
     found = [part.temperature for part in parts if part.temperature is not None]
     if len(found) != len(parts):
         return None
@@ -227,10 +216,9 @@ def _temperature(
 
 
 def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
-    """Put the clocks of several parts on one grid; parts without order in time are one sample apart.
+    """Join the clocks of parts on one grid; parts that overlap are placed one sample apart.
 
-    A part's place is that of its first stamp behind the last one of the part before, so that nothing adds
-    up where the rate drifts.
+    Each part is placed relative to the end of the previous one, so errors of the rate do not accumulate.
     """
     total = sum(clock.grid_size for clock in clocks)
     tau = sum(clock.tau0 * clock.grid_size for clock in clocks) / total
@@ -244,12 +232,11 @@ def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
         for part in clock.segments:
             last, offset = segments[-1] if segments else None, part.offset + shift
             if last is not None and last.offset + last.size == offset:
-                # It goes on without a gap.
                 segments[-1] = replace(last, stop=part.stop + count)
             else:
                 segments.append(Segment(part.start + count, part.stop + count, offset))
         count += clock.n
         place += clock.grid_size
-        # The next sample is due here.
+        # Time at which the next sample is due.
         end_ns = None if clock.start_ns is None else clock.start_ns + clock.duration_s * 1e9
     return replace(clocks[0], rate_hz=1 / tau, segments=tuple(segments))

@@ -1,6 +1,6 @@
 """Arrays in memory up to a limit of bytes, in temporary files above it.
 
-A temporary file has no name, so nothing is left behind whatever happens.
+A temporary file has no name, so the system removes it even after a crash.
 """
 
 import mmap
@@ -16,23 +16,24 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, never_changes
 from imucal.errors import ReadError
 from imucal.resources import column_limit
 
-#: Columns of some messages, shape (n,) each: the log times in ns, then the wanted numbers.
+#: Columns of messages, shape (n,) each: log times in ns, then the requested numbers.
 Block: TypeAlias = Sequence[NDArray[Any]]
 
 T = TypeVar("T", bound=np.generic)
 
-#: The share of what may be held that one array may take: some ten are there at a time.
+#: One array may take one part in 16 of the limit, because about ten exist at a time.
 _SHARE = 16
-#: Bytes written before their pages are given back to the system.
+#: Bytes written before their pages are released.
 _FLUSH = 1 << 25
-#: Values that a growing column has room for at first.
+#: Initial capacity of a growing column.
 _FIRST = 1 << 16
 
 
 def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
-    """Return an array of n values that are not set, in a temporary file if it has more than `most` bytes.
+    """Return an array of n unset values, in a temporary file if it has more than `most` bytes.
 
-    Raises ReadError if there is no room for the file: what is missing later would end the process.
+    Reserves the space on disk and raises ReadError if there is too little: a later failure would kill the
+    process.
     """
     size = n * np.dtype(dtype).itemsize
     if size <= most or not size:
@@ -51,42 +52,37 @@ def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
 
 
 class Room:
-    """Where arrays are made, block by block.
+    """Allocates and computes arrays block by block.
 
-    An array of more than a sixteenth of the `limit`, in bytes, lies in a temporary file; None for
-    `imucal.resources.column_limit`.
+    An array above a sixteenth of `limit`, in bytes (None: `imucal.resources.column_limit`), is in a temporary
+    file.
     """
 
     def __init__(self, limit: int | None = None) -> None:
         self._most = (column_limit() if limit is None else limit) // _SHARE
 
     def empty(self, n: int, dtype: type[T] | np.dtype[T]) -> NDArray[T]:
-        """Return an array of n values that are not set."""
         return allocated(n, dtype, self._most)
 
     def made(
         self, n: int, dtype: type[T] | np.dtype[T], of: Callable[[slice], Any], *sources: NDArray[Any]
     ) -> NDArray[T]:
-        """Return an array of n values of which `of` gives each block, from the `sources`."""
+        """Return an array of n values; `of` computes each block from the `sources`."""
         result = self.empty(n, dtype)
         for part in blocks(n, result, *sources):
             result[part] = of(part)
         return result
 
     def copied(self, values: NDArray[T]) -> NDArray[T]:
-        """Return a copy of an array of shape (n,)."""
         return self.made(values.size, values.dtype, lambda part: values[part], values)
 
     def taken(self, values: NDArray[T], order: IntArray) -> NDArray[T]:
-        """Return the values at some places, in their order."""
         return self.made(order.size, values.dtype, lambda part: values[order[part]], values, order)
 
     def chosen(self, values: NDArray[T], keep: BoolArray) -> NDArray[T]:
-        """Return the values where `keep` is true."""
         return self._gathered(keep, values.dtype, lambda part: values[part][keep[part]], values)
 
     def places(self, keep: BoolArray) -> IntArray:
-        """Return the places where `keep` is true, in order."""
         return self._gathered(keep, np.int64, lambda part: np.flatnonzero(keep[part]) + part.start)
 
     def _gathered(
@@ -96,7 +92,7 @@ class Room:
         of: Callable[[slice], Any],
         *sources: NDArray[Any],
     ) -> NDArray[T]:
-        """Return what `of` gives of each block, one behind the other: a value for each place that is kept."""
+        """Return the concatenated results of `of` for each block, one value per kept index."""
         result = self.empty(count(keep), dtype)
         end = 0
         for part in blocks(keep.size, keep, *sources, result):
@@ -107,32 +103,29 @@ class Room:
 
 
 def count(keep: BoolArray) -> int:
-    """Return at how many places `keep` is true."""
+    """Return the number of true values."""
     return sum(int(np.count_nonzero(keep[part])) for part in blocks(keep.size, keep))
 
 
 def extremes(values: NDArray[Any]) -> tuple[Any, Any]:
-    """Return the lowest and the highest of some values, of which there is one at least."""
+    """Return the smallest and the largest of at least one value."""
     found = [(values[part].min(), values[part].max()) for part in blocks(values.size, values)]
     return min(low for low, _ in found), max(high for _, high in found)
 
 
 def equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
-    """Return whether two arrays of one size hold the same."""
+    """Return whether two arrays of the same size are equal."""
     return all(bool((first[part] == second[part]).all()) for part in blocks(first.size, first, second))
 
 
 def copy_to(target: NDArray[Any], source: NDArray[Any]) -> None:
-    """Copy an array block by block; the pages of mapped ones are handed back."""
+    """Copy an array block by block, releasing mapped pages."""
     for part in blocks(source.size, target, source):
         target[part] = source[part]
 
 
 def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = None) -> list[FloatArray]:
-    """Return rows of samples, each made of its pieces one behind the other.
-
-    They lie in a temporary file where all together are more than `limit` bytes.
-    """
+    """Return rows joined from their pieces; in a temporary file above `limit` bytes in total."""
     rows = [sum(piece.size for piece in row) for row in pieces]
     held = allocated(sum(rows), np.float64, column_limit() if limit is None else limit)
     joined, start = [], 0
@@ -145,10 +138,10 @@ def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = Non
 
 
 class GrowingColumn:
-    """Values of one column, appended block by block.
+    """A column of int64 or float64 to which blocks are appended.
 
-    Values, int64 or float64, go to a temporary file beyond `limit` bytes. There is room for as many as are
-    `expected`; memory that is never filled is never taken.
+    Above `limit` bytes it is in a temporary file. Memory is reserved for `expected` values; unused pages take
+    none.
     """
 
     def __init__(self, dtype: type[np.generic], *, limit: int, expected: int = 0) -> None:
@@ -157,7 +150,7 @@ class GrowingColumn:
         self._held: NDArray[Any] = allocated(max(expected, _FIRST), dtype, limit)
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append a block; a block of floats turns a column of integers into one of floats."""
+        """Append a block; floats convert a column of integers."""
         size, stop = self._held.size, self._filled + values.size
         floats = self._held.dtype.kind == "i" and values.dtype.kind == "f"
         if floats or stop > size:
@@ -171,14 +164,13 @@ class GrowingColumn:
         self._filled = stop
 
     def take(self) -> NDArray[Any]:
-        """Return all values as one array, and forget them."""
         array, self._held = self._held, self._held[:0]
         if array.flags.owndata:
-            # Shrinking gives pages back and copies nothing.
+            # Shrinking releases pages without a copy.
             array.resize(self._filled, refcheck=False)
         return array[: self._filled]
 
 
 def is_constant(rows: Sequence[NDArray[Any]] | NDArray[Any]) -> bool:
-    """Return whether no row of samples ever changes."""
+    """Return whether every row of samples is constant."""
     return all(never_changes(row) for row in rows if row.size)

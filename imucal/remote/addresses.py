@@ -1,7 +1,4 @@
-"""URLs of logs: their parts, their form without secrets, and keys that identify the logs.
-
-Also the errors of stores: temporary failures are retried, others become messages.
-"""
+"""URLs of logs: their parts, their form without secrets, and keys that identify logs; errors of stores."""
 
 import hashlib
 import os
@@ -16,12 +13,11 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 from imucal.errors import ImucalError, ReadError, SettingError
 from imucal.frozen import frozen
 
-#: A scheme has two letters or more: C: is a drive.
+#: At least two letters: C: is a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
-#: A URL that was converted to a `Path`, which removes a slash.
+#: A `Path` of a URL lacks a slash.
 _COLLAPSED = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/(?!/)")
 WEB = frozenset({"http", "https"})
-#: Scheme -> protocol of fsspec, its package, and the extra that brings it.
 OBJECT_STORES = {
     "s3": ("s3", "s3fs", "s3"),
     "s3a": ("s3", "s3fs", "s3"),
@@ -31,16 +27,13 @@ OBJECT_STORES = {
     "abfs": ("abfs", "adlfs", "azure"),
     "abfss": ("abfs", "adlfs", "azure"),
 }
-#: Longest file name, in bytes; every common file system allows it.
+#: Longest file name on common file systems, in bytes.
 _LONGEST = 200
 _GLOB = frozenset("*?[")
 
 
 def is_url(log: object) -> bool:
-    """Return whether a log is given as a URL, not as the path of a file.
-
-    Raises ReadError for a URL that was converted to a `Path`.
-    """
+    """Return whether a log is a URL; raises ReadError for a URL that was converted to a `Path`."""
     if isinstance(log, Path):
         if (match := _COLLAPSED.match(str(log))) and not log.exists():
             url = str(log).replace(":/", "://", 1)
@@ -50,16 +43,16 @@ def is_url(log: object) -> bool:
 
 
 def scheme_of(url: str) -> str:
-    """Return the scheme in small letters, such as ``s3``."""
+    """Return the scheme in lower case."""
     match = _URL.match(url)
     return match[1].lower() if match else ""
 
 
 def shown(url: str) -> str:
-    """Return what may be printed and stored of a URL: no user, no password, no query, no fragment.
+    """Return a URL without user, password, query and fragment, for messages and results.
 
-    The query of a signed URL is as good as a password. Keys of an object store may hold question marks,
-    so there it stays. A path of this machine is returned as it is.
+    The query of a signed URL is a secret. Object keys may contain question marks and are kept. Local paths
+    are returned unchanged.
     """
     if not _URL.match(url):
         return url
@@ -69,24 +62,24 @@ def shown(url: str) -> str:
     scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")
     user, _, place = host.rpartition("@")
-    # Azure writes container@account, which is no secret.
+    # Azure writes container@account, which is not a secret.
     return f"{scheme}://{place if ':' in user else host}{slash}{path}"
 
 
 def refused(url: str, text: str) -> ReadError:
-    """Return the error of a URL that is not read; the text says what was found, and what to do."""
+    """Return the error for a URL that can't be read; the text contains the problem and advice."""
     return ReadError(f"{shown(url)}: {text}")
 
 
 def path_of(url: str) -> str:
-    """Return the path of a URL as people write it, without the bucket or the host."""
+    """Return the path of a URL without bucket or host."""
     if scheme_of(url) in WEB:
         return unquote(urlsplit(url).path)
     return url.partition("://")[2].partition("/")[2]
 
 
 def name_of(url: str) -> str:
-    """Return the name of the file, fit for every file system; ``log`` where the URL has none."""
+    """Return a file name valid on every file system; ``log`` if the URL has none."""
     name = PurePosixPath(path_of(url)).name
     name = "".join("_" if sign in '\\/:*?"<>|' or not sign.isprintable() else sign for sign in name)
     if not name.strip("."):
@@ -97,7 +90,7 @@ def name_of(url: str) -> str:
 
 
 def has_wildcards(url: str) -> bool:
-    """Return whether a URL has wildcards: ``*``, ``?`` and ``[…]``; in a web address only ``*``."""
+    """Return whether a URL has wildcards: ``*``, ``?``, ``[…]``; only ``*`` in a web address."""
     signs = _GLOB if scheme_of(url) not in WEB else {"*"}
     return bool(signs & set(path_of(url)))
 
@@ -108,7 +101,7 @@ def is_folder_name(url: str) -> bool:
 
 
 def without_secrets(text: str, url: str) -> str:
-    """Return a library's message without the queries of URLs."""
+    """Remove the queries of URLs from a message."""
     text = text.replace(url, shown(url))
     return re.sub(r"(\w://[^\s?'\"]*)\?[^\s'\")]*", r"\1", text)
 
@@ -117,21 +110,21 @@ def without_secrets(text: str, url: str) -> str:
 class RemoteFile:
     """One object of a store."""
 
-    #: The URL as given, with its query, which may be a secret.
+    #: With its query, which may be a secret.
     url: str = field(repr=False)
-    #: The ETag, or the time of the last change; empty if the store gives neither.
+    #: ETag, or time of last change; empty if unknown.
     etag: str
-    #: Size in bytes; None if unknown.
+    #: In bytes; None if unknown.
     size: int | None
     #: Whether the store serves parts of the object.
     ranges: bool = True
 
     @property
     def key(self) -> str:
-        """Digest that identifies the object: of its URL, ETag and size.
+        """Digest of URL, ETag and size.
 
-        An ETag identifies the content, so the query is left out: each signature changes it. With a time of
-        last change the query stays, as it may select the content.
+        An ETag identifies the content, so the query, which changes with each signature, is ignored. Otherwise
+        the query stays: it may select the content.
         """
         url = shown(self.url) if self.etag.startswith(('"', "W/")) else self.url
         return _digest(f"{url}\n{self.etag}\n{self.size}")
@@ -139,11 +132,10 @@ class RemoteFile:
 
 @frozen
 class RemoteLog:
-    """A log behind a URL: one object, or the folder of a bag."""
+    """A log at a URL: one object, or the folder of a bag."""
 
-    #: The URL, a secret if it is signed; show or write `shown` instead.
+    #: A secret if it is signed; print `shown` instead.
     url: str = field(repr=False)
-    #: Its objects.
     files: tuple[RemoteFile, ...]
     #: Whether it is a folder, perhaps of one file.
     folder: bool = False
@@ -152,17 +144,15 @@ class RemoteLog:
 
     @property
     def shown(self) -> str:
-        """The URL without user and query."""
         return shown(self.url).rstrip("/")
 
     @property
     def name(self) -> str:
-        """Name of the file or the folder."""
         return name_of(self.shown)
 
     @property
     def etag(self) -> str:
-        """ETag of the file, or a digest of all ETags; empty if a file has none."""
+        """ETag of the file, or a digest of all ETags; empty if one is missing."""
         tags = [file.etag for file in self.files]
         if not all(tags):
             return ""
@@ -170,13 +160,12 @@ class RemoteLog:
 
     @property
     def size(self) -> int | None:
-        """Total size in bytes; None if the size of a file is unknown."""
         sizes = [file.size for file in self.files]
         return None if None in sizes else sum(size for size in sizes if size is not None)
 
     @property
     def key(self) -> str:
-        """Name of the log in the cache and in a fleet's results: 32 hexadecimal digits."""
+        """Key in the cache and in a fleet's results: 32 hexadecimal digits."""
         if not self.folder:
             return self.files[0].key
         return _digest("\n".join([self.shown, *(file.key for file in self.files)]))
@@ -188,14 +177,14 @@ def _digest(text: str) -> str:
 
 Result = TypeVar("Result")
 
-#: Seconds to wait before each further attempt.
+#: Seconds before each further attempt.
 WAITS = (0.5, 1.0, 2.0)
 _RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
-#: Seconds without an answer before a connection is given up.
+#: Default timeout in s.
 _PATIENCE = 30.0
 
-#: What an error means -> names of such errors, whose libraries may not be installed. The first match counts.
+#: Kind -> error names of libraries, which may not be installed; the first match is used.
 _ERRORS = {
     "missing": "FileNotFoundError ResourceNotFoundError NoSuchBucket NoSuchKey",
     "forbidden": "PermissionError",
@@ -210,7 +199,6 @@ _ERRORS = {
     "IncompleteRead SSLError",
 }
 _NO_BUCKET = re.compile(r"NoSuchBucket|(specified )?(bucket|container) does not exist", re.IGNORECASE)
-#: What to do about credentials, by scheme.
 _LOG_IN = {
     "s3": "set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
           "for a public bucket FSSPEC_S3_ANON=true",
@@ -221,7 +209,7 @@ _LOG_IN = {
 
 
 class PassingError(Exception):
-    """A temporary failure, worth another attempt."""
+    """A temporary failure; another attempt may succeed."""
 
 
 class ChangedError(Exception):
@@ -229,10 +217,7 @@ class ChangedError(Exception):
 
 
 def timeout() -> float:
-    """Return the timeout of an answer in s: ``IMUCAL_REMOTE_TIMEOUT``, or 30.
-
-    Raises SettingError if it is not a positive number below 1e6.
-    """
+    """Return the timeout in s: ``IMUCAL_REMOTE_TIMEOUT``, or 30; raises SettingError if it is invalid."""
     text = os.environ.get(TIMEOUT, "").strip()
     if not text:
         return _PATIENCE
@@ -251,15 +236,14 @@ class Attempts:
     def __init__(self, url: str) -> None:
         self._url = url
         self._failed = 0
-        # The libraries of Google and Azure retry by themselves for half a minute.
+        # The libraries of Google and Azure retry by themselves.
         self._waits = WAITS if scheme_of(url) in _RETRIED_HERE else ()
 
     def went_on(self) -> None:
-        """Reset the count after progress."""
         self._failed = 0
 
     def wait(self, error: PassingError) -> None:
-        """Wait before the next attempt; raises ReadError if it was the last one."""
+        """Wait before the next attempt; raises ReadError after the last one."""
         self._failed += 1
         if self._failed > len(self._waits):
             often = f" ({self._failed} attempts)" if self._waits else ""
@@ -268,7 +252,7 @@ class Attempts:
 
 
 def retried(url: str, work: Callable[[], Result]) -> Result:
-    """Return the result of `work`, retried after a PassingError; raises ReadError after the last attempt."""
+    """Return the result of `work`, retried after PassingError; raises ReadError after the last attempt."""
     attempts = Attempts(url)
     while True:
         try:
@@ -278,12 +262,12 @@ def retried(url: str, work: Callable[[], Result]) -> Result:
 
 
 def missing(url: str, what: str = "object") -> ReadError:
-    """Return the error of a missing object."""
+    """Return the error for a missing object."""
     return refused(url, f"there is no such {what} (404); check the address")
 
 
 def forbidden(url: str, code: int = 403) -> ReadError:
-    """Return the error of denied access."""
+    """Return the error for denied access."""
     scheme = scheme_of(url)
     if scheme not in _LOG_IN:
         hint = "perhaps a signed address has expired; create a new one, or put name and password in ~/.netrc"
@@ -292,7 +276,7 @@ def forbidden(url: str, code: int = 403) -> ReadError:
 
 
 def explained(error: Exception, url: str) -> Exception:
-    """Convert a library's error to a `PassingError` or `ReadError`; return errors of imucal unchanged."""
+    """Convert a library's error to `PassingError` or `ReadError`; return errors of imucal unchanged."""
     if isinstance(error, ImucalError | PassingError | ChangedError):
         return error
     names = {kind.__name__ for cause in _chain(error) for kind in type(cause).__mro__}
@@ -316,7 +300,6 @@ def explained(error: Exception, url: str) -> Exception:
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and its causes."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))

@@ -1,12 +1,10 @@
-"""Cache of remote logs on this machine: only complete copies, locked during use.
+"""Cache of remote logs: complete copies only, locked during use.
 
-Each copy has a folder; the least recently used copy is removed first. The operating system releases the locks
-between processes if a process dies.
+The least recently used copy is removed first. The system releases the locks of a dead process.
 
 ::
 
-    KEY.lock     lock for reading the copy (shared) or for making and removing it (exclusive); its time is
-                 the time of the last use
+    KEY.lock     lock for reading the copy (shared) or changing it (exclusive); its time is the last use
     KEY/         the copy: a file, or the folder of a bag, under the log's own name
     KEY.part/    an unfinished copy
 """
@@ -36,7 +34,7 @@ from imucal.resources import size_setting
 
 try:
     import fcntl
-except ImportError:  # Windows: an open file can't be removed there, which protects what is in use
+except ImportError:  # Windows: open files can't be removed
     fcntl = None  # type: ignore[assignment]
 
 
@@ -44,7 +42,7 @@ except ImportError:  # Windows: an open file can't be removed there, which prote
 def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
     """Hold the lock file `path`; yield whether the lock was acquired, always true with `wait`.
 
-    The holder of the exclusive lock may remove the file; waiting processes then lock the new file.
+    The holder of an exclusive lock may remove the file, so waiting processes then lock the new one.
     """
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
@@ -68,9 +66,9 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
 
 
 FOLDER, SIZE = "IMUCAL_CACHE", "IMUCAL_CACHE_SIZE"
-#: Default size of the cache, in bytes.
+#: Default size in bytes.
 _DEFAULT_SIZE = 10 << 30
-#: Free space left on the disk for other programs, in bytes.
+#: Bytes left free.
 _MARGIN = 1 << 24
 
 
@@ -83,31 +81,25 @@ class Entry:
 
     @property
     def lock(self) -> Path:
-        """The lock file."""
         return self.root / f"{self.key}.lock"
 
     @property
     def whole(self) -> Path:
-        """The folder of the copy."""
         return self.root / self.key
 
     @property
     def part(self) -> Path:
-        """The folder of an unfinished copy."""
         return self.root / f"{self.key}.part"
 
     def path(self, log: RemoteLog) -> Path:
-        """Return the file or folder of the copy."""
         return self.whole / log.name
 
     def files(self, log: RemoteLog, within: Path) -> list[Path]:
-        """Return the files of a copy in a folder, in the order of `log.files`."""
         if not log.folder:
             return [within / log.name]
         return [within / log.name / name_of(file.url) for file in log.files]
 
     def is_whole(self, log: RemoteLog) -> bool:
-        """Return whether all files exist with the right size."""
         try:
             sizes = [path.stat().st_size for path in self.files(log, self.whole)]
         except OSError:
@@ -132,7 +124,6 @@ class Entry:
         return not self.whole.exists()
 
     def size(self) -> int:
-        """Return the size in bytes, including an unfinished copy."""
         return sum(_size(path) for folder in (self.whole, self.part) for path in folder.rglob("*"))
 
 
@@ -144,10 +135,7 @@ def _size(path: Path) -> int:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the cache: ``IMUCAL_CACHE``, or the user's folder for caches.
-
-    Raises ReadError if it can't be created or written to.
-    """
+    """Return ``IMUCAL_CACHE``, or the user's cache folder; raises ReadError if it is not writeable."""
     asked = os.environ.get(FOLDER, "").strip()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     root = Path(asked) if asked else (Path(base) if base else Path.home() / ".cache") / "imucal"
@@ -163,25 +151,21 @@ def cache_folder() -> Path:
 
 
 def cache_size() -> int:
-    """Return the size of the cache in bytes: ``IMUCAL_CACHE_SIZE``, or 10 GB; 0 keeps no copies.
-
-    Raises SettingError if the value is not a size.
-    """
+    """Return ``IMUCAL_CACHE_SIZE`` in bytes, or 10 GB; 0 keeps no copies. Raises SettingError if invalid."""
     size = size_setting(SIZE, least=0)
     return _DEFAULT_SIZE if size is None else size
 
 
 def entry_of(log: RemoteLog) -> Entry:
-    """Return the entry of a log in the cache."""
+    """Return the cache entry of a log."""
     return Entry(cache_folder(), log.key)
 
 
 def make_room(root: Path, wanted: int, *, most: int) -> None:
     """Remove unused copies, the least recently used first.
 
-    Stops once the cache takes at most `most` bytes and `wanted` bytes are free on the disk.
-
-    Raises ReadError if fewer than `wanted` bytes are free at the end.
+    Stops once the cache takes at most `most` bytes and `wanted` bytes are free. Raises ReadError if fewer are
+    free at the end.
     """
     used: list[tuple[float, str]] = []
     for path in root.glob("*.lock"):
@@ -210,7 +194,7 @@ def _lacks(root: Path, wanted: int) -> bool:
 #: Called with the bytes done and the total (0 if unknown).
 Progress: TypeAlias = Callable[[int, int], None]
 
-#: Most changes of an object during reading; with more it is being written.
+#: Most changes of an object during reading; with more it is still being written.
 _MAX_CHANGES = 3
 
 
@@ -218,11 +202,9 @@ _MAX_CHANGES = 3
 class LocalCopy:
     """The copy of a remote log."""
 
-    #: The remote log.
     log: RemoteLog
-    #: The file, or the folder of a bag; valid inside the ``with`` block.
+    #: File, or folder of a bag; valid inside the ``with`` block.
     path: Path
-    #: Its files, in the order of `log.files`.
     files: tuple[Path, ...]
 
 
@@ -232,11 +214,10 @@ def fetched(
 ) -> Iterator[LocalCopy]:
     """Yield a copy of a remote log, from the cache or downloaded; it is not removed during use.
 
-    After use it stays in the cache if there is space, unless `RemoteLog.keep` is false or `RemoteLog.etag` is
-    empty. With `exact` a changed object is refused, as results would be stored under the wrong key; otherwise
-    the new object is used.
-
-    Raises ReadError if the log is missing, can't be fetched or has changed, or if the disk is full.
+    Afterwards it stays in the cache if there is space, unless `RemoteLog.keep` is false or `RemoteLog.etag`
+    is empty. With `exact`, a changed object is refused, because results would be stored under the wrong key;
+    otherwise the new object is used. Raises ReadError if the log is missing, can't be fetched or has changed,
+    or if the disk is full.
     """
     asked = identify(log) if isinstance(log, str) else log
     for _ in range(_MAX_CHANGES):
@@ -314,7 +295,8 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
 def _download(file: RemoteFile, out: IO[bytes], count_bytes: Callable[[int], None]) -> None:
     """Write an object to an open file; resume after a broken connection.
 
-    Bytes received again are no progress: give up on a server without parts that always ends early.
+    Repeated bytes do not count as progress; otherwise a server without parts that always ends early is
+    retried endlessly.
     """
     store = store_of(file.url)
     attempts = Attempts(file.url)

@@ -1,10 +1,8 @@
-"""Stores of logs: find the store of a URL, read its objects and list the logs of the URL.
+"""Stores of logs: read objects, and list the logs of a URL.
 
-http and https use the standard library: parts, signed addresses, proxies, ~/.netrc. Objects are identified by
-a GET of the first bytes, not a HEAD, because addresses signed for GET refuse other methods.
-
-Object stores (S3, Google Cloud Storage, Azure) use fsspec; s3fs, gcsfs and adlfs find credentials, endpoints
-and proxies.
+http and https use the standard library, and identify objects by a GET of the first bytes, because addresses
+signed for GET refuse HEAD. Object stores (S3, Google Cloud Storage, Azure) use fsspec with s3fs, gcsfs and
+adlfs.
 """
 
 import contextlib
@@ -50,7 +48,7 @@ from imucal.remote.addresses import (
 
 
 def store_of(url: str) -> "Store":
-    """Return the store of a URL; raises ReadError for an unknown scheme or a package not installed."""
+    """Return the store of a URL; raises ReadError for an unknown scheme or a missing package."""
     scheme = scheme_of(url)
     if scheme in WEB:
         return HttpStore()
@@ -63,7 +61,7 @@ def store_of(url: str) -> "Store":
 
 #: HTTP codes of temporary failures.
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
-#: Bytes fetched to identify an object: enough to distinguish a web page from a log.
+#: Bytes fetched to identify an object, enough to recognise a web page.
 _HEAD = 512
 _BLOCK = 1 << 20
 #: Largest listing of a folder, in bytes.
@@ -73,10 +71,10 @@ _RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
 
 
 class HttpStore:
-    """Files of web servers. Methods raise ReadError with a message for users, as in `ObjectStore`."""
+    """Files of web servers; methods raise ReadError, as in `ObjectStore`."""
 
     def look_at(self, url: str) -> RemoteFile | None:
-        """Return the ETag and size of an object; None for a folder."""
+        """Return ETag and size of an object; None for a folder."""
         if is_folder_name(url):
             return None
 
@@ -118,12 +116,10 @@ class HttpStore:
                 yield block
 
     def files_in(self, url: str) -> list[str]:
-        """Return the URLs of the files in a folder, without subfolders."""
         folder = url if is_folder_name(url) else f"{shown(url)}/"
         return [link for link in _links(folder) if not link.endswith("/")]
 
     def matches(self, url: str) -> list[str]:
-        """Return the URLs matched by a URL with wildcards."""
         parts = urlsplit(url)
         path, _, pattern = parts.path.rpartition("/")
         if "*" in path:
@@ -134,7 +130,7 @@ class HttpStore:
 
 
 class _WebRedirects(HTTPRedirectHandler):
-    """Follows redirects only to http and https; `urllib` also follows to ftp."""
+    """Follows redirects only to http and https; `urllib` also allows ftp."""
 
     def http_error_302(self, req: Request, fp: Any, code: int, msg: str, headers: Any) -> Any:  # noqa: ANN401
         target = scheme_of(urljoin(req.full_url, headers.get("Location", "")))
@@ -154,7 +150,7 @@ def _led_astray(url: str, where: str) -> ReadError:
 def _open(
     url: str, part: str | None = None, *, empty: bool = False
 ) -> Iterator[tuple[int, Message, IO[bytes]]]:
-    """Yield status, headers and body of an answer; `empty` allows a file without bytes.
+    """Yield status, headers and body; `empty` allows a file without bytes.
 
     Errors of the library, also during reading of the body, are converted by `explained`.
     """
@@ -187,7 +183,7 @@ def _refusal(url: str, code: int) -> Exception:
 
 
 def _request(url: str, part: str | None) -> Request:
-    """Return a request; name and password from the URL or ~/.netrc are sent only to this host."""
+    """Return a request; credentials from the URL or ~/.netrc are sent only to this host."""
     parts = urlsplit(url)
     user, _, host = parts.netloc.rpartition("@")
     # Quote spaces and non-ASCII letters; keep quoted characters.
@@ -234,12 +230,12 @@ def _links(folder: str) -> list[str]:
     return sorted(found)
 
 
-#: Bytes of one request of a download.
+#: Bytes per request of a download.
 _PART = 1 << 24
 
 
 class ObjectStore:
-    """The objects of one kind of store."""
+    """Objects in one kind of store."""
 
     def __init__(self, url: str) -> None:
         self._scheme = scheme_of(url)
@@ -294,7 +290,7 @@ class ObjectStore:
         return f"{self._scheme}://{key}"
 
     def _asked(self, url: str, work: Callable[[], Result]) -> Result:
-        """Return the library's answer; its errors are converted by `explained`."""
+        """Call the library with retries; its errors are converted by `explained`."""
 
         def attempt() -> Result:
             try:
@@ -306,7 +302,7 @@ class ObjectStore:
 
 
 def _entity_tag(info: dict[str, Any]) -> str:
-    """Return the ETag in quotes, as in S3; Google and Azure sometimes omit them."""
+    """Return the ETag in quotes; Google and Azure sometimes omit them."""
     tag = info.get("ETag") or info.get("etag")
     if tag:
         return str(tag) if str(tag).startswith('"') else f'"{tag}"'
@@ -319,22 +315,18 @@ def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
     import fsspec
 
     for name in ("fsspec", "s3fs", "gcsfs", "adlfs", "botocore", "aiobotocore", "google", "azure"):
-        # Failures are reported in the error's message.
         logging.getLogger(name).addHandler(logging.NullHandler())
     settings: dict[str, Any] = {"use_listings_cache": False}
     if protocol == "s3":
-        # `Attempts` retries, with a message after the last attempt.
         config = {"connect_timeout": timeout(), "read_timeout": timeout(), "retries": {"max_attempts": 1}}
         settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
     return fsspec.filesystem(protocol, **settings)
 
 
-#: A store of logs.
 Store: TypeAlias = HttpStore | ObjectStore
 
-#: File that identifies a folder as a bag.
 _METADATA = "metadata.yaml"
-#: Endings of logs; a compressed text may have one more.
+#: Extensions of logs; a compressed text may have one more.
 _MESSAGES = (".mcap", ".bag", ".db3", ".bag.active", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst")
 _TEXTS = (".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl")
 _TABLES = (*_TEXTS, ".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat", ".ulg", ".bin")
@@ -345,24 +337,21 @@ _LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED
 def expand(url: str) -> list[str]:
     """Return the URLs of the logs of a URL: itself, the matches of its wildcards, or a folder's logs.
 
-    A folder with ``metadata.yaml`` is one log, a ROS 2 bag. A folder with only tables is one log too, as an
-    app may have written them together. In other folders each file is a log.
-
-    Raises ReadError if there are no logs, or the store can't list them.
+    A folder with ``metadata.yaml``, or with only tables (as an app writes them), is one log; in other folders
+    each file is. Raises ReadError without logs, or if the store can't list them.
     """
     store = store_of(url)
     return [url] if _object_at(store, url) else _expanded(store, url)
 
 
 def logs_at(url: str) -> list[RemoteLog]:
-    """Return the result of `identify` for each log of a URL; see `expand`."""
+    """Return `identify` of each log of a URL; see `expand`."""
     store = store_of(url)
     file = _object_at(store, url)
     return [_of_one(url, file)] if file else [identify(log) for log in _expanded(store, url)]
 
 
 def _object_at(store: Store, url: str) -> RemoteFile | None:
-    """Return the object of a URL; None if the URL has several."""
     return None if has_wildcards(url) or is_folder_name(url) else store.look_at(url)
 
 
@@ -403,7 +392,6 @@ def _of_one(url: str, file: RemoteFile, *, keep: bool = True) -> RemoteLog:
 
 
 def _logs_in(store: Store, url: str) -> list[str]:
-    """Return the files of a folder that belong to logs; raises ReadError if there are none."""
     files = store.files_in(url)
     logs = [file for file in files if name_of(file) == _METADATA or name_of(file).endswith(_LOGS)]
     if not any(name_of(log) != _METADATA for log in logs):

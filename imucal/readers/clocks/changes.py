@@ -1,8 +1,7 @@
-"""Where the sampling rate of a log changes for good.
+"""Find a lasting change of the sampling rate.
 
-The rate is measured in windows of many samples, spread over the log. Gaps do not count. A change splits the
-windows into two parts with a stable rate each. Losses that begin within a log are no change of the rate: the
-short steps stay as long as before.
+The rate is measured in windows over the log, without gaps. A change splits them into two parts with a stable
+rate each. If only losses begin, the short steps keep their length: that is not a change of the rate.
 """
 
 import numpy as np
@@ -10,17 +9,17 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
 from imucal.frozen import frozen
 
-#: Most windows, fewest samples in each, and most.
+#: Most windows; fewest and most samples in each.
 _WINDOWS, _LEAST, _MOST = 400, 32, 512
-#: A part has at least so many windows, and this share of them.
+#: Fewest windows of a part, and least share of them.
 _FEWEST, _SHARE = 8, 0.04
-#: Least ratio of two rates, and of the short steps at these rates.
+#: Least ratio of two rates, and of their short steps.
 _RATIO, _SHORT = 1.4, 1.3
-#: A step longer than so many times a long one is a gap.
+#: A longer step, in units of a long step, is a gap.
 _GAP = 8
-#: A window spans at least so many short steps between different stamps.
+#: Least span of a window, in short steps between different stamps.
 _TICKS = 8
-#: A rate is stable where this share of the windows is so near to the median.
+#: A rate is stable if this share of the windows is within this relative distance of the median.
 _STABLE, _NEAR = 0.6, 0.2
 
 
@@ -30,12 +29,12 @@ class Change:
 
     #: Rates before and after, in Hz.
     rates_hz: tuple[float, float]
-    #: Samples before which the first part ends, and with which the second part begins.
+    #: The first part ends before sample `end`; the second begins at `start`.
     end: int
     start: int
 
     def part(self, n: int, rate_hz: float | None) -> tuple[slice, float]:
-        """Return the part whose rate is nearest to the one given, or else the longer one, and its rate."""
+        """Return the part with the rate nearest to `rate_hz` (None: the longer part), and its rate."""
         parts = tuple(zip((slice(0, self.end), slice(self.start, n)), self.rates_hz, strict=True))
         if rate_hz is not None:
             return min(parts, key=lambda part: abs(np.log(part[1] / rate_hz)))
@@ -43,11 +42,11 @@ class Change:
 
 
 def rate_change(stamps: IntArray) -> Change | None:
-    """Return the largest lasting change of the rate of stamps in ns, shape (n,); None where there is none."""
+    """Return the largest lasting change of the rate of stamps in ns, shape (n,); None if there is none."""
     count = min(_WINDOWS, stamps.size // _LEAST)
     if count < 2 * _FEWEST:
         return None
-    # An even number of steps, as the steps of two sensors alternate.
+    # An even number of steps, because steps of two sensors may alternate.
     width = min(stamps.size // count - 1, _MOST) // 2 * 2
     first = np.linspace(0, stamps.size - 1 - width, count).astype(np.int64)
     steps = np.diff(stamps[first[:, None] + np.arange(width + 1)], axis=1).astype(np.float64)
@@ -58,7 +57,7 @@ def rate_change(stamps: IntArray) -> Change | None:
     spans = np.where(counts, steps, 0.0).sum(axis=1)
     means = spans / np.maximum(counts.sum(axis=1), 1)
     short = np.sort(steps, axis=1)[:, width // 4]
-    # A few ticks of a coarse clock are not enough to measure a rate.
+    # A rate needs several ticks of a coarse clock.
     good = np.flatnonzero(spans > _TICKS * percentile(every[every > 0], 10))
     means, short, first = means[good], short[good], first[good]
     if good.size < 2 * _FEWEST:
@@ -75,20 +74,19 @@ def rate_change(stamps: IntArray) -> Change | None:
 
 
 def _split(means: FloatArray) -> int:
-    """Return the first window after the change that fits the mean steps best, shape (m,)."""
+    """Return the first window after the change that best fits the mean steps, shape (m,)."""
     logs = np.log(means)
     sums, before = np.cumsum(logs)[:-1], np.arange(1, logs.size)
     after = logs.size - before
     contrast = (sums / before - (logs.sum() - sums) / after) ** 2 * before * after
     at = int(np.argmax(contrast[_FEWEST - 1 : 1 - _FEWEST])) + _FEWEST
-    # A mixed window or an outlier does not move the place where most windows are on their own side.
+    # Refine the position: mixed windows and outliers must not move it.
     middle = (median(logs[:at]) + median(logs[at:])) / 2
     sides = np.where((logs > middle) == (median(logs[at:]) > middle), 1, -1)
     return int(np.argmin(np.cumsum(sides))) + 1
 
 
 def _lasting(means: FloatArray, short: FloatArray, before: BoolArray) -> bool:
-    """Say whether the windows before and after differ in their rate and each side has a stable one."""
     levels = [(median(means[side]), median(short[side])) for side in (before, ~before)]
     for side, (mean, _) in zip((before, ~before), levels, strict=True):
         if np.mean(np.abs(means[side] / mean - 1) < _NEAR) < _STABLE:
@@ -96,6 +94,6 @@ def _lasting(means: FloatArray, short: FloatArray, before: BoolArray) -> bool:
     (fast, fast_short), (slow, slow_short) = sorted(levels)
     if slow < _RATIO * fast:
         return False
-    # The short steps of batches and of a coarse clock are not those of the sensor.
+    # Short steps within batches, or of a coarse clock, do not depend on the sensor's rate.
     batches = fast_short < 0.5 * fast and slow_short < 0.5 * slow
     return batches or slow_short > _SHORT * fast_short

@@ -1,7 +1,6 @@
-"""Compute a clock from time stamps: the rate, the missing samples, and findings about the stamps.
+"""Compute a clock from time stamps: the rate, missing samples, and findings about the stamps.
 
-Samples keep the order of the log, because stamps jitter. The rate and each sample's place on the even grid
-come from `imucal.readers.clocks.placing`.
+Samples keep the order of the log, because stamps jitter.
 """
 
 from collections.abc import Sequence
@@ -29,16 +28,14 @@ from imucal.readers.clocks.placing import (
 from imucal.readers.store import Room, count, equal, is_constant
 from imucal.recording import gap_findings
 
-#: Source name of recording times.
 LOG_TIME = "log time"
 
 #: Share of zero stamps above which log time is used.
 _ZEROS = 0.01
-#: Longest gap, in ns: one day. A longer jump forward means that the clock was set.
+#: A longer jump forward means that the clock was set: one day, in ns.
 _DAY = 86_400 * 10**9
 #: Fewest samples per clock reset; with fewer the stamps are noise.
 _RESETS = 20
-#: Most samples examined.
 _MOST = 100_000
 #: Shortest log for a comparison of clocks, in s, and smallest reported relative difference.
 _SHORTEST, _DRIFT = 60.0, 5e-4
@@ -84,14 +81,13 @@ def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Fi
 
 
 def _kind(period: Period) -> str:
-    """Return the explanation of the other possible period."""
     if period.other_ns > period.tau_ns:
         return f"no missing samples and a clock with ticks of {period.tau_ns / 1e6:.4g} ms"
     return f"{1 - period.other_ns / period.tau_ns:.2g} of the samples missing"
 
 
 def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
-    """Return a finding if stamps are not the times of sampling, with the effect on the rate."""
+    """Return a finding if stamps are not the times of sampling."""
     tau, usual = period.tau_ns, period.usual_ns
     text = ""
     if period.coherent:
@@ -125,7 +121,7 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
 
 
 def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
-    """Return one finding if the clock was set: how often, and the largest step."""
+    """Return a finding if the clock was set: how often, and the largest step."""
     if not jumps:
         return []
     step, at = max(
@@ -142,11 +138,11 @@ def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
 def repeats(
     stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
 ) -> BoolArray | None:
-    """Return which samples repeat the previous stamp and all values; None if no sample was sent twice.
+    """Return which samples repeat the previous stamp and values, shape (n,); None if none was sent twice.
 
-    Shape (n,), like the stamps and each of the `rows` of values. Zero stamps are ignored. Equal values are
-    attributed to the sensor's resolution in two cases: at most half of the samples with equal stamps have
-    equal values (bursts, a coarse clock), or equal values are nearly as frequent between different stamps.
+    `stamps` and each of the `rows` have shape (n,). Zero stamps are ignored. Equal values are attributed to
+    the sensor's resolution if at most half of the samples with equal stamps have equal values (bursts, a
+    coarse clock), or if equal values are nearly as frequent between different stamps.
     """
     advancing = 0
 
@@ -172,7 +168,7 @@ def repeats(
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
-    """Compare header stamps with log time: the delay and the relative rate of the clocks."""
+    """Compare header stamps with log time: delay and relative rate of the clocks."""
     if stamps.size < 2 or equal(stamps, log) or not any(log[part].any() for part in blocks(log.size, log)):
         return []
     step = max(stamps.size // _MOST, 1)
@@ -197,11 +193,10 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
 class ClockReading:
     """The clock, the samples to keep and the findings."""
 
-    #: The clock of the kept samples.
     clock: Clock
     #: Samples to keep, in order, shape (clock.n,); None keeps all.
     order: IntArray | None = None
-    #: Findings; `Finding.axis` is None.
+    #: `Finding.axis` is None.
     findings: tuple[Finding, ...] = ()
 
 
@@ -215,16 +210,15 @@ def clock_from_stamps(
     repeated: BoolArray | None = None,
     room: Room | None = None,
 ) -> ClockReading:
-    """Return the clock of samples from their stamps.
+    """Return the clock of samples from their stamps in ns, int64, shape (n,), in the order of the log.
 
-    Stamps are in ns, int64, shape (n,), in the order of the log. `source` names them, such as
-    ``header stamp`` or ``column time_us``. Error messages start with `where`, such as the file. The log
-    times, shape (n,), replace stamps that are zero, constant or not increasing, and show how far a clock was
-    set. A `rate_hz` overrides the measured rate. `repeated`, shape (n,), marks samples that repeat the
-    previous stamp *and* values; they are dropped. `room` allocates long arrays; None for the default limit.
+    `source` names the stamps; errors start with `where`. Log times, shape (n,), replace stamps that are zero,
+    constant or not increasing, and determine how far a clock was set. `rate_hz` overrides the measured rate.
+    `repeated`, shape (n,), marks samples to drop because they repeat the previous stamp *and* values. `room`
+    allocates long arrays.
 
-    Raises DataError if there is no sample, or if no rate is given and none can be measured; ChoiceError if
-    the stamps have two rates and none is given.
+    Raises DataError without samples or a measurable rate; ChoiceError if the stamps fit two rates and none is
+    given.
     """
     try:
         return _Stamps(stamps_ns, source, log_ns, room or Room()).read(rate_hz, repeated)
@@ -235,7 +229,7 @@ def clock_from_stamps(
 
 
 class _Stamps:
-    """The stamps and findings during the search for the clock."""
+    """Stamps and findings during the search for the clock."""
 
     def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None, room: Room) -> None:
         self.stamps = np.ascontiguousarray(stamps, dtype=np.int64)
@@ -278,7 +272,6 @@ class _Stamps:
         self.log_ns = self.room.chosen(self.log_ns, keep) if self.log_ns is not None else None
 
     def _keep_one_rate(self, rate_hz: float | None) -> None:
-        """Keep the part with the rate nearest to `rate_hz`, or the longer part if None."""
         while (change := rate_change(self.stamps)) is not None:
             n = self.stamps.size
             part, rate = change.part(n, rate_hz)
@@ -306,7 +299,7 @@ class _Stamps:
         stamps, n = self.stamps, self.stamps.size
         zeros = n - sum(int(np.count_nonzero(stamps[part])) for part in blocks(n, stamps))
         if 0 < zeros < n and not stamps[:zeros].any() and 2 * int(stamps[zeros]) <= int(stamps[-1]):
-            # The clock of a device may start at zero.
+            # A device's clock may start at zero.
             return
         constant = n > 1 and is_constant(stamps[None])
         if (zeros > _ZEROS * n or constant) and self.log_ns is not None:
@@ -318,14 +311,13 @@ class _Stamps:
             self.notes.append(Finding("info", "zero-stamps", text))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
-        """Use log time instead of the stamps, with a warning."""
         text = f"The time stamps ({self.source}) {why}; the recording time of the messages is used instead."
         advice = "The recording time includes delays of the computer; let the driver stamp the messages."
         self.notes.append(Finding("warning", "log-time-used", text, advice))
         self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
 
     def _clock(self, period: Period, rate_hz: float | None) -> Clock:
-        """Place the samples on an even grid, in two passes: the first one refines the period."""
+        """Place the samples on an even grid, in two passes: the first refines the period."""
         stamps, notes = self.stamps, self.notes
         steps = step_statistics(stamps, period.tau_ns)
         resets = steps.resets
@@ -334,7 +326,7 @@ class _Stamps:
             raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
         breaks = NO_BREAKS
         stamps = evened(stamps, period, self.room)
-        # The first estimate has an error of 1 %, so only short gaps have reliable counts in the first pass.
+        # The first estimate has an error of 1 %, so only short gaps have reliable counts at first.
         for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
@@ -372,10 +364,9 @@ class _Stamps:
 
 
 def _filled(stamps: IntArray, room: Room) -> IntArray:
-    """Interpolate zero stamps; extrapolate evenly before the first and after the last stamp."""
     found = [np.flatnonzero(stamps[part] == 0) + part.start for part in blocks(stamps.size, stamps)]
     bad = np.concatenate(found)
-    # Interpolation needs only the stamps next to zeros.
+    # Only stamps next to zeros are needed.
     starts = bad[np.flatnonzero(np.diff(bad, prepend=-2) > 1)]
     ends = bad[np.flatnonzero(np.diff(bad, append=stamps.size + 1) > 1)]
     first = int(ends[0]) + 1 if starts[0] == 0 else 0
@@ -394,11 +385,11 @@ def _filled(stamps: IntArray, room: Room) -> IntArray:
 def _believable(
     stamps: IntArray, log_ns: IntArray | None, breaks: Breaks, resets: IntArray, tau: float
 ) -> tuple[IntArray, dict[int, int]]:
-    """Return the number of missing samples at each break, and a dict from sample to number for clock jumps.
+    """Return the number of missing samples at each break, and for each clock jump.
 
-    The clock was set if it goes back, or forward by far more than log time does. Without log time, a step is
-    a jump if it is longer than a day and than ten times the sampled time. Log time gives the number of
-    missing samples at a jump; without it the number is one.
+    The clock was set if it goes back, or forward much further than log time. Without log time, it must go
+    forward by more than a day and ten times the sampled time. Log time gives the missing samples at a jump;
+    without it there is one.
     """
 
     def by_log(at: int) -> int:
@@ -422,7 +413,6 @@ def _believable(
 
 
 def _segments(n: int, breaks: Breaks, missing: IntArray, jumps: dict[int, int]) -> tuple[Segment, ...]:
-    """Return the runs between breaks, with indices of kept samples."""
     lost = dict(zip(breaks.at.tolist(), missing.tolist(), strict=True)) | jumps
     ends = [*sorted(lost), n]
     stops = (np.array(ends) - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()

@@ -1,15 +1,14 @@
 """Estimate the sampling period from stamps by comparing two explanations.
 
-A sensor samples evenly; its stamps t[k] differ from k tau because samples are *late* or *missing*.
+Samples are taken evenly, but stamps t[k] differ from k tau because samples are *late* or *missing*.
 
-- Late: a buffer is read in batches, or a clock counts in coarse ticks. No sample is missing, and t[k] - k tau
-  stays bounded in a log of any length. tau is the mean step; few steps are equal to it.
-- Missing: steps are whole multiples of the shortest, which is tau. t[k] - k (mean step) is a random walk,
-  because losses are independent.
+- Late (read in batches, or coarse ticks): t[k] - k tau stays bounded; tau is the mean step.
+- Missing: steps are multiples of the shortest, tau. t[k] - k (mean step) is a random walk, because losses
+  are independent.
 
 The von Neumann ratio of t[k] - k (mean step) decides: 2 if the lateness of batches is independent, 0 for a
-random walk. One stamp of each batch is used, with its first or last sample: the choice that scatters least.
-If most samples would be missing and neither explains the stamps, the error offers both rates.
+random walk. Each batch contributes one stamp, with its first or last sample: the choice with the least
+scatter. If most samples would be missing and neither explanation fits, the error offers both rates.
 """
 
 from dataclasses import replace
@@ -22,44 +21,43 @@ from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.store import Room
 
-#: Number of runs that are examined, and samples in each; shorter logs are examined completely.
+#: Number of runs examined, and samples in each; shorter logs are examined completely.
 _RUNS, _RUN = 10, 4096
-#: Plausible rates of IMUs, in Hz; the user has to give others.
+#: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
-#: Relative difference of two slopes that counts as the same.
+#: Relative difference of equal slopes.
 _SAME = 0.03
-#: Steps in a mean step: long compared with batches of up to 128 samples.
+#: Steps in a mean step: much longer than batches of up to 128 samples.
 _WINDOW = 512
-#: Most batches between the two anchors of a slope.
+#: Most batches between the anchors of a slope.
 _FAR = 64
 #: Longest batch of a buffer, in samples, and longest step within it, in ns.
 _DEEPEST, _SLOWEST = 512, 2_000_000
-#: Candidates for the anchor of a batch: use its last stamp (or first), use its last sample (or first).
+#: Anchors of a batch: (last stamp or first, last sample or first).
 _READ = ((True, True), (False, False), (False, True))
-#: Limits for white jitter: least jitter in periods, least share of steps near a period, fewest and most
-#: stamps of a run, and least mean length of the phases.
+#: White jitter: least jitter in periods, least share of steps near a period, fewest and most stamps of a run,
+#: least mean length of the phases.
 _WHITE, _ALONE, _FEWEST, _PHASES, _COHERENT = 0.1, 0.55, 256, 2048, 0.12
-#: Least ratio of the mean step to the period; below it losses are too few to matter.
+#: Least ratio of mean step to period; below it losses are too few to matter.
 _LOST = 1.003
-#: Limits for trials: shortest pause in usual steps, fewest samples of a trial, fewest pauses, and fewest
-#: batches for a test of their beat.
+#: Trials: shortest pause in usual steps, fewest samples of a trial, fewest pauses, fewest batches to test
+#: their beat.
 _PAUSE, _TRIAL, _PAUSES, _STARTS = 4, 8, 3, 6
-#: The highest rate, in Hz, at which the steps inside a batch may also be those of a sensor.
+#: Highest rate, in Hz, at which steps inside a batch may be those of a sensor.
 _SENSOR = 2000.0
-#: Largest share of missing samples that a nominal period in the stamps of batches can explain.
+#: Largest share of missing samples explained by a nominal period in stamps of batches.
 _NOMINAL = 0.1
-#: Share of missing samples below which steps inside a batch are too long for a buffer.
+#: Largest share of missing samples at which steps inside a batch are too long for a buffer.
 _MOST = 0.55
-#: Limits for cycles of losses: most samples, fewest cycles, most missing samples per sample, and tolerances
-#: of a mean step and of the longest step's number of periods.
+#: Cycles of losses: most samples, fewest cycles, most missing samples per sample, tolerances of a mean step
+#: and of the longest step's number of periods.
 _CYCLE, _CYCLES, _LOSES, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
-#: Relative difference of two periods of a clock with coarse ticks that counts as the same.
+#: Relative difference of equal periods of a clock with coarse ticks.
 _EXACT = 1e-3
-#: Stamps per piece when coarse ticks are removed.
+#: Stamps per piece when ticks are removed.
 _LOOK = 4096
-#: Most samples that are read together, also after a pause.
 REACH = 1 << 13
-#: Samples processed at once; they fit the processor's cache.
+#: Samples per block, which fits the processor's cache.
 BLOCK = 1 << 16
 
 
@@ -67,35 +65,32 @@ BLOCK = 1 << 16
 class Period:
     """A first estimate of the sampling period, with the explanation of the stamps."""
 
-    #: Sampling period, in ns; the error is about 1 %.
+    #: Period in ns, within about 1 %.
     tau_ns: float
     #: Standard deviation of a stamp about its neighbours, in samples.
     jitter: float = 0.0
     #: Greatest common divisor of the steps, in ns.
     resolution_ns: int = 1
-    #: Samples per batch; 1 without batches.
     burst: int = 1
-    #: Whether a batch was read at its last stamp or its first, and whether its last sample was taken then or
-    #: its first.
+    #: Whether a batch is anchored at its last stamp (or first) and at its last sample (or first).
     last_stamp: bool = True
     last_place: bool = True
     #: Longest step within a batch, in ns.
     pause_ns: float = 0.0
-    #: The median step, in ns, and whether most steps are within 5 % of it.
+    #: Median step in ns, and whether most steps are within 5 % of it.
     usual_ns: float = 0.0
     regular: bool = False
-    #: Largest lateness of a stamp, in samples, if no sample is missing: the range for batches, the tick for a
-    #: coarse clock, otherwise 0.
+    #: Largest lateness without missing samples, in samples: the range for batches, the tick for a coarse
+    #: clock.
     loose: float = 0.0
     #: Whether batches stay near their places; if not, the stamps are unexplained.
     bounded: bool = True
-    #: Whether the period is from the stamps' phases, which do not depend on missing samples.
+    #: Whether the period is from the stamps' phases, which are independent of losses.
     coherent: bool = False
-    #: Tick of a clock, in ns, if it is a little shorter than the period; otherwise 0.
+    #: Tick of a clock slightly shorter than the period, in ns; otherwise 0.
     tick_ns: float = 0.0
-    #: Another period that fits the stamps as well, in ns; 0 if there is none.
+    #: Another period that fits equally well, in ns; otherwise 0.
     other_ns: float = 0.0
-    #: Whether the log consists of trials with pauses of any length between them.
     trials: bool = False
 
     @property
@@ -105,14 +100,13 @@ class Period:
 
     @property
     def rate_hz(self) -> float:
-        """The sampling rate, in Hz."""
         return 1e9 / self.tau_ns
 
 
 def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | None:
     """Return the sampling period of stamps in ns, shape (n,); None if they do not advance.
 
-    Raises ChoiceError if the stamps fit both a rate with most samples missing and a rate with none missing,
+    Raises ChoiceError if the stamps fit a rate with most samples missing as well as one with none missing,
     and `rate_hz` is None.
     """
     runs = every = _runs(stamps)
@@ -136,7 +130,7 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     near = (
         steps if chosen is late or chosen.tick_ns else positive[np.abs(positive / chosen.tau_ns - 1) < reach]
     )
-    # The standard deviation of one stamp, from the median absolute deviation of steps.
+    # Standard deviation of a stamp from the median absolute deviation of steps.
     deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2) if near.size else 0.0
     usual = median(steps)
     return replace(
@@ -154,7 +148,6 @@ def _reading(
     """Return the best explanation of the stamps: late samples, missing samples or coarse ticks."""
     steps = np.concatenate([np.diff(run) for run in runs])
     positive = steps[steps > 0]
-    # The usual short step.
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
     if unit >= (1 - _SAME) * late.tau_ns:
         return late
@@ -172,17 +165,17 @@ def _reading(
 
 
 def _quantum(steps: IntArray) -> int:
-    """Return the greatest common divisor of the steps in ns, without float errors of stamps in whole us."""
+    """Return the greatest common divisor of the steps in ns, ignoring float errors of stamps in whole us."""
     some = steps[:100_000]
     whole = 1000 * np.rint(some / 1000).astype(np.int64)
     return int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
 
 
 def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[list[IntArray], float]:
-    """Return the runs without the pauses between trials; empty without trials.
+    """Return the runs without pauses between trials (empty without trials), and a period inside batches.
 
-    The second value is the period inside a batch, in ns, if the batches of a buffer may also be trials.
-    Raises ChoiceError if both explanations fit and `rate_hz` is None.
+    The period, in ns, is 0 unless the batches of a buffer may also be trials. Raises ChoiceError if both
+    explanations fit and `rate_hz` is None.
     """
     steps = np.concatenate([np.diff(run) for run in runs])
     usual = median(steps)
@@ -191,7 +184,7 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
         return [], 0.0
     inside = sum(map(len, pieces))
     own = sum(int(piece[-1] - piece[0]) for piece in pieces) / (inside - len(pieces))
-    # If single samples are missing everywhere, pauses are longer losses. No sensor is faster than RATES.
+    # If samples are missing everywhere, pauses are longer losses. No sensor is faster than RATES.
     if inside < 0.9 * sum(map(len, runs)) or own > 1.1 * usual or own < 1e9 / RATES[1]:
         return [], 0.0
     size = inside / len(pieces)
@@ -213,14 +206,13 @@ def _are_apart(missing: Period, batches: Period, pauses: FloatArray, uneven: flo
     """Return whether pauses, in periods, separate trials rather than batches of a buffer."""
     share = 1 - missing.tau_ns / batches.tau_ns
     if share < _MOST:
-        # A driver may stamp batches with a nominal period; pauses are then not whole periods.
+        # With a nominal period in stamps of batches, pauses are not whole periods.
         return share > _NOMINAL or median(np.abs(pauses - np.rint(pauses))) < 0.12
     odd = batches.burst > _DEEPEST or batches.rate_hz < RATES[0]
     return odd or uneven > (1.0 if missing.tau_ns > _SLOWEST else 1.5)
 
 
 def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
-    """Return the parts of runs between pauses that are long enough for a trial."""
     if pause <= 0:
         return []
     cut = [np.split(run, np.flatnonzero(np.abs(np.diff(run)) > pause) + 1) for run in runs]
@@ -228,10 +220,9 @@ def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
 
 
 def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float, int]:
-    """Return the sampling period in ns if batches of about `size` samples come at an even beat.
+    """Return period (ns, 0 if unknown), unevenness and number of batches of about `size` samples.
 
-    The second value is the range of the deviations from that beat, in batches: about one for a buffer. The
-    third is the number of batches.
+    The unevenness is the range of deviations from an even beat, in batches: about 1 for a buffer.
     """
     found = []
     for last_stamp, last_place in _READ:
@@ -263,10 +254,10 @@ def _of_ticks(
 ) -> Period | None:
     """Return the period of samples stamped by a clock with ticks of `unit` ns; None if no such clock fits.
 
-    Stamps lie within one tick of an even grid. Steps are one tick, or two if the grid has gained a tick (a
-    slip). The spectrum of the ticks with a sample has its highest line at the rate of slips. The period
-    exceeds the tick, and no sample has a phase in the excess, even if samples are missing. If slips are
-    evenly spaced, a sensor with a period of one tick and regular losses fits equally well.
+    Steps are one tick, or two where the grid gains a tick. In the spectrum of the occupied ticks, the highest
+    line is at the rate of these gains. The period exceeds the tick, and no sample has a phase in the excess,
+    even if samples are missing. If the gains are evenly spaced, a period of one tick with regular losses fits
+    equally well.
     """
     whole = np.rint(steps / unit)
     longer = whole[whole > 1]
@@ -282,20 +273,19 @@ def _of_ticks(
     found = Period(tau_ns=unit / (1 - share), tick_ns=unit)
     between = np.concatenate([np.diff(np.flatnonzero(np.diff(run) > 1.5 * unit)) for run in runs])
     exact = unit * (1 + 1 / median(between))
-    # Compare both: a few uneven slips change the rate, but not the percentiles.
+    # A few uneven gains change the rate, but not the percentiles.
     if percentile(between, 5) < percentile(between, 95) or abs(exact / found.tau_ns - 1) > _EXACT:
         return found if rate_hz is None else _nearest(found, Period(tau_ns=unit), rate_hz)
     found = replace(found, tau_ns=exact)
     if rate_hz is not None:
         return _nearest(found, Period(tau_ns=unit), rate_hz)
-    # A power of ten is more often the tick of a clock than the period of a sensor.
+    # A power of ten is more likely a clock's tick than a sensor's period.
     if np.log10(quantum) % 1 == 0:
         return replace(found, other_ns=unit)
     return Period(tau_ns=unit, other_ns=found.tau_ns)
 
 
 def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float | None) -> Period:
-    """Return `found`, or a period with a regular cycle of losses if jitter or ticks hid that cycle."""
     cycles = [cycle for run in runs if (cycle := _cycle(run[: 4 * _LOOK], quantum)) is not None]
     if found.other_ns or 2 * len(cycles) <= len(runs):
         return found
@@ -306,11 +296,10 @@ def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float 
 
 
 def _cycle(stamps: IntArray, quantum: int) -> Period | None:
-    """Return the period of stamps if the same few samples are missing in every cycle; otherwise None.
+    """Return the period if the same samples are missing in every cycle; otherwise None.
 
-    The mean step at each place of the cycle is one period, except one of several periods. Means remove
-    jitter and ticks. Without losses such a cycle only appears if the clock's tick is about a period, and then
-    one sample per cycle seems missing.
+    At each place of the cycle the mean step is one period, except one of several periods; means remove jitter
+    and ticks. A clock with a tick of about a period also gives such a cycle, with one sample missing.
     """
     steps = np.diff(stamps).astype(np.float64)
     for size in range(2, min(_CYCLE, steps.size // _CYCLES) + 1):
@@ -334,9 +323,9 @@ def _cycle(stamps: IntArray, quantum: int) -> Period | None:
 
 
 def _slips(ticks: IntArray) -> float:
-    """Return the share of ticks without a sample because the period exceeds the tick; 0 if it does not.
+    """Return the share of empty ticks due to a period longer than the tick; otherwise 0.
 
-    `ticks` are the steps between samples, shape (n - 1,), in ticks.
+    `ticks` are the steps between samples, in ticks, shape (n - 1,).
     """
     at = np.concatenate([[0], np.cumsum(ticks)])
     at = at[: np.searchsorted(at, _PHASES)]
@@ -352,11 +341,11 @@ def _slips(ticks: IntArray) -> float:
     if high <= low:
         return 0.0
     near = (low + int(np.argmax(lines[low:high]))) / width
-    # With fewer neighbours in phase, all of them could be lost by chance at one of the rates.
+    # With fewer neighbours in phase, all could be empty by chance at one of the rates.
     few = np.log(1e6 * n) / np.log(1 / lost)
-    # The lines at multiples of the rate are nearly as high.
+    # Lines at multiples of the rate are nearly as high.
     for first in (near, near / 2, near / 3):
-        # Phases may smear by a quarter of the part without samples.
+        # Phases may smear by a quarter of the empty part.
         rates = first + np.linspace(-0.2, 0.2, int(min(max(40, 1.6 / first), 160)) + 1) / n
         each = [_least_taken(rate * np.arange(n) % 1.0, taken, 0.6 * rate, few) for rate in rates.tolist()]
         shares = np.array(each)
@@ -366,7 +355,7 @@ def _slips(ticks: IntArray) -> float:
 
 
 def _least_taken(phases: FloatArray, taken: FloatArray, width: float, few: float) -> float:
-    """Return the least share of ticks with a sample in any range of phases of length `width`."""
+    """Return the least share of occupied ticks in any range of phases of length `width`."""
     order = np.argsort(phases)
     phases = phases[order]
     samples = np.concatenate([[0.0], np.cumsum(np.tile(taken[order], 2))])
@@ -380,11 +369,11 @@ def _least_taken(phases: FloatArray, taken: FloatArray, width: float, few: float
 def _of_phases(
     runs: list[IntArray], steps: IntArray, wide: float, quantum: int, *, conserved: bool
 ) -> Period | None:
-    """Return the period of samples with white jitter from their stamps' phases; None if phases show none.
+    """Return the period from the phases of stamps with white jitter; None if the phases are incoherent.
 
-    The period is shorter than the mean step, `wide`, in ns; only a little if all stamps are near even places
-    (`conserved`). White jitter of s periods reduces the phases' mean length to exp(-(2 pi s)²/2), 0.45 at a
-    fifth of a period, however many samples are missing. Steps have twice the variance and hide the losses.
+    It is shorter than the mean step `wide`, in ns; only a little if stamps stay near even places
+    (`conserved`). White jitter of s periods reduces the mean length of the phases to exp(-(2 pi s)²/2),
+    whatever is missing. Steps have twice the variance and hide the losses.
     """
     usual = median(steps)
     off = np.abs(steps - usual)
@@ -414,7 +403,6 @@ def _of_phases(
 def _chosen(
     late: Period, missing: Period, rate_hz: float | None, *, conserved: bool, paused: bool, pauses: int
 ) -> Period:
-    """Return the explanation nearest to a given rate, or the better one without a rate."""
     share = 1 - missing.tau_ns / late.tau_ns
     if rate_hz is not None:
         return _nearest(late, missing, rate_hz)
@@ -429,7 +417,6 @@ def _chosen(
 
 
 def _runs(stamps: IntArray) -> list[IntArray]:
-    """Return runs of neighbouring stamps, spread over the log."""
     if stamps.size <= _RUNS * _RUN:
         return [stamps]
     starts = np.linspace(0, stamps.size - _RUN, _RUNS).astype(np.int64)
@@ -446,9 +433,9 @@ def _mean_step(runs: list[IntArray]) -> float:
 
 
 def _whole_unit(positive: IntArray, short: float) -> float:
-    """Return the unit near the short step of which longer steps are multiples; 0 if there is none.
+    """Return the unit near the short step that longer steps are multiples of; otherwise 0.
 
-    The mean cosine of the steps' phases is 1 if all are multiples, and 0 if none is.
+    The mean cosine of the steps' phases is 1 for multiples, 0 otherwise.
     """
     units = short * np.linspace(0.9, 1.35, 91)
     some = positive[:: max(positive.size // 4000, 1)]
@@ -477,9 +464,9 @@ def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> t
 
 
 def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
-    """Return the same as `_late` for samples in batches, with the anchor that scatters least."""
+    """As `_late` for batches, with the anchor of least scatter."""
     best, least, bounded = Period(tau_ns=wide), np.inf, False
-    # The end of a batch is a step above those within it, or above the tick of a coarse clock.
+    # A batch ends at a step above those within it, or above the tick of a coarse clock.
     pauses = {(median(steps[steps < wide]) + wide) / 2, max(1.5 * quantum, wide)}
     for pause, (last_stamp, last_place) in product(sorted(pauses), _READ):
         anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
@@ -505,7 +492,7 @@ def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -
 def _bursty(steps: IntArray, wide: float) -> bool:
     """Return whether samples come in batches: most steps are short, with pauses between batches.
 
-    White jitter causes as many long steps as short ones, and many of them cause steps back.
+    White jitter causes as many long steps as short ones, and often steps back.
     """
     pauses = np.count_nonzero(steps > 1.5 * wide)
     if pauses < max(3, steps.size / 5000) or np.mean(steps < 0) > 0.02:
@@ -515,7 +502,6 @@ def _bursty(steps: IntArray, wide: float) -> bool:
 
 
 def _edges(stamps: IntArray, pause: float) -> tuple[IntArray, IntArray]:
-    """Return the first and the last sample of each batch; pauses or clock jumps separate batches."""
     cuts = np.flatnonzero(np.abs(np.diff(stamps)) > pause) + 1
     return np.concatenate([[0], cuts]), np.concatenate([cuts, [stamps.size]]) - 1
 
@@ -523,7 +509,7 @@ def _edges(stamps: IntArray, pause: float) -> tuple[IntArray, IntArray]:
 def _anchors(
     run: IntArray, pause: float, *, last_stamp: bool, last_place: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return when the batches of a run were read, in ns from the first, and the sample taken at that time."""
+    """Return the read times of batches, in ns from the first, and the samples taken at those times."""
     first, last = _edges(run, pause)
     # The first and the last batch may be incomplete.
     first, last = first[1:-1], last[1:-1]
@@ -532,7 +518,6 @@ def _anchors(
 
 
 def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
-    """Return the median slope between distant anchors, in ns per sample; 0 without anchors."""
     slopes = []
     for times, places in anchors:
         far = max(min(times.size // 8, _FAR), 1)
@@ -544,8 +529,8 @@ def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
 def _wander(late: list[FloatArray], tick: float) -> tuple[bool, float]:
     """Return whether lateness, in samples, stays bounded (no sample is missing), and its range.
 
-    Both are medians over runs. A random walk of m steps about its line has m/15 times the variance of a step,
-    and hardly ever less than m/64. Jumps far larger than usual are gaps or clock jumps, and are ignored.
+    Medians over runs. A random walk of m steps about its line has m/15 times the variance of a step, rarely
+    less than m/64. Jumps far larger than usual are ignored.
     """
     ratios, ranges = [], []
     for run in map(_without_jumps, late, repeat(tick)):
@@ -573,10 +558,7 @@ def _about_a_line(values: FloatArray) -> FloatArray:
 
 
 def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
-    """Return stamps with batches and coarse ticks replaced by the times of sampling.
-
-    In a batch, samples are placed a period apart, relative to the stamp at which it was read.
-    """
+    """Return stamps with batches and coarse ticks replaced by the times of sampling."""
     if period.burst == 1 and not period.tick_ns:
         return stamps
 
@@ -589,7 +571,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         sizes = last - first + 1
         times = block[last if period.last_stamp else first]
         places = last if period.last_place else first
-        # The first and last batch may be incomplete: place them relative to the next one, except after a gap.
+        # The first and last batch may be incomplete: place them by the next one, except after a gap.
         for end, near in ((0, 1), (-1, -2)) if times.size > 2 else ():
             follows = times[near] + round((places[end] - places[near]) * period.tau_ns)
             if abs(follows - times[end]) < 2 * period.burst * period.tau_ns:
@@ -602,7 +584,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
 
 
 def _without_ticks(stamps: IntArray, period: Period) -> IntArray:
-    """Return stamps on an even grid, in ns, shape (n,), from stamps rounded down to a coarse tick."""
+    """Return stamps in ns on an even grid, shape (n,), from stamps rounded down to a tick."""
     cuts = np.flatnonzero(np.abs(np.diff(stamps)) > 64 * period.tau_ns) + 1
     cuts = np.unique(np.concatenate([cuts, np.arange(_LOOK, stamps.size - _LOOK // 2, _LOOK)]))
     even = []

@@ -1,4 +1,4 @@
-"""Bytes -> messages: the files that hold them, opened and cut into chunks."""
+"""Bytes -> messages: open files and divide them into chunks."""
 
 from imucal.readers.containers.container import Batch, Bytes, Channel, Container, Loss, Task, gather
 

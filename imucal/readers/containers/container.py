@@ -1,4 +1,4 @@
-"""Interface of containers of messages: channels, and tasks that load batches of messages."""
+"""Interface of containers: channels, and tasks that load batches of messages."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
@@ -20,10 +20,7 @@ Bytes: TypeAlias = bytes | bytearray | memoryview
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A damaged part of a log: the finding's code, the reason, and the number of lost messages.
-
-    None: the part could not be read, so the number of its messages is unknown.
-    """
+    """A damaged part of a log: the finding's code, the reason, and lost messages (None: unknown number)."""
 
     code: str
     text: str
@@ -32,7 +29,7 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Messages of one channel: where each payload is in a buffer, its size, and its recording time in ns."""
+    """Messages of one channel: start and size of each payload in a buffer, and recording time in ns."""
 
     buffer: Bytes
     #: Shape (n,) each.
@@ -44,15 +41,12 @@ class Batch:
 
     @property
     def n(self) -> int:
-        """Number of messages."""
         return self.starts.size
 
     def part(self, chosen: IntArray | slice) -> "Batch":
-        """Return some of the messages."""
         return Batch(self.buffer, self.starts[chosen], self.sizes[chosen], self.log_ns[chosen])
 
     def messages(self) -> Iterator[memoryview]:
-        """Yield the payload of each message."""
         view = memoryview(self.buffer)
         for start, size in zip(self.starts.tolist(), self.sizes.tolist(), strict=True):
             yield view[start : start + size]
@@ -61,8 +55,8 @@ class Batch:
 def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
     """Copy `width` bytes from each position in `at`, shape (n,), into an array of n items.
 
-    Item i of the view starts at byte i, so indexing makes one copy per message at any alignment. (`take`
-    would copy the whole view first.) Raises DamagedError if a position is outside the buffer.
+    Indexing a view whose item i starts at byte i copies only once, at any alignment. Raises DamagedError if a
+    position is outside the buffer.
     """
     count = max(len(buffer) - width + 1, 0)
     # As unsigned numbers, negative positions are beyond any buffer.
@@ -83,21 +77,19 @@ def cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
 class Channel:
     """A stream of messages of one type."""
 
-    #: Number of the channel in its container.
     key: int
-    #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
     topic: str
     type: str
     #: ``cdr``, ``ros1``, ``json`` or another name in the log.
     encoding: str
-    #: The text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
+    #: Text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
     definition: str = ""
     definition_kind: str = ""
-    #: Bytes of the definition if it is not text.
+    #: Definition in bytes if it is not text.
     schema: bytes = b""
-    #: Number of messages, or None if unknown before reading; for SQLite it may be an upper bound.
+    #: Number of messages; None if unknown before reading; for SQLite an upper bound.
     count: int | None = None
-    #: Recording times of the first and the last message, in ns; None if not in the index.
+    #: Recording times of the first and last message, in ns; None if not in the index.
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -107,9 +99,9 @@ class Task(NamedTuple):
 
     #: Bytes of the file, for progress.
     size: int
-    #: The wanted channels with messages in it.
+    #: Wanted channels with messages in it.
     keys: frozenset[int]
-    #: Yields the messages of each of these channels; raises DamagedError if the part can't be read.
+    #: Yields the messages of each channel; raises DamagedError if the part can't be read.
     load: Callable[[], Iterable[tuple[int, Batch]]]
 
 
@@ -125,7 +117,6 @@ class Container(ABC):
     #: First and last time of any message, in ns; None if unknown.
     start_ns: int | None = None
     end_ns: int | None = None
-    #: Whether the tasks may run in several threads at once.
     parallel: bool = True
 
     @abstractmethod
@@ -137,12 +128,11 @@ class Container(ABC):
         """Close the file."""
 
 
-#: Opens the files of a log; also returns the name of its format.
 OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
 
 
 class MessageFile(Container):
-    """A container read from the bytes of one file, by default at `path`."""
+    """A container read from one file, by default at `path`."""
 
     def __init__(self, path: Path, file: LogFile | None = None) -> None:
         self.path = path

@@ -1,9 +1,8 @@
 """MCAP: ROS 2, ROS 1 and JSON messages, chunks uncompressed or in lz4 or zstd.
 
-The `mcap` package parses the records that describe the log. Messages are located here, many at once, because
-the package builds an object for each. If the index at the end of the file is missing or damaged, the records
-are scanned up to the first incomplete one, or to the zeros that a crash leaves.
-Source: MCAP specification 0, https://mcap.dev/spec.
+The `mcap` package parses the index, but builds an object per message, so messages are located here. Without a
+valid index, records are scanned up to the first incomplete one or to zeros left by a crash. Source: MCAP
+specification 0, https://mcap.dev/spec.
 """
 
 import struct
@@ -29,39 +28,34 @@ MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
 STATISTICS, DATA_END = 0x0B, 0x0F
 
-#: Opcode and length in front of every record.
 HEAD = struct.Struct("<BQ")
-#: The start of a Message record: its channel and log time. The payload follows after `_PAYLOAD` bytes.
+#: Channel and log time of a Message record; the payload starts after `_PAYLOAD` bytes.
 _MESSAGE = struct.Struct("<9xH4xq")
 _PAYLOAD = 31
-#: The start of a MessageIndex record: opcode, length, channel, and bytes of the entries, which follow.
+#: MessageIndex record: opcode, length, channel, bytes of entries.
 _INDEX = struct.Struct("<BQHI")
-#: The start of a Chunk record: content size, CRC and length of the compression's name. The name follows.
+#: Chunk record: content size, CRC, length of the compression's name, which follows.
 _CHUNK = struct.Struct("<9x16xQII")
 _U64 = struct.Struct("<Q")
-#: Footer and magic number at the end of a file.
 _TAIL = 9 + 20 + 8
-#: Ids of channels and schemas have 16 bits; a summary larger than this can only be damage, in bytes.
+#: A larger summary is damage (ids have 16 bits), in bytes.
 _MAX_SUMMARY = 1 << 31
-#: Messages outside chunks are loaded in parts of this many bytes.
+#: Messages outside chunks are loaded in parts of this size, in bytes.
 _PART = 1 << 22
-#: Longest definition in bytes; a longer one is damage.
+#: A longer definition is damage, in bytes.
 _MAX_DEFINITION = 1 << 24
-#: A scan reads this many bytes of each record; the names of compressions are short.
+#: Bytes read of each record in a scan; the names of compressions fit.
 _START = 128
 
 
 @dataclass(slots=True)
 class Chunk:
-    """Where a Chunk record is in the file.
-
-    Messages outside chunks are grouped into chunks whose `compression` is None.
-    """
+    """A chunk's place in the file; for messages outside chunks, `compression` is None."""
 
     start: int
     end: int
     compression: str | None
-    #: Channel -> position of its message index in the file.
+    #: Channel -> position of its message index.
     indexes: dict[int, int] = field(default_factory=dict)
 
 
@@ -75,7 +69,7 @@ class _Exact(BytesIO):
 
 
 def parsed(kind: Any, record: Bytes) -> Any:  # noqa: ANN401 - the classes have no common method
-    """Return a record as one of the package's classes; raises DamagedError."""
+    """Parse a record; raises DamagedError."""
     try:
         return kind.read(ReadDataStream(_Exact(record[HEAD.size :])))
     except (DamagedError, UnicodeDecodeError) as error:
@@ -83,7 +77,7 @@ def parsed(kind: Any, record: Bytes) -> Any:  # noqa: ANN401 - the classes have 
 
 
 def each_record(data: Bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of each record, up to the first incomplete one, or zeros."""
+    """Yield opcode, start and end of each record, up to zeros or the first incomplete one."""
     at, size, head = 0, len(data), HEAD.unpack_from
     while at + HEAD.size <= size:
         opcode, length = head(data, at)
@@ -111,13 +105,12 @@ def unpack(record: memoryview) -> memoryview:
 
 
 def _compression(record: Bytes) -> str:
-    """Return the name of a chunk's compression, from the start of its record."""
     length = int.from_bytes(record[_CHUNK.size - 4 : _CHUNK.size], "little")
     return str(record[_CHUNK.size : _CHUNK.size + length], "utf-8", "replace")
 
 
 def walk_records(raw: Bytes) -> dict[int, list[int]]:
-    """Return channel -> positions of its Message records, up to the first incomplete record."""
+    """Return channel -> positions of its complete Message records."""
     positions: dict[int, list[int]] = {}
     for opcode, at, end in each_record(raw):
         if opcode == MESSAGE and end - at >= _PAYLOAD:
@@ -126,9 +119,9 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
 
 
 def batch_of(raw: Bytes, positions: Sequence[int] | IntArray, key: int) -> Batch:
-    """Return the messages of a channel whose records start at `positions`.
+    """Return the messages of a channel at `positions`.
 
-    Raises DamagedError if one of them is not a complete message of the channel.
+    Raises DamagedError if one is not a complete message of the channel.
     """
     starts = np.asarray(positions, np.int64)
     heads = gather(raw, starts, _PAYLOAD)
@@ -166,11 +159,10 @@ class McapFile(MessageFile):
         self._records: dict[int, Any] = {}
         self._chunks: list[Chunk] = []
         self._counts: Counter[int] = Counter()
-        #: Log times of each channel's first and last message outside chunks.
+        #: First and last log time by channel, for messages outside chunks.
         self._times: dict[int, list[int]] = {}
 
     def _summary(self) -> bytes:
-        """Return the bytes of the summary; raises DamagedError if it is missing or damaged."""
         size = self.size
         wrong = size < len(MAGIC) + _TAIL or self._file.read(0, len(MAGIC)) != MAGIC
         damaged_if(wrong, "the file does not start and end as an MCAP file")
@@ -188,7 +180,6 @@ class McapFile(MessageFile):
         return summary
 
     def _read_summary(self) -> None:
-        """Read the summary; raises DamagedError if it is missing, damaged or incomplete."""
         summary, statistics, read = self._summary(), None, 0
         for opcode, at, end in each_record(summary):
             record, read = summary[at:end], end
@@ -214,20 +205,18 @@ class McapFile(MessageFile):
                 self._counts[key] += len(self._entries(at, key))
 
     def _define(self, opcode: int, record: Bytes) -> None:
-        """Keep a Schema or Channel record unless its number is known; raises DamagedError."""
         if opcode in {SCHEMA, CHANNEL}:
             kind, known = (Schema, self._schemas) if opcode == SCHEMA else (ChannelRecord, self._records)
             found = parsed(kind, record)
             known.setdefault(found.id, found)
 
     def _scan(self) -> int:
-        """Visit the records of the file; return where the last complete one of the data ends."""
         at, size, ended = len(MAGIC), self.size, False
         while at + HEAD.size <= size:
             start = self._file.read(at, min(_START, size - at))
             opcode, length = HEAD.unpack_from(start)
             end = at + HEAD.size + length
-            # The summary after the data repeats definitions, although its checksum may be wrong.
+            # Records after the data are those of a summary, even if its checksum is wrong.
             ended |= opcode in {DATA_END, FOOTER}
             if not opcode or opcode == FOOTER or end > size:
                 break
@@ -243,7 +232,6 @@ class McapFile(MessageFile):
         return size if ended else at
 
     def _visit(self, opcode: int, at: int, end: int, start: bytes) -> None:
-        """Note where a chunk, its index or a message outside chunks is."""
         last = self._chunks[-1] if self._chunks else None
         if opcode == CHUNK:
             self._chunks.append(Chunk(at, end, _compression(start)))
@@ -257,14 +245,14 @@ class McapFile(MessageFile):
             last.end = end
         elif opcode == MESSAGE_INDEX and end - at > _INDEX.size and last and last.compression is not None:
             key = _INDEX.unpack_from(start)[2]
-            # Indexes after a chunk whose record is damaged must not replace those of the previous chunk.
+            # Indexes after a damaged chunk must not replace those of the previous chunk.
             if last.indexes.setdefault(key, at) == at:
                 self._counts[key] += (end - at - _INDEX.size) // 16
 
     def _search(self, chunk: Chunk) -> None:
         """Read definitions from a chunk without index or with an unknown channel; count its messages.
 
-        Without a summary, a channel is defined in the first chunk that contains messages of it.
+        Without a summary, the first chunk with messages of a channel defines it.
         """
         if chunk.indexes and self._records.keys() >= chunk.indexes.keys():
             return
@@ -272,7 +260,7 @@ class McapFile(MessageFile):
             raw = self._content(chunk)
         except DamagedError:
             if not chunk.indexes:
-                # At least one message, so that loading the chunk is tried and reports the loss.
+                # Count at least one message, so that loading the chunk reports the loss.
                 self._counts.update(self._records.keys())
             return
         for opcode, at, end in each_record(raw):
@@ -282,7 +270,6 @@ class McapFile(MessageFile):
             self._counts.update({key: len(found) for key, found in walk_records(raw).items()})
 
     def _channel(self, key: int) -> Channel:
-        """Return a channel; its times are those of its first and last chunk, and outside chunks."""
         record = self._records[key]
         schema = self._schemas.get(record.schema_id, Schema(id=0, name="", encoding="", data=b""))
         chunks = [chunk.indexes[key] for chunk in self._chunks if key in chunk.indexes]
@@ -304,13 +291,12 @@ class McapFile(MessageFile):
         )
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        """Yield the chunks that may contain messages of some channels."""
         for chunk in self._chunks:
             if found := keys & chunk.indexes.keys() if chunk.indexes else keys:
                 yield Task(chunk.end - chunk.start, found, partial(self._load, chunk, found))
 
     def _load(self, chunk: Chunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each channel in a chunk; a walk finds them if the message index is wrong."""
+        """Yield the messages of each channel in a chunk; walk the chunk if the message index is wrong."""
         raw = self._content(chunk)
         for key in keys:
             loss = None
@@ -326,12 +312,11 @@ class McapFile(MessageFile):
             yield key, replace(batch_of(raw, walk_records(raw).get(key, []), key), loss=loss)
 
     def _content(self, chunk: Chunk) -> memoryview:
-        """Return the records of a chunk; raises DamagedError."""
         record = memoryview(self._file.read(chunk.start, chunk.end - chunk.start))
         return record if chunk.compression is None else unpack(record)
 
     def _entries(self, at: int, key: int) -> IntArray:
-        """Return time and offset of a channel's messages in a chunk, shape (n, 2), from the index at `at`.
+        """Return times and offsets of a channel's messages, shape (n, 2), from the index at `at`.
 
         Raises DamagedError if there is no such index.
         """

@@ -1,9 +1,8 @@
 """ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2.
 
-Records are a header of name=value fields, then data. Chunks are listed in the index section, or found by a
-scan up to the first incomplete record. Messages are listed in the index records after their chunk, or found
-by a walk through it. `rosbags` refuses unindexed and truncated bags, and builds an object for each message
-when it opens a bag. Source: https://wiki.ros.org/Bags/Format/2.0.
+The index section lists the chunks, and index records after a chunk list its messages; without them the
+records are scanned up to the first incomplete one. `rosbags` refuses unindexed and truncated bags, and builds
+an object per message. Source: https://wiki.ros.org/Bags/Format/2.0.
 """
 
 import struct
@@ -25,18 +24,18 @@ MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 U32 = struct.Struct("<I")
 PAIR = struct.Struct("<II")
-#: Longest header of a record in a chunk; a connection's header is as long as its topic.
+#: Longest header of a record in a chunk; it may contain a topic.
 _MAX_HEADER = 1 << 20
-#: The index section has a few bytes for each chunk and connection; a larger one is damage.
+#: A larger index section is damage, in bytes.
 _MAX_INDEX = 1 << 31
-#: The headers of other records are shorter than this.
+#: Longest header of other records.
 _HEAD_BLOCK = 1 << 12
-#: An index record has this many bytes for each message.
+#: Bytes per message in an index record.
 _ENTRY = 12
 
 
 class Record(NamedTuple):
-    """A record: the fields of its header, and where its data start and end."""
+    """A record: fields of its header, start and end of its data."""
 
     head: Mapping[bytes, bytes]
     start: int
@@ -44,26 +43,22 @@ class Record(NamedTuple):
 
     @property
     def opcode(self) -> int:
-        """The kind of record; raises DamagedError if it is missing."""
         return self.number(b"op", 1)
 
     @property
     def key(self) -> int:
-        """The connection; raises DamagedError if it is missing."""
         return self.number(b"conn", 4)
 
     def text(self, name: bytes, default: bytes = b"") -> str:
-        """Return a field that contains text."""
         return self.head.get(name, default).decode("utf-8", "replace")
 
     def number(self, name: bytes, size: int) -> int:
-        """Return a field that contains a number of `size` bytes; raises DamagedError if it does not."""
+        """Return an integer field of `size` bytes; raises DamagedError if it is not one."""
         value = self.head.get(name, b"")
         damaged_if(len(value) != size, "a record header is damaged")
         return int.from_bytes(value, "little")
 
     def time_ns(self, name: bytes) -> int:
-        """Return a field that contains seconds and nanoseconds, in ns; 0 if it is missing."""
         seconds, nanoseconds = PAIR.unpack(self.head.get(name, b"")[:8].ljust(8, b"\0"))
         return int(seconds) * 10**9 + int(nanoseconds)
 
@@ -79,7 +74,7 @@ def record(buffer: Bytes, at: int) -> Record:
 
 
 def walk(raw: Bytes, at: int = 0) -> Iterator[tuple[int, Record]]:
-    """Yield opcode and record of each complete record from `at` on, up to the first incomplete one."""
+    """Yield opcode and record from `at` on, up to the first incomplete record."""
     with suppress(DamagedError):
         while (entry := record(raw, at)).end <= len(raw):
             yield entry.opcode, entry
@@ -98,7 +93,7 @@ def fields(data: bytes) -> dict[bytes, bytes]:
     return found
 
 
-#: The fields of a header; most index records have the same header as in the previous chunk.
+#: Most index records have the same header as in the previous chunk.
 _head = lru_cache(maxsize=128)(fields)
 
 
@@ -117,7 +112,7 @@ def connection(entry: Record, data: Bytes) -> Channel:
 
 
 def entries_of(data: Bytes) -> tuple[IntArray, IntArray]:
-    """Return log times in ns and offsets from the data of an index record; raises DamagedError."""
+    """Return log times in ns and offsets from an index record; raises DamagedError."""
     damaged_if(len(data) % _ENTRY, "an index record is damaged", "index")
     seconds, nanoseconds, starts = np.frombuffer(data, "<u4").reshape(-1, 3).T.astype(np.int64, order="C")
     return seconds * 10**9 + nanoseconds, starts
@@ -125,7 +120,7 @@ def entries_of(data: Bytes) -> tuple[IntArray, IntArray]:
 
 @dataclass(slots=True)
 class Chunk:
-    """Where a chunk and its index records are in the file."""
+    """A chunk's place in the file, including its index records."""
 
     start: int
     end: int
@@ -141,7 +136,7 @@ class Chunk:
 
 
 def unpack(region: memoryview) -> tuple[memoryview, int]:
-    """Return the content of the chunk at the start of a region, and where it ends; raises DamagedError."""
+    """Return the content of the chunk at the start of a region, and its end; raises DamagedError."""
     entry = record(region, 0)
     damaged_if(entry.opcode != CHUNK or entry.end > len(region), "a chunk's head is damaged")
     data = region[entry.start : entry.end]
@@ -152,7 +147,7 @@ def listed(raw: memoryview, key: int, data: Bytes) -> Batch:
     """Return the messages of an index record; raises DamagedError if an entry is wrong.
 
     All headers are compared with the last one, apart from time and size. Different ones are parsed one by
-    one: the first one may follow the connection's own record.
+    one: the first may follow the connection's record.
     """
     log_ns, starts = entries_of(data)
     if not starts.size:
@@ -177,7 +172,7 @@ def listed(raw: memoryview, key: int, data: Bytes) -> Batch:
 
 
 def _message(raw: memoryview, key: int, at: int) -> Record:
-    """Return the message at `at`, or after the connection records there; raises DamagedError."""
+    """Return the message at `at`, or after connection records there; raises DamagedError."""
     for opcode, entry in walk(raw, at):
         if opcode == MESSAGE and entry.key == key:
             return entry
@@ -226,7 +221,6 @@ class BagFile(MessageFile):
         self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
 
     def _read_section(self) -> None:
-        """Read the index section; raises DamagedError if it is missing or damaged."""
         bag = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC))
         if name := bag.text(b"encryptor"):
             why = f"the bag is encrypted by {name}; expected a plain bag, decrypt it first"
@@ -249,20 +243,18 @@ class BagFile(MessageFile):
         cut = end < len(section) or len(self._chunks) < bag.number(b"chunk_count", 4)
         cut |= len(self._connections) < bag.number(b"conn_count", 4)
         damaged_if(cut, "the index is cut off", "truncated")
-        # Each chunk and its index records end at the next chunk, the last ones at the index section.
+        # A chunk with its index records ends at the next chunk or at the index section.
         ordered = sorted(self._chunks, key=lambda chunk: chunk.start)
         for chunk, after in pairwise([*ordered, Chunk(start, 0, None)]):
             damaged_if(not len(MAGIC) < chunk.start < after.start, "the index points to wrong chunks")
             chunk.end = after.start
 
     def _define(self, entry: Record, data: Bytes) -> None:
-        """Keep the channel of a connection record unless its number is known; ignore a damaged one."""
         with suppress(DamagedError):
             channel = connection(entry, data)
             self._connections.setdefault(channel.key, channel)
 
     def _scan(self) -> int:
-        """Visit the records of the file; return where the last complete one ends."""
         at = len(MAGIC)
         with suppress(DamagedError):
             while at < self.size:
@@ -285,14 +277,12 @@ class BagFile(MessageFile):
         return at
 
     def _add_index(self, entry: Record, data: Bytes) -> None:
-        """Note number and times of the last chunk's messages in an index record; ignore a damaged one."""
         with suppress(DamagedError):
             chunk = self._chunks[-1]
             chunk.counts = (chunk.counts or {}) | {entry.key: len(data) // _ENTRY}
             chunk.add_times(entries_of(data)[0].tolist())
 
     def _search(self, chunk: Chunk) -> None:
-        """Read connections from a chunk; count its messages if no index record follows it."""
         raw, _ = self._content(chunk)
         for opcode, entry in walk(raw):
             if opcode == CONNECTION:
@@ -303,7 +293,6 @@ class BagFile(MessageFile):
             chunk.add_times([time for places in found.values() for _, _, time in places])
 
     def _channel(self, key: int) -> Channel:
-        """Return a connection; its times are those of its chunks."""
         counts = [chunk.counts and chunk.counts.get(key, 0) for chunk in self._chunks]
         chunks = [chunk for chunk, count in zip(self._chunks, counts, strict=True) if count]
         return replace(
@@ -314,7 +303,7 @@ class BagFile(MessageFile):
         )
 
     def _compression(self) -> str:
-        """Return the compression of the first chunk; all chunks of a bag have the same one."""
+        """Return the compression of the first chunk, which all chunks of a bag share."""
         if not self._chunks:
             return "none"
         try:
@@ -328,7 +317,6 @@ class BagFile(MessageFile):
         return kind
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        """Yield the chunks that may contain messages of some connections."""
         for chunk in self._chunks:
             if found := frozenset(key for key in keys if chunk.counts is None or chunk.counts.get(key)):
                 yield Task(chunk.end - chunk.start, found, partial(self._load, chunk, found))
@@ -340,7 +328,7 @@ class BagFile(MessageFile):
         return raw, region[end:]
 
     def _load(self, chunk: Chunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each connection in a chunk; a walk replaces a wrong index record."""
+        """Yield the messages of each connection; walk the chunk if an index record is wrong."""
         raw, rest = self._content(chunk)
         indexes: dict[int, memoryview] = {}
         with suppress(DamagedError):
@@ -353,7 +341,7 @@ class BagFile(MessageFile):
                 damaged_if(key not in indexes, "an index record is missing")
                 batch = listed(raw, key, indexes[key])
             except DamagedError as error:
-                # Chunks of a bag that was not closed may have no index records; this is no damage.
+                # Chunks of an unclosed bag may have no index records; this is no damage.
                 text = f"{error}; all records of its chunk were read instead"
                 starts, sizes, times = np.array(walked(raw).get(key, []), np.int64).reshape(-1, 3).T.copy()
                 batch = Batch(raw, starts, sizes, times, Loss("index", text) if rest else None)

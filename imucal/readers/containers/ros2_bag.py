@@ -1,4 +1,4 @@
-"""ROS 2 bags: folders with metadata.yaml, single `.db3` files, and files or messages compressed by zstd."""
+"""ROS 2 bags: folders with metadata.yaml, single `.db3` files, and zstd-compressed files or messages."""
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -17,21 +17,21 @@ from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
 from imucal.readers.files import DamagedError, damaged_if, refused
 from imucal.readers.read_options import Progress
 
-#: First bytes of a zstd frame.
+#: Signature of a zstd frame.
 _ZSTD = b"\x28\xb5\x2f\xfd"
-#: A compressed message that claims more than this is damaged, in bytes.
+#: A larger compressed message is damage, in bytes.
 _MAX_MESSAGE = 1 << 28
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open the file or the files of a bag, and name its format; raises ReadError if it can't be read."""
+    """Open the files of a bag and return its format; raises ReadError if it can't be read."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None
     return open_parts(folder, lambda file: _open(file, folder, counts, progress))
 
 
 def open_parts(folder: Folder, opened: Callable[[Path], Container]) -> tuple[list[Container], str]:
-    """Open each file of a bag as `opened` does; also return the name of its format."""
+    """Open each file of a bag with `opened`; also return the format."""
     containers: list[Container] = []
     try:
         for file in folder.files:
@@ -65,12 +65,12 @@ def _open(
 
 
 def mcap_part(folder: Folder, log: McapFile) -> Container:
-    """Return an MCAP file of a bag, whose messages may be compressed one by one."""
+    """Return an MCAP file of a bag, whose messages may be compressed separately."""
     return _ZstdMessages(log) if folder.per_message else log
 
 
 class _Wrapped(Container):
-    """A container that gives what another one holds."""
+    """A container that forwards to another one."""
 
     def __init__(self, inner: Container) -> None:
         self._inner = inner
@@ -85,7 +85,7 @@ class _Wrapped(Container):
 
 
 class _Unpacked(_Wrapped):
-    """A file compressed as a whole, unpacked into a temporary folder that goes when it is closed."""
+    """A compressed file, unpacked into a temporary folder until it is closed."""
 
     def __init__(
         self, path: Path, open_inner: Callable[[Path], Container], progress: Progress | None
@@ -119,7 +119,7 @@ class _Unpacked(_Wrapped):
 
 
 class _ZstdMessages(_Wrapped):
-    """A container whose messages are compressed one by one (rosbag2's compression mode MESSAGE)."""
+    """A container with separately compressed messages (rosbag2's compression mode MESSAGE)."""
 
     def __init__(self, inner: Container) -> None:
         super().__init__(inner)

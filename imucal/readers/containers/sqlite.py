@@ -1,4 +1,4 @@
-"""A ROS 2 bag's SQLite file: its topics, and its messages in ranges of rows."""
+"""SQLite file of a ROS 2 bag: its topics, and its messages in ranges of rows."""
 
 import os
 import shlex
@@ -23,22 +23,22 @@ from imucal.readers.files import first_bytes
 
 Value = TypeVar("Value")
 
-#: First bytes of a write-ahead log.
+#: Signature of a write-ahead log.
 _WAL = b"\x37\x7f\x06"
-#: Bytes of the file that one task reads, on average, and the fewest rows of a task.
+#: Average bytes per task, and fewest rows.
 _PART, _ROWS = 1 << 22, 256
 #: Rows fetched at once; more is slower.
 _FETCH = 1024
 #: Ranges of damaged rows are halved down to this many rows.
 _FEW = 16
-#: Rows up to which messages are counted if the metadata do not list the counts.
+#: Most rows counted if the metadata lack counts.
 _COUNTED = 2_000_000
-#: Errors of a database with damaged pages; the last three come from values of a wrong type.
+#: Errors of damaged pages; the last three come from values of a wrong type.
 _ERRORS = (sqlite3.Error, TypeError, ValueError, OverflowError)
 
 
 class SqliteFile(MessageFile):
-    """A container of the messages of a `.db3` file; `counts` are those of the bag's metadata."""
+    """Messages of a `.db3` file; `counts` are from the bag's metadata."""
 
     format = "rosbag2-sqlite3"
     compression = "none"
@@ -61,7 +61,7 @@ class SqliteFile(MessageFile):
             raise _refusal(self.path, error) from error
 
     def _connect(self) -> sqlite3.Connection:
-        """Open the database for reading, without making files next to it if it has no write-ahead log."""
+        """Open the database without creating files next to it if it has no write-ahead log."""
         wal = self.path.with_name(self.path.name + "-wal")
         try:
             log = first_bytes(wal, 3) if wal.exists() else b""
@@ -70,7 +70,7 @@ class SqliteFile(MessageFile):
         head = self._file.read(0, min(self.size, 100)).ljust(100, b"\0")
         if log != _WAL:
             self._check_size(head)
-        # Without a log, SQLite would make one for a database of version 2.
+        # For a database of version 2 SQLite would create a log.
         if log == _WAL or (not log and head[18] != 2):
             try:
                 return self._query_only("mode=ro")
@@ -85,7 +85,7 @@ class SqliteFile(MessageFile):
         return base
 
     def _check_size(self, head: bytes) -> None:
-        """Raise an error if the end of the file is missing; SQLite reads zeros if part of a page is."""
+        """Raise an error if the file is truncated; SQLite reads zeros in a partial page."""
         page, pages = struct.unpack_from(">H10xI", head, 16)
         stated = pages * (page if page > 1 else 1 << 16)
         # Encrypted files lack these constants.
@@ -93,7 +93,6 @@ class SqliteFile(MessageFile):
             raise sqlite3.DatabaseError(f"it has {self.size} of {stated} bytes")
 
     def _query_only(self, options: str) -> sqlite3.Connection:
-        """Open the database and check that it can be read."""
         uri = "file:" + quote(os.fsencode(self.path.absolute())) + "?" + options
         base = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._opened.callback(base.close)
@@ -101,12 +100,10 @@ class SqliteFile(MessageFile):
         return base
 
     def close(self) -> None:
-        """Close the database."""
         super().close()
         self._opened.close()
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        """Yield ranges of rows."""
         wanted = sorted(keys & {channel.key for channel in self.channels if channel.count != 0})
         if not wanted or not self._rows:
             return
@@ -119,12 +116,10 @@ class SqliteFile(MessageFile):
             yield Task(size, frozenset(wanted), partial(self._load, wanted, rows))
 
     def _load(self, keys: list[int], rows: range) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of some topics in a range of rows; see `Task`."""
         for key in keys:
             yield key, self._fetch(key, rows)
 
     def _fetch(self, key: int, rows: range) -> Batch:
-        """Return the messages of a topic; halves of a damaged range are fetched on their own."""
         lost, reason = 0, ""
         parts = [batch_of_blobs([], [])]
         ranges = [rows]
@@ -146,7 +141,7 @@ class SqliteFile(MessageFile):
         return replace(batch, loss=loss)
 
     def _fetch_range(self, key: int, rows: range) -> Batch:
-        # No `order by`: it would go through the index of times instead of the table.
+        # `order by` would use the index of times instead of the table.
         query = "select timestamp, data from messages where rowid between ? and ? and topic_id = ?"
         values: list[Any] = []
         cursor = self._base.execute(query, (rows.start, rows.stop - 1, key))
@@ -155,7 +150,6 @@ class SqliteFile(MessageFile):
         return batch_of_blobs(values[1::2], values[0::2])
 
     def sample(self) -> bytes:
-        """Return the start of the first message's payload, which shows whether it is compressed."""
         try:
             row = self._base.execute("select substr(data, 1, 4) from messages limit 1").fetchone()
         except sqlite3.Error:
@@ -163,8 +157,7 @@ class SqliteFile(MessageFile):
         return bytes(row[0]) if row and isinstance(row[0], bytes) else b""
 
     def _ends(self, column: str) -> tuple[int | None, int | None]:
-        """Return the smallest and the largest value of an indexed column of the messages."""
-        # Two statements: each takes one step in the index, together they would scan the table.
+        # Separate statements use the index; together they scan the table.
         queries = (f"select {end}({column}) from messages" for end in ("min", "max"))  # noqa: S608 - our own
         first, last = (self._base.execute(query).fetchone()[0] for query in queries)
         return (None, None) if first is None or last is None else (int(first), int(last))
@@ -179,7 +172,7 @@ class SqliteFile(MessageFile):
             definitions = {row[0]: row[1:] for row in found if all(isinstance(value, str) for value in row)}
         query = "select id, name, type, serialization_format from topics"
         rows = self._base.execute(query).fetchall()
-        # A damaged page contains rows of other types.
+        # Damaged pages contain rows of other types.
         topics = [row for row in rows if [type(value) for value in row] == [int, str, str, str]]
         counts = self._count(topics)
         return [
@@ -198,7 +191,6 @@ class SqliteFile(MessageFile):
         ]
 
     def _count(self, topics: list[Any]) -> dict[int, int] | None:
-        """Return the number of messages of each topic; None if the messages must be read for it."""
         if self._counts is not None and all(name in self._counts for _, name, _, _ in topics):
             return {key: self._counts[name] for key, name, _, _ in topics}
         total = self._rows.stop - self._rows.start
@@ -211,20 +203,19 @@ class SqliteFile(MessageFile):
 
 
 def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
-    """Return separate messages as one batch; raises TypeError if a value has another type."""
+    """Return messages as one batch; raises TypeError if a value has another type."""
     sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
     # Unlike NumPy, `array` refuses floats.
     return Batch(b"".join(blobs), np.cumsum(sizes) - sizes, sizes, np.array(array("q", times)))
 
 
 def _joined(parts: list[Batch]) -> Batch:
-    """Return the messages of several batches."""
     sizes, times = (np.concatenate([getattr(part, name) for part in parts]) for name in ("sizes", "log_ns"))
     return Batch(b"".join(part.buffer for part in parts), np.cumsum(sizes) - sizes, sizes, times)
 
 
 def _if_whole(query: Callable[[], Value]) -> Value | None:
-    """Return the result of a query; None if rows are damaged, which is reported when they are read."""
+    """Return the result of a query; None if rows are damaged, which is reported on reading."""
     try:
         return query()
     except sqlite3.OperationalError:
@@ -234,8 +225,7 @@ def _if_whole(query: Callable[[], Value]) -> Value | None:
 
 
 def _refusal(path: Path, error: Exception) -> ReadError:
-    """Return the error of a database that can't be read, with advice."""
-    # Debian's sqlite3 has no virtual table of pages, which .recover needs.
+    # .recover needs the virtual table of pages, which Debian's sqlite3 lacks.
     advice = (
         f"copy it again, or recover it with `sqlite3 {shlex.quote(path.name)} .recover | "
         "sqlite3 recovered.db3` (use sqlite3 from sqlite.org if yours prints an SQL error)"

@@ -1,4 +1,4 @@
-"""Messages -> columns: a topic is a table, whose numbers are found in the bytes of its messages."""
+"""Messages -> columns: a topic is a table of the numbers in its messages."""
 
 from imucal.readers.messages.choice import Choice, choose
 from imucal.readers.messages.loader import decode

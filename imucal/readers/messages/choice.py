@@ -1,4 +1,4 @@
-"""Choose the topics to read: those that the user names, or the only ones with samples of an IMU."""
+"""Choose the topics to read: those named by the user, or the only ones with IMU samples."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,13 +11,12 @@ from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-#: Topics listed in a message, and columns listed of each.
 _MOST, _COLUMNS = 24, 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """A topic to read, the sensors to take from it, and how it was chosen."""
+    """A topic to read, its sensors, and the reason."""
 
     topic: Topic
     sensors: tuple[Sensor, ...]
@@ -32,12 +31,12 @@ def choose(
 ) -> list[Choice]:
     """Choose topics; `live` returns the sensors of a topic whose samples change.
 
-    Raises ChoiceError if several topics could be meant, or none fits; the message lists them.
+    Raises ChoiceError with a list of topics if several fit, or none.
     """
     if options.topics:
         return _named(path, topics, options, live)
     if len(topics) == 1 and topics[0].file:
-        # The choice of columns explains what is missing.
+        # The choice of columns reports missing sensors.
         return [Choice(topics[0], tuple(Sensor), "the only table")]
     carrying = [topic for topic in topics if topic.sensors and topic.count != 0]
     fitting = [topic for topic in carrying if not topic.plain]
@@ -54,7 +53,7 @@ def choose(
 
 
 def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choice:
-    """Return the only topic with numbers, whose columns must be named; ChoiceError if there is none."""
+    """Return the only topic with numbers, whose columns must be named; raises ChoiceError without one."""
     if options.columns is not None:
         lines = [f"  {topic.name} ({topic.type}): {topic.reason}; found {columns(topic)}" for topic in topics]
         listed = "\n".join(lines[:_MOST]) or "  no topics"
@@ -112,7 +111,6 @@ def _unreadable(path: Path, topic: Topic) -> ChoiceError:
 def _named(
     path: Path, topics: Sequence[Topic], options: ReadOptions, live: Callable[[Topic], frozenset[Sensor]]
 ) -> list[Choice]:
-    """Take the topics the caller names: one, or one for each sensor."""
     if len(options.topics) > 2:
         msg = f"{path}: {len(options.topics)} topics are named; expected one, or one for each sensor"
         raise ChoiceError(msg)
@@ -123,7 +121,7 @@ def _named(
         if topic.count == 0:
             raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
     if len(found) == 1:
-        # A topic whose names tell no sensor has columns that must be named.
+        # A topic without sensors in its names has columns that must be named.
         return [Choice(found[0], found[0].sensors or tuple(Sensor), "as given")]
     alive = [live(topic) for topic in found]
     for gyro, accel in ((0, 1), (1, 0)):
@@ -145,7 +143,6 @@ def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
 
 
 def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozenset[Sensor]]) -> list[Choice]:
-    """Choose where several topics fit only if their data leave one way."""
     alive = {topic.name: live(topic) for topic in fitting}
     useful = [topic for topic in fitting if alive[topic.name]]
     if len(useful) == 1:

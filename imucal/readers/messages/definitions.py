@@ -1,8 +1,4 @@
-"""Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes.
-
-The definition of a channel's type is the log's own, one in the user's files, or the standard one. rosbags
-parses them.
-"""
+"""Message definitions: `.msg` text -> the flat list of fields in the order of their bytes."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,28 +10,27 @@ from typing import Any, Literal, TypeAlias
 from imucal.readers.containers import Channel
 from imucal.readers.files import refused
 
-#: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
+#: Kinds of fields; "other" covers structures and everything else without a fixed layout.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
 
 
 class DefinitionError(Exception):
-    """A message definition can't be understood; says which line."""
+    """A message definition can't be read; the message contains the line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message, with its path from the top such as ``header.stamp.sec``."""
+    """A field of a message, with its path such as ``header.stamp.sec``."""
 
     path: str
     kind: Kind
-    #: NumPy code of a number without byte order, such as ``f8``; empty for strings and others.
+    #: NumPy code of a number without byte order, such as ``f8``; empty for other kinds.
     code: str = ""
-    #: Numbers of a fixed array, or numbers of one element of a sequence; 1 otherwise.
+    #: Numbers in a fixed array, or in one element of a sequence; otherwise 1.
     count: int = 1
 
     @property
     def size(self) -> int:
-        """Bytes of one number."""
         return int(self.code[1:]) if self.code else 0
 
 
@@ -46,10 +41,10 @@ _NUMBERS = {
     "float64": "f8",
 }
 _TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
-#: rosbags expects 80 signs between types, and refuses constants with small letters.
+#: rosbags expects 80 characters between types, and rejects constants in lower case.
 _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
-#: A definition that nests deeper than this, or has more fields, is refused; more files are not read.
+#: Limits of nesting, and of fields and files.
 _DEEP, _MANY = 16, 20_000
 
 
@@ -66,10 +61,9 @@ def long_type(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of a definition: one field, and how many there are of it where it is an array.
+    """One field of a definition.
 
-    `kind` is a basic type or ``package/msg/Name``. `count` is None for a sequence, whose length each message
-    contains.
+    `kind` is a basic type or ``package/msg/Name``. `count` is the length of an array, None for a sequence.
     """
 
     kind: str
@@ -91,10 +85,10 @@ class Line:
 
 
 class Definition:
-    """The definition of a message type, in the form of rosbags: the types that are known, by their names.
+    """The definition of a message type, as parsed by rosbags.
 
-    `given` are the texts of further types, by ``package/Name``; with them the standard types of ROS are known
-    too.
+    `types` contains known types by name, `given` texts of further types by ``package/Name``. If `given` is
+    not None, standard types of ROS are also known.
     """
 
     def __init__(
@@ -111,7 +105,6 @@ class Definition:
         self._given = given
 
     def lines(self, name: str) -> list[Line]:
-        """Return the fields of a type; raises DefinitionError if it is not defined."""
         if name not in self.types:
             text = definition_of(name, self._given or {})
             if text is not None:
@@ -126,7 +119,6 @@ class Definition:
         return [_line(*member) for member in self.types[name][1]]
 
     def closure(self) -> dict[str, Any]:
-        """Return the types that messages are made of."""
         found, todo = dict[str, Any](), [self.name]
         while todo:
             name = todo.pop()
@@ -136,15 +128,14 @@ class Definition:
         return found
 
     def fields(self) -> tuple[Field, ...]:
-        """Return the fields of a message, nested ones in their place; a DefinitionError if a type is unknown.
+        """Return the fields of a message with nested ones in place; raises DefinitionError for unknown types.
 
-        A field that can't be laid out (a sequence of structures or strings) is of kind "other"; what follows
-        it is left out, because its place depends on that field.
+        The last field is of kind "other" if its size is unknown, such as a sequence of strings: the positions
+        of later fields depend on it.
         """
         return tuple(_laid_out(self.name, self._fields(self.name)))
 
     def _fields(self, name: str, prefix: str = "", depth: int = 0) -> Iterator[Field]:
-        """Yield the fields of a type, nested ones in their place."""
         if depth > _DEEP:
             raise _too_large(name)
         lines = self.lines(name)
@@ -172,11 +163,10 @@ class Definition:
         return Field(path, "sequence", code) if line.count is None else Field(path, "array", code, line.count)
 
     def _structures(self, nested: str, path: str, line: Line, depth: int) -> Iterator[Field]:
-        """Yield the fields of a structure, of each in an array, or one for a sequence of them."""
         if not line.array:
             yield from self._fields(nested, path + ".", depth)
         elif line.count is None:
-            # It can be laid out where its structures hold numbers of one size only.
+            # A sequence has a layout only if its structures contain numbers of a single size.
             inner = _laid_out(nested, self._fields(nested, path + "[].", depth))
             if len({one.size for one in inner}) == 1 and {one.kind for one in inner} <= {"number", "array"}:
                 yield Field(path, "sequence", inner[0].code, sum(one.count for one in inner))
@@ -190,7 +180,6 @@ class Definition:
 
 
 def _laid_out(name: str, fields: Iterator[Field]) -> list[Field]:
-    """Return the fields of a type up to the first whose size is not known."""
     found = []
     for field in fields:
         found.append(field)
@@ -206,46 +195,44 @@ def _too_large(name: str) -> DefinitionError:
 
 
 def _line(name: str, kind: Any) -> Line:  # noqa: ANN401 - rosbags nests tuples
-    """Return a field of rosbags, which has the kind of its node first."""
     node, inner = kind[0].name, kind[1]
     array = node in {"ARRAY", "SEQUENCE"}
     element, base = inner[0] if array else kind
     base = base if element.name == "NAME" else base[0]
-    # rosbags takes it for a structure.
+    # rosbags parses it as a structure.
     base = "wstring" if base.endswith("/wstring") else base
     return Line(base, name, array, inner[1] if node == "ARRAY" else None)
 
 
 @lru_cache(1000)
 def _parsed(name: str, text: str) -> Mapping[str, Any]:
-    """Return the types of a definition and, behind lines of ``===``, of those in it."""
     from rosbags.typesys import get_types_from_msg
 
-    # A separator may stand at the end.
+    # A definition may end with a separator.
     text = _CONSTANT.sub("", "\n".join(text.splitlines()).rstrip("= \n") + "\n")
     try:
         return get_types_from_msg(_SEPARATOR.sub("=" * 80 + "\nMSG: ", text), name)
     except Exception as error:
-        # rosbags has error classes of its own; what it could not parse is in the fourth line.
+        # The fourth line of rosbags' error contains the text that it could not parse.
         rest = [*str(error).splitlines(), "", "", "", ""][3]
         raise DefinitionError(f"line {rest.strip()[:60]!r} is not a field") from error
 
 
 def standard_types(*, ros1: bool) -> Mapping[str, Any]:
-    """Return the types of ROS itself."""
+    """Return ROS's own types."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
 
 
 def defined(name: str, text: str, *, ros1: bool, given: Mapping[str, str] | None = None) -> Definition:
-    """Return the definition of a type by its text; raises DefinitionError if it can't be read."""
+    """Return the definition of a type from its text; raises DefinitionError if it can't be read."""
     types = _parsed(long_type(name), text)
     return Definition(name, types, ros1=ros1, given=given)
 
 
 def built_in(name: str, *, ros1: bool) -> Definition | None:
-    """Return the definition of a type of ROS itself; None for others."""
+    """Return the definition of a standard ROS type; None for others."""
     types = standard_types(ros1=ros1)
     return Definition(name, types, ros1=ros1) if long_type(name) in types else None
 
@@ -253,10 +240,8 @@ def built_in(name: str, *, ros1: bool) -> Definition | None:
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     """Return the definitions in files and folders: ``package/Name`` -> text.
 
-    The name is that of the file, in which packages and versions may stand too; the package that of the
-    folder above ``msg/``, and empty elsewhere.
-
-    Raises ReadError if a file can't be read, or there is none in a folder.
+    The package is the folder above ``msg/``; empty without one. Raises ReadError if a file can't be read, or
+    a folder contains none.
     """
     found = {}
     for path in paths:
@@ -276,18 +261,15 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
 
 
 def definition_of(kind: str, given: Mapping[str, str]) -> str | None:
-    """Return the given definition of a type; None where none of that name is given.
-
-    One of its package goes first; one of another package is none, one of no package is.
-    """
+    """Return the given definition of a type, from its package or without a package; otherwise None."""
     name = plain_type(kind)
     return given.get(name, given.get("/" + name.rpartition("/")[2]))
 
 
 def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definition:
-    """Return the definition of a channel's type: the log's own, one of those `given`, or the standard one.
+    """Return the definition of a channel's type from the log, from `given`, or from the standard types.
 
-    Raises DefinitionError if the type has no definition, or one that can't be read.
+    Raises DefinitionError if the type has no definition, or an unreadable one.
     """
     ros1 = channel.encoding == "ros1"
     standard: Definition | None = None
@@ -296,7 +278,7 @@ def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definit
             own = defined(channel.type, channel.definition, ros1=ros1)
             own.fields()
         except DefinitionError:
-            # A damaged definition of a well-known type loses nothing: messages must have its size.
+            # The standard type replaces a damaged definition; messages must match its size.
             standard = built_in(channel.type, ros1=ros1)
             if standard is None:
                 raise

@@ -1,4 +1,4 @@
-"""Chunks -> columns: decoded in parallel where the container allows it, appended in the order of the file."""
+"""Chunks -> columns: decoded in parallel if possible, appended in the order of the file."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -22,17 +22,16 @@ from imucal.resources import threads as allowed_threads
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: More threads gain nothing: the interpreter's lock is held in between.
+#: More threads are useless because of the interpreter's lock.
 _MAX_THREADS = 4
-#: Preparing the allocator pays off for logs of more messages.
+#: Preparing the allocator is worthwhile above this number of messages.
 _LARGE = 50_000
-#: Chunks that are searched for the first message of a channel.
+#: Chunks searched for a channel's first message.
 _LOOKS = 8
-#: Losses kept of one stream.
 _MAX_LOSSES = 1000
-#: If more messages than these are damaged in a row, the others are not tried one by one.
+#: If more messages in a row are damaged, the others are not tried separately.
 _MANY = 64
-#: A message takes at least this many bytes of a file: its entry in an index.
+#: Least bytes of a message in a file: an index entry.
 _SMALLEST = 12
 
 
@@ -40,12 +39,12 @@ class Decoder(Protocol):
     """Decodes the messages of one channel."""
 
     def decode(self, batch: Batch) -> Block:
-        """Return the samples of messages; raises DamagedError if one can't be decoded."""
+        """Return the samples; raises DamagedError if a message can't be decoded."""
 
 
 @dataclass(slots=True, eq=False)
 class Stream:
-    """One topic to decode: the types of its columns, and the decoder of each channel (container, key)."""
+    """A topic to decode: types of its columns, and decoders by (container, channel key)."""
 
     types: Sequence[type[np.generic]]
     decoders: dict[tuple[int, int], Decoder]
@@ -53,11 +52,11 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoding:
-    """The columns of a stream in the order of the file, the log time first, and what was lost."""
+    """The columns of a stream in the order of the file, log time first, and the losses."""
 
     columns: Block
     losses: list[Loss]
-    #: Messages that the file counts but no part contained; None if the file does not count them.
+    #: Messages counted but not found; None without a count.
     missing: int | None
 
 
@@ -69,12 +68,12 @@ def decode(
     progress: Progress | None = None,
     most_chunks: int | None = None,
 ) -> list[Decoding]:
-    """Decode streams from containers; at most `most_chunks` of the first file that has messages of them.
+    """Decode streams from containers; with `most_chunks` only the start of the first file with messages.
 
-    Samples of more than `limit` bytes are in temporary files.
+    Samples above `limit` bytes are in temporary files.
     """
     jobs = list(_jobs(containers, streams, most_chunks))
-    # Counts can be wrong, so the file's size limits the memory that is reserved.
+    # Counts can be wrong, so the file's size limits the reserved memory.
     most = sum(container.size for container in containers) // _SMALLEST if most_chunks is None else 0
     share = (column_limit() if limit is None else limit) // len(streams)
     outputs = [_Output(stream.types, _stated(containers, stream), most, share) for stream in streams]
@@ -93,10 +92,9 @@ def decode(
 
 
 class _Output:
-    """What is decoded of a stream so far.
+    """The decoded samples of a stream.
 
-    The files count `stated` messages; memory is reserved for at most `most`. The columns have at most `limit`
-    bytes in memory.
+    The files count `stated` messages; memory is reserved for at most `most`. `limit` is in bytes.
     """
 
     def __init__(self, types: Sequence[type[np.generic]], stated: int | None, most: int, limit: int) -> None:
@@ -108,7 +106,6 @@ class _Output:
         self._losses: list[Loss] = []
 
     def add(self, n: int, pieces: Sequence[Block | Loss]) -> None:
-        """Append the samples and losses of n messages."""
         self._found += n
         for piece in pieces:
             if not isinstance(piece, Loss):
@@ -118,14 +115,13 @@ class _Output:
                 self._losses.append(piece)
 
     def decoding(self) -> Decoding:
-        """Return the result."""
         columns = [column.take() for column in self._columns]
         missing = None if self._stated is None else max(self._stated - self._found, 0)
         return Decoding(columns, self._losses, missing)
 
 
 def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -> bytes | None:
-    """Return the first whole message of a channel in some chunks, or in all; None if there is none."""
+    """Return a channel's first complete message in some chunks (None: all); None if there is none."""
     for task in islice(container.tasks(frozenset({key})), chunks):
         with suppress(DamagedError):
             for _, batch in task.load():
@@ -135,7 +131,6 @@ def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -
 
 
 def _stated(containers: Sequence[Container], stream: Stream) -> int | None:
-    """Return how many messages of a stream the files count; None if a file does not count them."""
     channels = [(at, channel) for at, one in enumerate(containers) for channel in one.channels]
     counts = [channel.count for at, channel in channels if (at, channel.key) in stream.decoders]
     return None if None in counts else sum(count or 0 for count in counts)
@@ -144,7 +139,6 @@ def _stated(containers: Sequence[Container], stream: Stream) -> int | None:
 def _jobs(
     containers: Sequence[Container], streams: Sequence[Stream], most_chunks: int | None
 ) -> Iterator[tuple[int, Task]]:
-    """Yield the tasks to load, each with the number of its container."""
     for at, container in enumerate(containers):
         keys = frozenset(key for stream in streams for other, key in stream.decoders if other == at)
         tasks = list(islice(container.tasks(keys), most_chunks)) if keys else []
@@ -154,7 +148,7 @@ def _jobs(
 
 
 def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterator[R]:
-    """Yield the results of jobs in their order; threads work at most a few jobs ahead."""
+    """Yield results in the order of jobs; threads work at most a few jobs ahead."""
     if threads < 2:
         yield from map(work, jobs)
         return
@@ -168,13 +162,13 @@ def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterat
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            # An error, or an interrupt by the user, stops each thread after its current job.
+            # An error or interrupt stops each thread after its current job.
             for future in waiting:
                 future.cancel()
 
 
 def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int, int, list[Block | Loss]]]:
-    """Return the results of a chunk: index of the stream, number of messages, samples and losses."""
+    """Return for each stream in a chunk: index, number of messages, samples and losses."""
     at, task = job
     results: list[tuple[int, int, list[Block | Loss]]] = []
     missing = set(task.keys)
@@ -195,9 +189,9 @@ def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int
 
 
 def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:
-    """Return the samples of messages; if some are damaged, halve the batch down to the damaged ones.
+    """Return the samples; if some messages are damaged, halve the batch down to them.
 
-    If all of many are damaged, the type itself is wrong, and the others are not split.
+    If all of many are damaged, the type is wrong and the others are not split.
     """
     try:
         return [decoder.decode(batch)]

@@ -1,7 +1,7 @@
-"""Schemas of messages that are read into trees: which numbers they hold, and what parses them.
+"""Schemas of messages parsed into trees: list their numbers, and create parsers.
 
-ROS messages by rosbags, which reaches fields that stand in or behind lists of structures; protobuf messages
-by the schema in the log and the package `protobuf`, which is an extra.
+rosbags parses ROS messages with lists of structures. Protobuf messages use the schema in the log and the
+package `protobuf`, an extra.
 """
 
 from collections.abc import Iterable, Iterator
@@ -12,25 +12,22 @@ from imucal.readers.containers import Channel
 from imucal.readers.messages.definitions import Definition, DefinitionError, standard_types
 from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 
-#: A type that nests deeper than this is not shown further, or refers to itself.
+#: Deepest nesting; types may refer to themselves.
 _DEEP = 8
-#: Lines of a ROS type, and protobuf messages within messages, that are looked into.
 _LINES, _MESSAGES = 4000, 2000
-#: Type of a number -> NumPy code, by the names of the package's constants.
 _CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32": "u4", "UINT64": "u8",
           "SINT32": "i4", "SINT64": "i8", "FIXED32": "u4", "FIXED64": "u8", "SFIXED32": "i4",
           "SFIXED64": "i8"}  # fmt: skip
 
 
 def ros_leaves(known: Definition) -> list[Leaf]:
-    """Return the numbers in messages of a type; a DefinitionError where a type in it is not defined."""
+    """Return the numbers in a message type; raises DefinitionError if a type is not defined."""
     return list(_ros_leaves(known, known.name, "", 0, count()))
 
 
 def _ros_leaves(
     known: Definition, name: str, prefix: str, depth: int, steps: Iterator[int]
 ) -> Iterator[Leaf]:
-    """Yield the numbers of a type at a prefix; `steps` counts the lines that were looked at."""
     for line in known.lines(name):
         if next(steps) >= _LINES:
             return
@@ -46,7 +43,7 @@ def _ros_leaves(
 
 
 def ros_parser(known: Definition) -> Parse:
-    """Return what parses messages of a type; a DefinitionError where its definition can't be read."""
+    """Return the parser for a message type; raises DefinitionError if its definition can't be read."""
     from rosbags.typesys import Stores, get_typestore
 
     try:
@@ -55,7 +52,7 @@ def ros_parser(known: Definition) -> Parse:
     except DefinitionError:
         raise
     except Exception as error:
-        # rosbags has error classes of its own.
+        # rosbags has its own error classes.
         why = " ".join(str(error).split())[:80]
         raise DefinitionError(f"its definition can't be read: {type(error).__name__} {why}") from error
     read = store.deserialize_ros1 if known.ros1 else store.deserialize_cdr
@@ -63,7 +60,7 @@ def ros_parser(known: Definition) -> Parse:
 
 
 def protobuf_parser(channel: Channel) -> Parse:
-    """Return what parses the messages of a channel; a DefinitionError where its schema is damaged."""
+    """Return the parser for a channel's messages; raises DefinitionError if its schema is damaged."""
     from google.protobuf.message_factory import GetMessageClass
 
     parse: Parse = GetMessageClass(_descriptor(channel)).FromString
@@ -71,7 +68,7 @@ def protobuf_parser(channel: Channel) -> Parse:
 
 
 def protobuf_leaves(channel: Channel) -> list[Leaf]:
-    """Return the numbers that the messages of a channel hold."""
+    """Return the numbers in a channel's messages."""
     return list(_protobuf_leaves(_descriptor(channel), "", 0, count()))
 
 
@@ -88,7 +85,7 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
             pool.Add(file)
         return pool.FindMessageTypeByName(channel.type)
     except Exception as error:
-        # The package has error classes of its own, and raises TypeError for what does not fit together.
+        # The package has its own error classes, and raises TypeError for inconsistent types.
         raise DefinitionError(f"its protobuf schema can't be read: {type(error).__name__} {error}") from error
 
 

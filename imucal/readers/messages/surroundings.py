@@ -1,4 +1,4 @@
-"""What a log records next to the samples of an IMU: the frame in its header, and a topic of temperature."""
+"""Read the frame in a message header, and the topic of temperature."""
 
 from collections.abc import Sequence
 
@@ -12,14 +12,14 @@ from imucal.readers.messages.loader import decode, first_message
 from imucal.readers.messages.topics import Topic
 from imucal.recording import Temperature
 
-#: Bytes of a ROS 1 header, and of a ROS 2 header with its encapsulation, before the frame's length.
+#: Bytes before the frame's length in a ROS 1 header, or a ROS 2 header with encapsulation.
 _BEFORE = 12
-#: A longer name of a frame is a damaged one.
+#: A longer frame name is damage.
 _LONGEST = 256
 
 
 def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> list[tuple[str, str]]:
-    """Return the frames of topics as decisions of a recording; none of a topic without a frame."""
+    """Return the frames of topics as decisions of a recording."""
     frames = []
     for topic in topics:
         headed = topic.leaves[:1] and topic.leaves[0].path.startswith("header.")
@@ -32,10 +32,10 @@ def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> li
 
 
 def frame_of(message: bytes, encoding: str) -> str:
-    """Return the frame in the header of a message; empty if its bytes can't be a name."""
+    """Return the frame in a message header; empty if its bytes can't be a name."""
     if encoding not in {"ros1", "cdr"} or len(message) < _BEFORE + 4:
         return ""
-    # ROS 1 is little endian; CDR says which it is in the second byte of its encapsulation.
+    # CDR: the second byte of the encapsulation contains the byte order.
     little = encoding == "ros1" or message[1] & 1
     end = _BEFORE + 4 + int.from_bytes(message[_BEFORE : _BEFORE + 4], "little" if little else "big")
     name = message[_BEFORE + 4 : end].rstrip(b"\x00")
@@ -46,9 +46,9 @@ def frame_of(message: bytes, encoding: str) -> str:
 
 
 def temperature_beside(topics: Sequence[Topic], imu: str) -> Topic | None:
-    """Return the topic of temperature that belongs to an IMU's topic; None if there is none.
+    """Return the topic of an IMU's temperature; None if there is none.
 
-    It must be the only one in the IMU's own namespace: a log may contain the temperatures of other things.
+    It must be the only one in the IMU's namespace: a log may contain temperatures of other devices.
     """
     space = imu.rpartition("/")[0]
     found = [
@@ -62,7 +62,7 @@ def temperature_beside(topics: Sequence[Topic], imu: str) -> Topic | None:
 
 
 def read_temperature(containers: Sequence[Container], topic: Topic) -> Temperature | None:
-    """Return the temperature in a topic; None if it can't be read, because nothing is fitted to it."""
+    """Return the temperature in a topic; None if it can't be read, because it is optional."""
     columns = {column.name: column for column in topic.columns}
     try:
         stream = topic.stream([columns["header.stamp"], columns["temperature"]])

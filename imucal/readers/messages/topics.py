@@ -1,4 +1,4 @@
-"""A topic of a log is a table: a column for each number in its messages, whose names identify the sensors."""
+"""A topic as a table: one column per number in its messages; column names identify the sensors."""
 
 import json
 import re
@@ -32,23 +32,23 @@ from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads,
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
-#: Marks in a columns text, and times that are not columns.
+#: Separators in a columns text, and times that are not columns.
 _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
 #: Longest array whose elements are columns without being named.
 _WIDEST = 9
-#: Messages whose numbers are examined, and chunks read for them: more if a few contain fewer messages.
+#: Messages examined, and chunks read for them (more if the first contain too few).
 _HEAD, _LOOKS = 100, (1, 32)
-#: Rows of a table in memory that are examined.
+#: Rows examined of a table in memory.
 HELD_ROWS = 400
-#: Packages whose vectors may be anything: they are read only if the user names the topic.
+#: Packages of general vectors, read only if the user names the topic.
 _PLAIN = ("geometry_msgs/", "nav_msgs/")
 _ROS = Dialect(name="ROS", headers=(), gyro_unit="rad/s", accel_unit="m/s^2", has_log_time=True)
-#: Package of message types -> their units and times: REP 103, and microseconds since boot.
+#: Package -> units and times: REP 103; PX4 uses microseconds since boot.
 _PACKAGES = {
     **dict.fromkeys(("sensor_msgs", "geometry_msgs", "nav_msgs"), _ROS),
     "px4_msgs": replace(_ROS, name="PX4", time_ns=(("timestamp", 1_000), ("timestamp_sample", 1_000))),
 }
-#: Increments of PX4 -> the rate that they are, over their own duration in µs.
+#: PX4 increment -> its rate, and its duration in µs.
 _INCREMENTS = {
     "delta_angle": ("gyro_rad", ("delta_angle_dt",)),
     "delta_velocity": ("accelerometer_m_s2", ("delta_velocity_dt", "dt")),
@@ -56,7 +56,7 @@ _INCREMENTS = {
 
 
 class Column(NamedTuple):
-    """A number in messages: the name of its column, its path for the decoders, its type and its unit."""
+    """A number in messages: column name, path for the decoders, type and unit."""
 
     name: str
     path: str
@@ -66,63 +66,53 @@ class Column(NamedTuple):
 
 @frozen_alone
 class Topic:
-    """A topic of a log, over all its files."""
+    """A topic over all files of a log."""
 
-    #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
+    #: For example ``/imu/data`` and ``sensor_msgs/msg/Imu``.
     name: str
     type: str
-    #: Number of the container, and channel.
     channels: tuple[tuple[int, Channel], ...]
-    #: The numbers in its messages, and the columns to choose from.
     leaves: tuple[Leaf, ...] = ()
     columns: tuple[Column, ...] = ()
-    #: The sensors in the names of the columns.
     sensors: tuple[Sensor, ...] = ()
-    #: Whether its vectors may be anything: read only if the user names the topic.
+    #: Whether its vectors are general: read only if the user names the topic.
     plain: bool = False
-    #: Why its messages can't be read; else empty.
+    #: Why its messages can't be read; otherwise empty.
     reason: str = ""
-    #: The sensor that the user wants from it; None if its names decide.
+    #: The sensor requested by the user.
     wanted: Sensor | None = None
-    #: The definitions of types that the user gives.
     given: Mapping[str, str] = field(default_factory=dict)
-    #: The columns if they are in memory, shape (n,) each; rows without a value are no samples if `sparse`.
+    #: Columns in memory, shape (n,) each; if `sparse`, rows without values are not samples.
     held: tuple[NDArray[Any], ...] = ()
     sparse: bool = False
-    #: What its units and its times are; None if its type or its names decide.
+    #: None if type or names decide.
     dialect: Dialect | None = None
-    #: The file that is this table, and the shapes of the arrays in it; else empty.
+    #: The file of a table and the shapes of its arrays; otherwise empty.
     file: str = ""
     shapes: str = ""
 
     @property
     def where(self) -> str:
-        """The topic in a message."""
         return self.file or f"topic {self.name}"
 
     @property
     def count(self) -> int | None:
-        """Number of messages, where it is known."""
         counts = [channel.count for _, channel in self.channels]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
     @property
     def duration_s(self) -> float | None:
-        """From the first message to the last, in s, where it is known."""
         firsts = [channel.first_ns for _, channel in self.channels if channel.first_ns is not None]
         lasts = [channel.last_ns for _, channel in self.channels if channel.last_ns is not None]
         return (max(lasts) - min(firsts)) / 1e9 if firsts and lasts else None
 
     @property
     def rate_hz(self) -> float | None:
-        """Messages per second, where it is known."""
         count, duration = self.count, self.duration_s
         return (count - 1) / duration if count and duration and count > 1 else None
 
     def table(self, heads: Block = ()) -> NamedTable:
-        """Return its columns with the first values of each."""
-
         def cells(index: int) -> Sequence[str]:
             return cells_of(heads[index][: HELD_ROWS if self.held else _HEAD]) if heads else ()
 
@@ -133,7 +123,7 @@ class Topic:
         return replace(table, dialect=dialect)
 
     def stream(self, columns: Sequence[Column]) -> Stream:
-        """Return how to decode some columns; raises ReadError if its messages can't be decoded."""
+        """Return the decoders of some columns; raises ReadError if messages can't be decoded."""
         paths = [column.path for column in columns]
         try:
             decoders = {(at, channel.key): self._decoder(channel, paths) for at, channel in self.channels}
@@ -143,7 +133,6 @@ class Topic:
         return Stream([np.float64 if one else np.int64 for one in floats], decoders)
 
     def _decoder(self, channel: Channel, paths: Sequence[str]) -> Decoder:
-        """Return the decoder of the messages of one channel."""
         if channel.encoding == "json":
             return TreeDecoder(paths)
         if channel.encoding == "protobuf":
@@ -156,7 +145,7 @@ class Topic:
 
 
 def cells_of(values: NDArray[Any]) -> list[str]:
-    """Return values of a column as text; a topic without any counts as one of zeros."""
+    """Return values as text; without values as that of zeros."""
     cells = values.tolist()
     return ["" if cell is None or cell != cell else str(cell) for cell in cells] or ["0"]  # noqa: PLR0124 - NaN
 
@@ -168,7 +157,7 @@ def held_topic(
     options: ReadOptions,
     **more: Any,  # noqa: ANN401 - fields of `Topic`
 ) -> Topic:
-    """Return a topic with its sensors; its first column of stamps, in ns, gives its duration."""
+    """Return a topic in memory with its sensors; its first column of stamps, in ns, gives its duration."""
     arrays = tuple(columns.values())
     stamps = next((values for column, values in columns.items() if column.type == TIME), arrays[0][:0])
     first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (None, None)
@@ -187,7 +176,7 @@ def held_topic(
     try:
         plan, _ = plan_of((), topic, options)
     except ColumnsError as error:
-        # The choice of columns lists those of a file.
+        # For a file, the error about the choice lists its columns.
         return topic if topic.file or options.columns is None else replace(topic, reason=error.problem)
     except ChoiceError:
         return topic
@@ -214,7 +203,7 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
 
 
 def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) -> Sequence[Leaf]:
-    """Return the numbers in the messages of a channel; those of JSON are those of the first message.
+    """Return the numbers in a channel's messages; for JSON those of the first message.
 
     Raises DefinitionError if the messages can't be read.
     """
@@ -233,15 +222,15 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
         )
         raise DefinitionError(msg)
     definition = definition_of_channel(channel, given)
-    # The flat fields say whether the definition is whole.
+    # Raises DefinitionError if the definition is incomplete.
     definition.fields()
     return schemas.ros_leaves(definition)
 
 
 def _columns(topic: Topic, text: str | None) -> Iterator[Column]:
-    """Yield the columns of a topic; elements of long arrays and of lists only if a columns text has them."""
+    """Yield the columns of a topic; elements of long arrays and lists only if a columns text names them."""
     kind = plain_type(topic.type)
-    # The names of its two vectors do not contain what they are.
+    # Its field names do not contain the quantity.
     prefix = "accel." if kind == "geometry_msgs/Accel" else ""
     named = re.split(_MARKS, text or "")
     indices = sorted({0, *map(int, re.findall(r"\[(\d{1,6})\]\.", text or ""))})
@@ -254,14 +243,12 @@ def _columns(topic: Topic, text: str | None) -> Iterator[Column]:
 
 
 def _rates(paths: Collection[str]) -> Iterator[Column]:
-    """Yield the rates of increments that are in a message with their durations."""
     for step, (rate, spans) in _INCREMENTS.items():
         for span in [span for span in spans if step in paths and span in paths][:1]:
             yield from (Column(f"{rate}[{i}]", f"{step}[{i}]/{span}", "float32") for i in range(3))
 
 
 def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the path and the type of each number of a leaf."""
     base, bracket, count = leaf.type.rstrip("]").partition("[")
     if not bracket:
         yield path, base
@@ -275,12 +262,11 @@ def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str
 
 
 def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
-    """Return a topic with its columns, and the sensors that the user or their names choose."""
-    # The numbers of columns are the same with and without a columns text.
+    # Column numbers are the same with and without a columns text.
     columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
     topic = replace(topic, columns=tuple(columns))
     if len(options.topics) == 2 and topic.name in options.topics:
-        # The first of two topics is the gyroscope, if nothing else decides.
+        # Of two topics the first is the gyroscope, unless names decide.
         topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
     if options.columns is None:
         return _by_name(topic, named=topic.name in options.topics)
@@ -292,7 +278,6 @@ def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
 
 
 def _by_name(topic: Topic, *, named: bool) -> Topic:
-    """Return a topic with the sensors in the names of its columns; `named` if the user names the topic."""
     kind = plain_type(topic.type)
     last = kind.rpartition("/")[2]
     if is_command(topic.name) and "imu" not in last.lower() and not named:
@@ -313,14 +298,14 @@ def _by_name(topic: Topic, *, named: bool) -> Topic:
 
 
 def _word(topic: Topic) -> str:
-    """Return the sensor that the user, the name of a topic, or its type tells; empty if there is none."""
+    """Return the sensor requested by the user or named by topic or type; empty if there is none."""
     last = plain_type(topic.type).rpartition("/")[2]
     told = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
     return str(next(filter(None, told), ""))
 
 
 def is_command(topic: str) -> bool:
-    """Return whether the name of a topic indicates commands instead of measurements."""
+    """Return whether a topic's name indicates commands instead of measurements."""
     return re.search(r"(^|[/_])(cmd|command|setpoint|desired|target)s?([/_]|$)", topic.lower()) is not None
 
 
@@ -329,8 +314,7 @@ def plan_of(
 ) -> tuple[TablePlan, frozenset[Sensor]]:
     """Choose the columns of a topic; also return the sensors whose first samples change.
 
-    One message, or none that can be decoded, is no evidence: all sensors count as changing then. Raises
-    ChoiceError if it is not clear which columns to read.
+    Fewer than two decoded messages count as a change. Raises ChoiceError if the choice is ambiguous.
     """
     heads = topic.held or _heads(containers, topic, options.columns or "")
     time = None if options.time in _CLOCKS and not topic.held else options.time
@@ -345,7 +329,7 @@ def plan_of(
 
 
 def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
-    """Return the first values of each column; none of lists that the columns text does not name."""
+    """Return the first values of each column; empty for lists that the columns text does not name."""
     names = {*re.split(_MARKS, text)}
     fixed = {leaf.path for leaf in topic.leaves if "]." not in leaf.path and not leaf.type.endswith("[]")}
     wanted = [
@@ -363,12 +347,12 @@ def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
 
 
 def _owner(name: str) -> str:
-    """Return the name of the structure or array of a number: ``imu.gyro`` of ``imu.gyro.x``."""
+    """Return the structure or array of a number: ``imu.gyro`` of ``imu.gyro.x``."""
     return re.sub(r"(\[\d+\]|\.\w+)$", "", name)
 
 
 def _in_units_of_type(plan: TablePlan) -> TablePlan:
-    """Return a plan in which units without a name in the columns are those of the message type."""
+    """Report units that are not in column names as those of the message type."""
     sensors = tuple(
         replace(sensor, stated=UnitGuess("from the message type", sensor.stated.unit))
         if sensor.stated is not None and sensor.triad.unit is None

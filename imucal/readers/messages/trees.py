@@ -1,4 +1,4 @@
-"""Messages that are parsed one by one: JSON, protobuf, and ROS messages with lists of structures."""
+"""Decode messages one by one: JSON, protobuf, and ROS messages with lists of structures."""
 
 import json
 import math
@@ -13,14 +13,14 @@ from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
 from imucal.readers.store import Block
 
-#: Bytes of a message -> its tree: mappings, lists and numbers, or objects with attributes.
+#: Bytes of a message -> mappings, lists and numbers, or objects with attributes.
 Parse: TypeAlias = Callable[[bytes], Any]
 
-#: Type of a leaf that is a time of seconds and nanoseconds.
+#: Type of a leaf with seconds and nanoseconds.
 TIME = "time"
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nanos", "nsec", "nsecs", "nanoseconds")
-#: Most members of a JSON object that are examined.
+#: Most members examined of a JSON object.
 _MOST = 600
 
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
@@ -30,8 +30,8 @@ _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 class Leaf:
     """A number, a time, or an array of numbers in a message.
 
-    The path is written as in Python: ``imu.gyro.x``. In a list of structures the first one stands for all:
-    ``imus[0].gyro.x``. The type is such as ``float64``, ``time``, ``int16[3]`` or ``int16[]``.
+    The path is as in Python: ``imu.gyro.x``; ``imus[0].gyro.x`` represents all elements of a list of
+    structures. The type is such as ``float64``, ``time``, ``int16[3]`` or ``int16[]``.
     """
 
     path: str
@@ -42,9 +42,9 @@ class Leaf:
 
 
 class TreeDecoder:
-    """Decodes messages one by one: about 6 µs each for JSON, more for others.
+    """Decodes messages one by one, in 6 µs or more each.
 
-    `paths` lead to the wanted numbers in the tree that `parse` returns; `kind` is for error messages.
+    `paths` are the wanted numbers in the result of `parse`; `kind` is for error messages.
     """
 
     def __init__(self, paths: Sequence[str], parse: Parse = json.loads, kind: str = "JSON") -> None:
@@ -52,7 +52,7 @@ class TreeDecoder:
         self._steps = [[name or int(index) for index, name in _STEP.findall(path)] for path in paths]
 
     def decode(self, batch: Batch) -> Block:
-        """Return the numbers of messages; raises DamagedError if one is damaged or lacks a wanted field."""
+        """Return the numbers; raises DamagedError if a message is damaged or lacks a field."""
         rows = [self._row(bytes(data)) for data in batch.messages()]
         columns = (list(cells) for cells in zip(*rows, strict=True))
         return [batch.log_ns, *(np.array(cells, _common_type(cells)) for cells in columns)]
@@ -62,7 +62,7 @@ class TreeDecoder:
             tree = self._parse(data)
             return [_value(_follow(tree, steps)) for steps in self._steps]
         except Exception as error:
-            # The packages that parse have error classes of their own.
+            # Parsers have their own error classes.
             msg = f"a {self._kind} message has no IMU sample: {type(error).__name__} {error}"
             raise DamagedError(msg) from error
 
@@ -72,14 +72,12 @@ def _common_type(cells: Sequence[int | float]) -> type[np.generic]:
 
 
 def _follow(tree: Any, steps: Sequence[str | int]) -> Any:  # noqa: ANN401 - any tree
-    """Return the value at a path."""
     for step in steps:
         tree = tree[step] if isinstance(step, int) or isinstance(tree, Mapping) else getattr(tree, str(step))
     return tree
 
 
 def _value(value: Any) -> int | float:  # noqa: ANN401 - any value of a tree
-    """Return a number, NaN for null, or a time in ns; raises OverflowError beyond 64 bits."""
     if value is None:
         return math.nan
     if isinstance(value, int | np.integer | np.bool_):
@@ -116,5 +114,4 @@ def leaves_of_tree(tree: object, path: str = "") -> Iterator[Leaf]:
 
 
 def _is_number(value: object) -> bool:
-    """Return whether a value is a number, or the null for one that is missing."""
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))

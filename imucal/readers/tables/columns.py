@@ -1,4 +1,4 @@
-"""Columns of a table, and the columns text with which users choose: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
+"""Columns of a table, and the columns text of users: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
@@ -11,13 +11,11 @@ from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
 from imucal.recording import AXES, Axis, Sensor
 
-#: Longest number that is not rounded in a message, and most columns listed there.
+#: Longest number not rounded in a message; most columns listed.
 _LONG, _LISTED = 9, 60
 
-#: Ends of the names of a vector's axes.
 _ENDS = (tuple(f".{axis}" for axis in AXES), ("[0]", "[1]", "[2]"), tuple(f"_{axis}" for axis in AXES))
 
-#: Names in a columns text -> their meaning.
 _KEYS = {
     **dict.fromkeys(("t", "time"), "t"),
     **dict.fromkeys(("g", "gyro"), "g"),
@@ -28,9 +26,9 @@ _KEYS = {
 
 
 class ColumnsError(ChoiceError):
-    """The choice of columns is not clear; the message lists them.
+    """The choice of columns is ambiguous; the message lists them.
 
-    `problem` explains what is not clear; `example` is a columns text that works on this table, or empty.
+    `example` is a columns text that works on this table, or empty.
     """
 
     def __init__(self, message: str, *, problem: str = "", example: str = "") -> None:
@@ -40,7 +38,7 @@ class ColumnsError(ChoiceError):
 
 @frozen
 class Triad:
-    """The x, y and z columns of one sensor, or some of them, and its rows."""
+    """The x, y and z columns of a sensor, or some of them, and its rows."""
 
     sensor: Sensor
     columns: tuple[NamedColumn, ...]
@@ -49,29 +47,25 @@ class Triad:
 
     @classmethod
     def of(cls, sensor: Sensor, columns: Mapping[int, NamedColumn]) -> Self:
-        """Return a sensor with the columns of some axes; axis 0 is x."""
         places = sorted(columns)
         axes = tuple(AXES[at] for at in places)
         return cls(sensor=sensor, columns=tuple(columns[at] for at in places), axes=axes)
 
     @property
     def indices(self) -> tuple[int, ...]:
-        """Places of the columns in the table."""
         return tuple(column.index for column in self.columns)
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Names of the columns."""
         return tuple(column.header for column in self.columns)
 
     @property
     def units(self) -> tuple[str | None, ...]:
-        """The unit in each name, a key of `imucal.units.SAMPLE_UNITS`; None if there is none."""
+        """Each column's unit, a key of `imucal.units.SAMPLE_UNITS`, or None."""
         return tuple(column.unit_of(self.sensor) for column in self.columns)
 
     @property
     def unit(self) -> str | None:
-        """The common unit in the names; None if there is none, or several."""
         said = {*self.units} - {None}
         return said.pop() if len(said) == 1 else None
 
@@ -88,7 +82,7 @@ class Triad:
 
 @frozen
 class NamedTable:
-    """A table before the choice of columns: parsed names and first cells."""
+    """A table before columns are chosen: parsed names and first cells."""
 
     path: str
     columns: tuple[NamedColumn, ...]
@@ -105,7 +99,7 @@ class NamedTable:
         units: Sequence[str | None] = (),
         preamble: Sequence[str] = (),
     ) -> Self:
-        """Return the table with these columns; `units` is a row of units, `preamble` the text above."""
+        """Return the table; `units` is a row of units, `preamble` the text above."""
         context = frozenset(header.strip().strip("\"'").lower() for header in headers)
         units = units or [None] * len(headers)
         columns = [
@@ -118,7 +112,7 @@ class NamedTable:
 
     @property
     def listed(self) -> str:
-        """The columns with their indices, for a message; first cells if there are no names."""
+        """The columns with indices, for a message; first cells if there are no names."""
         named, shown = any(column.header for column in self.columns), []
         for column in self.columns[:_LISTED]:
             first = "" if named else next(iter(column.cells), "")
@@ -130,11 +124,10 @@ class NamedTable:
 
     @property
     def time(self) -> str:
-        """Index of the first column named as a time, as text; empty if there is none."""
         return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
 
     def index_of(self, name: str) -> int:
-        """Return the index of a column given by name or index; raises ValueError if none or several match."""
+        """Return the column given by name or index; raises ValueError if none or several match."""
         name = name.strip()
         matches = [c.index for c in self.columns if plain_name(c.header) == plain_name(name)]
         if len(matches) == 1:
@@ -145,20 +138,19 @@ class NamedTable:
         raise ValueError(problem)
 
     def members(self, name: str) -> list[str]:
-        """Return the names of the axes of a vector, given its own name; else the name."""
+        """Return the axis names of a vector; another name is returned as it is."""
         known = {plain_name(column.header) for column in self.columns}
         families = [[name.strip() + end for end in ends] for ends in _ENDS]
         whole = (axes for axes in families if known.issuperset(map(plain_name, axes)))
         return [name] if plain_name(name) in known else next(whole, [name])
 
     def columns_text(self, *triads: Triad | None, rows: str = "", time: str = "") -> str:
-        """Return the columns text of a choice; `rows` selects rows, such as ``@I:0``."""
         time = time or self.time
         parts = [f"t={time}"] if time else []
         return ",".join([*parts, *(triad.text(rows) for triad in triads if triad)])
 
     def ask(self, problem: str, *, example: str = "") -> ColumnsError:
-        """Return the error that lists the columns, with an example of a columns text if there is one."""
+        """Return the error that lists the columns, with an example of a columns text."""
         single = sum(column.role is not Role.TIME for column in self.columns) in {1, 2}
         form = "t=TIME,gz=Z" if single else "t=TIME,g=X+Y+Z,a=X+Y+Z"
         how = (
@@ -174,16 +166,13 @@ class NamedTable:
 def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...], tuple[int, ...], int | None]:
     """Return the columns named by a text such as ``t=0,g=1:4,a=4:7``.
 
-    The sensors' columns come first, the gyroscope before the accelerometer; then the indices of the time and
-    of the temperature.
+    The sensors come first, gyroscope before accelerometer; then the indices of time and temperature.
 
-    ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
-    gyroscope, ``a`` the accelerometer, ``temp`` the temperature. Three columns are indices from 0 with
-    the end left out (``1:4``), indices or names joined by ``+`` (``wx+wy+wz``), or the name of a vector
-    (``angular_velocity``). ``gx``, ``gy``, ``gz``,
-    ``ax``, ``ay`` and ``az`` are single axes, for logs without the others. ``a=2:5@imu`` selects rows with
-    ``imu`` in a cell, ``a=2:5@I:0`` rows with 0 in column I. Raises ChoiceError if the text can't be read,
-    or names a missing column, or a column twice.
+    ``t`` is the time (``t=0+1`` joins two columns), ``g`` the gyroscope, ``a`` the accelerometer, ``temp``
+    the temperature. Three columns are a range of indices (``1:4``), indices or names joined by ``+``
+    (``wx+wy+wz``), or the name of a vector (``angular_velocity``). ``gx`` to ``az`` are single axes.
+    ``a=2:5@imu`` selects rows with ``imu`` in any cell, ``a=2:5@I:0`` rows with 0 in column I. Raises
+    ChoiceError if the text can't be read, or names a missing column, or a column twice.
     """
     try:
         found, rows = _parts(text, table)
@@ -204,7 +193,6 @@ def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...],
 
 
 def _parts(text: str, table: NamedTable) -> tuple[dict[str, tuple[int, ...]], dict[str, Rows]]:
-    """Return the columns and rows in each part of a columns text; raises ValueError if it can't be read."""
     found: dict[str, tuple[int, ...]] = {}
     rows: dict[str, Rows] = {}
     for part in filter(str.strip, text.split(",")):
@@ -236,7 +224,6 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
 
 
 def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
-    """Yield the problems of the columns, the worst first."""
     if not any(key[0] in "ga" for key in found):
         yield "names neither gyroscope (g) nor accelerometer (a)"
     if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
@@ -245,13 +232,12 @@ def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) ->
         yield from _problems_of(key, found, rows)
     uses = [(index, rows[key]) for key, indices in found.items() for index in indices]
     for at, (index, own) in enumerate(uses):
-        # A column may be the gyroscope's in some rows and the accelerometer's in others.
+        # Sensors may share a column in different rows.
         if any(index == other and (None in (own, its) or own == its) for other, its in uses[:at]):
             yield f"column {index} is named twice; for a log of one axis give gz={index} alone"
 
 
 def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
-    """Yield the problems of one sensor's columns."""
     single = [key + axis for axis in AXES if key + axis in found]
     if key in found and single:
         yield f"{single[0]} is one of the three columns of {key}; name one of them"

@@ -1,4 +1,4 @@
-"""Sets of text tables, one for each sensor, as the apps of phones write them: each file is a topic."""
+"""Sets of text tables from phone apps, one per sensor; each file is a topic."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,21 +12,21 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.names import sensor_of_name
 from imucal.recording import Sensor
 
-#: Names of files without raw samples: estimates by the app, other sensors, notes.
+#: Files without raw samples: estimates, other sensors, notes.
 _LEFT_OUT = re.compile(
     r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
 )
 
-#: Names of files, best first.
+#: Preferred file names, best first.
 _PREFERRED = {
     Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
-    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is with gravity.
+    # Sensor Logger's Accelerometer.csv lacks gravity, TotalAcceleration.csv has it.
     Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
 }
 
 
 class FileHead(NamedTuple):
-    """The start of a text table: its header, the sensors in its columns, and whether there are rows."""
+    """The start of a text table: header, sensors in its columns, and whether there are rows."""
 
     header: str = ""
     sensors: tuple[Sensor, ...] = ()
@@ -34,14 +34,13 @@ class FileHead(NamedTuple):
 
 
 def chosen_files(path: Path, files: Mapping[str, FileHead], options: ReadOptions) -> list[Choice]:
-    """Return the files to read: those that the user names as topics, or one for each sensor.
+    """Return the files to read: those named by the user as topics, or one per sensor.
 
-    A sensor in the name of a file has priority. Raises ChoiceError if several files could be meant, or none
-    fits.
+    Sensors in file names have priority. Raises ChoiceError if several files fit, or none.
     """
     topics = [_topic(name, head, options) for name, head in files.items()]
     if any(sensor_of_name(_stem(topic)) for topic in topics):
-        # A file of several sensors next to one for each repeats their samples.
+        # A file of several sensors repeats the samples of the others.
         topics = [topic if sensor_of_name(_stem(topic)) else replace(topic, plain=True) for topic in topics]
     for sensor in Sensor:
         passed_over = _worse(topics, sensor)
@@ -50,7 +49,7 @@ def chosen_files(path: Path, files: Mapping[str, FileHead], options: ReadOptions
 
 
 def _worse(topics: Sequence[Topic], sensor: Sensor) -> list[Topic]:
-    """Return the files of a sensor next to the one with the best name; none if no name is known."""
+    """Return a sensor's files other than the one with the best name; empty if no name is known."""
     full = [topic for topic in topics if sensor in topic.sensors and topic.count != 0]
     for name in _PREFERRED[sensor]:
         if len(exact := [topic for topic in full if _stem(topic) == name]) == 1:
@@ -64,7 +63,7 @@ def _stem(topic: Topic) -> str:
 
 def _topic(name: str, head: FileHead, options: ReadOptions) -> Topic:
     channel = Channel(key=0, topic=name, type="table", encoding="", count=None if head.has_rows else 0)
-    # The header stands for all columns in a message.
+    # In messages the header replaces the list of columns.
     columns = (Column(head.header, "", "text"),)
     topic = Topic(name=name, type="table", channels=((0, channel),), columns=columns)
     named = sensor_of_name(_stem(topic))

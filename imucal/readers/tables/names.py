@@ -1,4 +1,4 @@
-"""Parse column names: sensor, axis and unit, regardless of position."""
+"""Parse column names: sensor, axis and unit, in any order."""
 
 import re
 from collections.abc import Sequence
@@ -26,9 +26,8 @@ class Role(StrEnum):
 class NamedColumn:
     """A column and its parsed name.
 
-    `words` are the words of the name in small letters, without axis and unit. `axis` is 0, 1, 2 for x, y, z,
-    or the number in a name: then `numbered` is true, and it may start at 1. The unit is spelled as in the
-    table. `cells` are the first cells of the column.
+    `words` are in lower case, without axis and unit. `axis` is 0, 1, 2 for x, y, z; if `numbered`, it is a
+    number that may start at 1. The `unit` is spelled as in the table. `cells` are the first cells.
     """
 
     index: int
@@ -42,35 +41,32 @@ class NamedColumn:
 
     @property
     def filled(self) -> list[str]:
-        """The non-empty cells, without quotation marks."""
+        """The non-empty cells without quotes."""
         return [cell.strip("\"'") for cell in self.cells if cell]
 
     @property
     def is_numeric(self) -> bool:
-        """Whether there are filled cells, and all of them are numbers."""
         return bool(filled := self.filled) and all(map(is_number, filled))
 
     @property
     def counts(self) -> list[int]:
-        """The filled cells as whole numbers; empty if one is not whole."""
+        """The non-empty cells as integers; empty if one is not an integer."""
         filled = self.filled
         return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []
 
     @property
     def sensor(self) -> Sensor | None:
-        """The sensor in the name."""
         return next((sensor for sensor in Sensor if self.role is Role(str(sensor))), None)
 
     def unit_of(self, sensor: Sensor) -> str | None:
-        """Return the unit of a sensor's samples in the name; None if there is none."""
         parsed = parse_sample_unit(self.unit) if self.unit else None
         return parsed[1] if parsed and parsed[0] is sensor else None
 
 
-#: A word of a name: camelCase, capitals, digits.
+#: Words in camelCase, capitals and digits.
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zµμ]+\d*|[A-Z]+\d*|\d+")
 
-#: Units with which T is a temperature.
+#: Units that make T a temperature.
 _DEGREES = frozenset({"°", "º", "â°", "°c", "ºc", "degc", "c", "â°c"})
 
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
@@ -81,7 +77,7 @@ _ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
 
 
 def listed(text: str, mark: str | None = None) -> tuple[str, ...]:
-    """Return the words of a text, or its parts between marks."""
+    """Split a text."""
     return tuple(text.split(mark))
 
 
@@ -93,7 +89,6 @@ def _stems(words: Sequence[str]) -> list[str]:
     return [word.rstrip("0123456789") or word for word in words]
 
 
-#: Words in the names of columns that are not raw samples.
 _REJECTED = _words(
     "cov covariance orientation quat quaternion mag magn compass euler bias biases gravity grav free user "
     "setpoint motor motors motion est estimated delta angle angles attitude position pos pressure baro std "
@@ -103,8 +98,8 @@ _REJECTED = _words(
 )
 _REJECTED_STARTS = listed("quat orient magn euler covar freeacc useracc accura accum deltav")
 
-#: The sensor in a name: the start of a word, a word, two words, or a letter at an end. A first letter counts
-#: only before short words: w_RS_S, not w_heading.
+#: A sensor's words, word starts, pairs or letters. A first letter counts only before short words: w_RS_S, not
+#: w_heading.
 _GYROSCOPE = re.compile(
     r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rot)\b"
     r"|\bang\b.*\bvel\b|\bvel\b.*\bang\b|\b[gw]$|^w( \w{1,2})*$"
@@ -114,13 +109,13 @@ _ACCELEROMETER = re.compile(
     r"|\bspecific\b.*\bforce\b|\bforce\b.*\bspecific\b|\b[af]$|^[af]( \w{1,2})*$"
 )
 
-#: Suffixes after sensor and axis without a meaning here: gx_raw, gx_2.
+#: Meaningless suffixes: gx_raw, gx_2.
 _TRAILING = re.compile(
     r"( (\d+|raw|filt|filtered|filter|lp|lpf|cal|calib|calibrated|corr?|corrected|uncal|uncalibrated|"
     r"meas|measured|data|vals?|values?|imu|sensor|body))+$"
 )
 
-#: Sensor, axis and an optional number in one word: gx, wz, ax, fy, gyrox, xaccel, gx2.
+#: Sensor and axis in one word: gx, fy, gyrox, xaccel, gx2.
 _GLUED = re.compile(
     r"(?:(?P<sensor>g|w|a|f|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
     r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz])"
@@ -134,7 +129,6 @@ _TIME_WORDS = _words(
     "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
     "utc ustime mstime nstime ts yyyy sow gpst millisecond milliseconds microsecond microseconds"
 )
-#: Names of columns of steps from sample to sample.
 STEPS = (("dt",), ("delta", "t"), ("delta", "time"))
 _NOT_TIME = _words("dt delta relative offset flags flag exposure zone type id duration")
 _COUNTER_WORDS = _words(
@@ -142,7 +136,7 @@ _COUNTER_WORDS = _words(
 )
 _NOT_COUNTER = _words("id type rate satellites sats gps")
 
-#: Last word of a name -> unit, in addition to the units of samples.
+#: Last word -> unit, in addition to units of samples.
 _UNIT_TAILS = {
     **{word: word for word in _words("ns us ms s sec usec msec nsec degc")},
     "rad": "rad/s",
@@ -151,7 +145,7 @@ _UNIT_TAILS = {
 
 
 def plain_name(header: str) -> str:
-    """Return the name of a column for comparison: in small letters, without marks around it."""
+    """Return a column name in lower case, without quotes and comment marks."""
     return header.strip().strip("\"'\ufeff").lstrip("#%").strip().lower()
 
 
@@ -165,9 +159,8 @@ def parse_column(
 ) -> NamedColumn:
     """Parse the name of a column.
 
-    A `unit` from a row of units overrides one in the name. `context` contains the names of the table's other
-    columns in small letters: ``alpha_x`` is an acceleration only together with ``omega_x``, and p, q, r are
-    rates only together.
+    A `unit` from a row of units overrides one in the name. `context` contains the lower-case names of all
+    columns: ``alpha_x`` is an acceleration only together with ``omega_x``; p, q, r are rates only together.
     """
     shown = header.strip().strip("\ufeff").strip()
     text = shown.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
@@ -189,7 +182,6 @@ def parse_column(
 
 
 def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
-    """Remove units and numbers in brackets from a name; an axis in brackets becomes a word."""
     unit: str | None = None
     index: int | None = None
     for match in _BRACKETS.finditer(text):
@@ -205,7 +197,7 @@ def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
 
 
 def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
-    """Remove the axis from the words of a name; also return the index of the word after it."""
+    """Remove the axis from the words; also return the index of the word after it."""
     for at in reversed(range(len(words))):
         if words[at] in _AXES:
             return words[:at] + words[at + 1 :], _AXES[words[at]], at
@@ -227,7 +219,7 @@ def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
 def _classify(
     words: list[str], axis: int | None, unit: str | None, *, place: int, omega: bool
 ) -> tuple[Role, list[str], str | None]:
-    """Return the role, the remaining words and the unit of a name with its axis before word `place`."""
+    """Return role, remaining words and unit of a name whose axis was before word `place`."""
     if unit is None:
         for size in (3, 2, 1):
             tail = " ".join(words[-size:]) if len(words) > size else ""
@@ -236,7 +228,7 @@ def _classify(
             if spelled is None:
                 continue
             role = _role(words[:-size], axis, omega=omega)
-            # The sensor comes before the axis, the unit after it: imu1_gx is no acceleration in g.
+            # A unit follows the axis: imu1_gx is not an acceleration in g.
             if role is Role.VECTOR and len(words) - size < place:
                 continue
             agreed = _agreed(role, spelled)
@@ -247,7 +239,6 @@ def _classify(
 
 
 def _agreed(role: Role, unit: str) -> Role | None:
-    """Return the role of a name with a unit; None if they contradict each other."""
     sample = parse_sample_unit(unit)
     if role is Role.VECTOR:
         return Role(str(sample[0])) if sample else Role.OTHER
@@ -277,24 +268,21 @@ def _role(words: list[str], axis: int | None, *, omega: bool) -> Role:
 
 
 def _rejects(stems: Sequence[str], sensor: Sensor | None = None) -> bool:
-    """Return whether words exclude raw samples of a sensor."""
     rejected = _REJECTED - {"vel", "velocity"} if sensor is Sensor.GYROSCOPE else _REJECTED
     return any(stem in rejected or stem.startswith(_REJECTED_STARTS) for stem in stems)
 
 
 def is_of_something_else(column: NamedColumn) -> bool:
-    """Return whether a name excludes raw samples; an unknown name does not."""
+    """Return whether a name excludes raw samples; unknown names do not."""
     return _rejects(_stems(column.words))
 
 
 def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
-    """Return the sensor in some words; None unless there is exactly one."""
     text = _TRAILING.sub("", " ".join(stems))
     return _either(_GYROSCOPE.search(text), _ACCELEROMETER.search(text) or (omega and "alpha" in stems))
 
 
 def _either(gyro: object, accel: object) -> Sensor | None:
-    """Return the sensor whose argument is true; None if both or neither are."""
     if bool(gyro) == bool(accel):
         return None
     return Sensor.GYROSCOPE if gyro else Sensor.ACCELEROMETER
@@ -307,6 +295,6 @@ def _is_time(words: list[str]) -> bool:
 
 
 def sensor_of_name(name: str) -> Sensor | None:
-    """Return the sensor in the name of a file or the tag of a row; None if there is none."""
+    """Return the sensor in a file name or a row's tag, or None."""
     plain = name.lower()
     return _either(re.search(r"gyr|angular|rotation_?rate", plain), re.search(r"acc(?!u)", plain))

@@ -1,7 +1,4 @@
-"""NumPy's NPZ files: arrays in a zip archive, read part by part, in temporary files if they are large.
-
-`numpy.load` would hold a whole day of samples in memory, and copy it if it were read in a child process.
-"""
+"""NumPy's NPZ files, read part by part, because `numpy.load` would hold them in memory."""
 
 import math
 import zipfile
@@ -19,10 +16,10 @@ _SUFFIX = ".npy"
 
 
 def npz_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the arrays of an NPZ file by name, and those of Python objects, which are not loaded.
+    """Return the arrays of an NPZ file by name, and the names of Python objects, which are not loaded.
 
-    Raises ReadError if a temporary file has no space, and ValueError or an error of `zipfile` if a member is
-    damaged or declares more bytes than it contains.
+    Raises ReadError if the disk is full, ValueError or an error of `zipfile` for a damaged member or one that
+    is shorter than declared.
     """
     arrays: dict[str, NDArray[Any]] = {}
     objects: dict[str, str] = {}
@@ -41,14 +38,13 @@ def npz_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
                     declared = f"declares {n * dtype.itemsize} bytes and contains {held}"
                     raise ValueError(f"{info.filename} {declared}")
                 flat = allocated(n, dtype, 0 if large else held)
-                # `zipfile` checks the checksum at the end.
+                # `zipfile` verifies the checksum at the end.
                 fill(flat.view(np.uint8), member)
             arrays[name] = flat.reshape(shape, order="F" if fortran else "C")
     return arrays, objects
 
 
 def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, order and type of an array, from the header in front of it."""
     first = np.lib.format.read_magic(member) == (1, 0)
     read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(member)

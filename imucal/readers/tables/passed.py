@@ -1,6 +1,6 @@
-"""Arrays that a child process reads, passed to its parent in a file, part by part.
+"""Pass arrays from a child process to its parent in a file, part by part.
 
-An answer through a pipe would hold all arrays in both processes, and twice in each.
+A pipe would need all arrays in both processes, twice in each.
 """
 
 import math
@@ -15,15 +15,15 @@ from imucal.arrays import release
 from imucal.readers.store import allocated
 from imucal.resources import column_limit
 
-#: Bytes of an array that are read and written at a time.
+#: Bytes read and written at a time.
 PIECE = 1 << 24
 
-#: The name of an array, the axis along which it is cut, and its parts, which have that axis first.
+#: Name of an array, the axis along which it is cut, and its parts with that axis first.
 Part: TypeAlias = tuple[str, int, Iterable[NDArray[Any]]]
 
 
 class _Place(NamedTuple):
-    """An array in the file: the place of its first byte, its shape with the cut axis first, and that axis."""
+    """An array in the file: first byte, shape with the cut axis first, type, and that axis."""
 
     start: int
     shape: tuple[int, ...]
@@ -31,12 +31,12 @@ class _Place(NamedTuple):
     axis: int
 
 
-#: The arrays by name: each is in the file, or here if it is a scalar or contains objects.
+#: Arrays by name: in the file, or the array itself for scalars and objects.
 Passed: TypeAlias = dict[str, _Place | NDArray[Any]]
 
 
 def written(parts: Iterable[Part], target: Path) -> Passed:
-    """Write arrays to a file; in the child."""
+    """Write arrays to a file; runs in the child."""
     found: Passed = {}
     with target.open("wb") as file:
         for name, axis, pieces in parts:
@@ -52,7 +52,7 @@ def written(parts: Iterable[Part], target: Path) -> Passed:
 
 
 def taken(found: Passed, source: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file that `written` wrote, in temporary files if they are large."""
+    """Return the arrays written by `written`, in temporary files if they are large."""
     large = source.stat().st_size > column_limit()
     arrays: dict[str, NDArray[Any]] = {}
     with source.open("rb", buffering=0) as file:
@@ -69,7 +69,7 @@ def taken(found: Passed, source: Path) -> dict[str, NDArray[Any]]:
 
 
 def fill(target: NDArray[np.uint8], file: Any) -> None:  # noqa: ANN401 - anything with `readinto`
-    """Read the bytes of an array; raises ValueError if the file ends before."""
+    """Read an array's bytes; raises ValueError if the file ends early."""
     for start in range(0, target.size, PIECE):
         piece = target[start : start + PIECE]
         at = 0

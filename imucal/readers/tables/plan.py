@@ -1,7 +1,6 @@
-"""Choose the columns to read from a table: sensors, times and temperature, with the reasons.
+"""Choose the columns to read from a table by name: sensors, times and temperature, with the reasons.
 
-Columns are chosen by name. A text column or the file name may name the sensor of a row. If a sensor was not
-found, a finding lists the columns that were not read.
+A text column or the file name may contain the sensor. Findings report missing sensors and unused columns.
 """
 
 import re
@@ -33,40 +32,36 @@ from imucal.readers.tables.names import (
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns, why_no_time
 from imucal.recording import AXES, Sensor
 
-#: The columns of each sensor found, gyroscope first.
 Found: TypeAlias = dict[Sensor, Triad]
 
-#: Names of a message's two clocks, which are not columns of a table.
 _CLOCKS = ("header", "log")
 
-#: Reason for columns found without tags and without the file name.
 _BY_NAME = "by name"
 
-#: Names of columns with the device or the sensor of each row.
+#: Columns with the device or sensor of each row.
 _INSTANCE = listed(
     "i instance imu imu_id sensor sensor_id sensorid device device_id dev source src id unit_id topic frame "
     "frame_id child_frame_id name tag type stream channel"
 )
 
-#: Tag of the gyroscope's rows -> tag of the accelerometer's rows.
+#: Tag of gyroscope rows -> tag of accelerometer rows.
 _PARTNERS = {
     case(gyro): case(accel)
     for gyro, accel in (("gyro", "accel"), ("gyroscope", "accelerometer"), ("gyr", "acc"))
     for case in (str.lower, str.capitalize, str.upper)
 }
 
-#: Most columns listed in a message, and most columns texts proposed in it.
+#: Most columns, and most columns texts, in a message.
 _LISTED, _SHOWN = 12, 4
-#: Most different texts in a column of sensor names.
+#: Most different tags in a column.
 _MOST_TAGS = 8
 
 
 @frozen
 class SensorPlan:
-    """The columns of one sensor: its axes, its stamps and the time of recording.
+    """The columns of one sensor.
 
-    `stated` is the unit of the samples in the header or the dialect; None if there is none. `untimed` is the
-    reason why there is no time.
+    `stated` is the unit in the header or the dialect, or None. `untimed` is the reason for a missing time.
     """
 
     triad: Triad
@@ -78,9 +73,9 @@ class SensorPlan:
 
 @frozen
 class TablePlan:
-    """The columns to read from a table, gyroscope first, and the reason for each choice.
+    """The columns to read from a table, gyroscope first, and the reasons.
 
-    `temperature` is the index of its column; `findings` report missing sensors or axes.
+    `temperature` is a column index; `findings` report missing sensors or axes.
     """
 
     sensors: tuple[SensorPlan, ...]
@@ -91,15 +86,14 @@ class TablePlan:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Names of the sensors' columns."""
         return tuple(header for sensor in self.sensors for header in sensor.triad.headers)
 
 
 def make_plan(table: NamedTable, options: ReadOptions, *, name: str = "", shape: str = "") -> TablePlan:
     """Choose the columns of a table from their names and first cells.
 
-    `name`, of the file or the table, may contain the sensor. `shape` describes the columns in messages.
-    Raises ChoiceError if the choice is not clear; the message lists the columns.
+    The `name` of the file or table may contain the sensor; `shape` describes the columns in messages. Raises
+    ChoiceError with a list of the columns if the choice is ambiguous.
     """
     name = name or PurePath(table.path).name
     if options.columns is None:
@@ -123,7 +117,7 @@ def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> 
     if not triads:
         found, reason = find_bare_triads(table, name)
     if not found:
-        # Single axes only count without any triad: next to a complete gyroscope, az may be an azimuth.
+        # Use single axes only without any triad: next to a complete gyroscope, az may be an azimuth.
         found, reason = _each(partial(_single_axes, table)), _BY_NAME
     if not found:
         raise _nothing_found(table, shape)
@@ -144,7 +138,6 @@ def _plan(
     *,
     time: TimeChoice | None = None,
 ) -> TablePlan:
-    """Return the plan for the columns of sensors; without a common `time`, each has its own time column."""
     decisions, sensors = [], []
     for triad in triads:
         shown = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
@@ -162,7 +155,6 @@ def _plan(
 
 
 def _each(find: Callable[[Sensor], Triad | None]) -> Found:
-    """Return the columns that `find` returns for each sensor, gyroscope first."""
     return {sensor: triad for sensor in Sensor if (triad := find(sensor)) is not None}
 
 
@@ -174,7 +166,7 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
     if options.time == "log":
         return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
-        # Prefer stamps even if they are constant: the clock then reports it and uses log time.
+        # Prefer stamps even if constant: the clock then reports it and uses log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
@@ -190,7 +182,6 @@ def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[T
 
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
-    """Return the error for a table without a complete triad."""
     single = [f"{c.header} ({c.role})" for c in table.columns if c.sensor]
     if not any(column.header for column in table.columns):
         problem = f"the {len(table.columns)} columns have no names"
@@ -202,7 +193,7 @@ def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
 
 
 def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield sets of columns of some roles, by axis; the names in a set differ only in the axis.
+    """Yield sets of columns by axis; the names in a set differ only in the axis.
 
     Raises ChoiceError if two columns have the same axis.
     """
@@ -222,7 +213,7 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
 
 
 def _whole(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield the sets of exactly x, y and z; longer sets, such as a matrix or a quaternion, are skipped."""
+    """Yield sets of exactly x, y, z; skip matrices and quaternions."""
     names = {plain_name(column.header) for column in table.columns}
 
     def has_w(column: NamedColumn) -> bool:
@@ -233,14 +224,14 @@ def _whole(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
 
 
 def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
-    """Return every complete x, y, z of a sensor, in the order of the table; second choices last.
+    """Return every complete triad, preferred ones first.
 
-    Vectors without a sensor (bare x, y, z) are excluded. Raises ChoiceError for two columns with the same
-    name, and for different units in a triad unless the caller gave the unit.
+    Bare x, y, z are excluded. Raises ChoiceError for duplicate names, and for different units in a triad
+    unless the caller gave the unit.
     """
     triads = [Triad.of(Sensor(str(axes[0].role)), axes) for axes in _whole(table, *map(Role, Sensor))]
     for triad in triads:
-        # A unit in one name holds for all axes: wx(rad/s), wy, wz.
+        # A unit in one name applies to all axes: wx(rad/s), wy, wz.
         if triad.sensor not in units_given and len({*triad.units} - {None}) > 1:
             named = zip(triad.headers, triad.units, strict=True)
             shown = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
@@ -251,7 +242,7 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
             raise refused(table.path, text, ChoiceError)
 
     def is_linear(triad: Triad) -> bool:
-        # Phones give linear acceleration without gravity.
+        # Phones provide linear acceleration without gravity.
         header = triad.headers[0].lower().lstrip("\"'")
         return triad.sensor is Sensor.ACCELEROMETER and header.startswith("lin")
 
@@ -261,7 +252,7 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
 
 
 def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
-    """Return the single axes of a sensor without a complete triad, such as a gyroscope about z.
+    """Return the axes of a sensor without a complete triad, such as gz alone.
 
     None if axes are numbered, have different units or belong to several sets.
     """
@@ -273,7 +264,6 @@ def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
 
 
 def _pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | None:
-    """Return the only triad of a sensor, or None; raises ChoiceError if there are several."""
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return next(iter(found), None)
@@ -301,15 +291,15 @@ def _pairs(triads: Sequence[Triad]) -> Sequence[tuple[Triad, ...]]:
 
 
 def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()) -> int | None:
-    """Return the index of the temperature column nearest to the sensors' columns."""
+    """Return the temperature column nearest to the sensors' columns."""
     indices = [column.index for column in columns if column.role is Role.TEMPERATURE]
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
-    """Return the sensors of bare columns x, y, z, and the reason: tags, or the file name.
+    """Return the sensors of bare columns x, y, z, and the reason: tags or the file name.
 
-    Empty if there are no such columns. Raises ChoiceError if neither tags nor the file name give the sensor.
+    Empty without such columns. Raises ChoiceError if the sensor is unknown.
     """
     axes = next(_whole(table, Role.VECTOR), None)
     if axes is None:
@@ -336,7 +326,6 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
 def _several_rows(
     table: NamedTable, triads: dict[Sensor, Triad], tags: dict[Sensor, list[str]]
 ) -> ColumnsError:
-    """Return the error for rows of several sensors of a kind, with a columns text for each."""
     texts = []
     for k in range(max(map(len, tags.values()))):
         rows = {sensor: names[min(k, len(names) - 1)] for sensor, names in tags.items() if names}
@@ -357,11 +346,10 @@ def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
 
 
 def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
-    """Restrict columns found by name to the rows of their sensor, if a text column names it.
+    """Restrict columns to the rows of their sensor, if a text column contains it.
 
-    The accelerometer's rows may use columns that the header names for the gyroscope, and vice versa. Also
-    returns the reason for the rows, empty if all rows are used. Raises ChoiceError if rows of several
-    sensors can't be separated; the message explains how to choose.
+    The header may name the columns for the other sensor. Also returns the reason, empty if all rows are used.
+    Raises ChoiceError if rows of several sensors can't be separated.
     """
     for column in table.columns:
         texts = [] if column.role is Role.TIME else sorted({*column.filled})
@@ -376,7 +364,6 @@ def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
 def _in_rows(
     table: NamedTable, found: Found, sensor: Sensor, *, column: NamedColumn, tags: dict[Sensor, list[str]]
 ) -> Triad | None:
-    """Return the columns of a sensor in the rows with its `tags`; None if there are none."""
     names, triad = tags[sensor], found.get(sensor)
     if triad is None and names:
         # The header names these columns for the other sensor, so its unit does not apply.
@@ -394,9 +381,9 @@ def _in_rows(
 
 
 def _refuse_instances(table: NamedTable, found: Found) -> None:
-    """Refuse rows of several sensors in one table: the column I of ArduPilot's IMU message."""
+    """Raise ChoiceError for rows of several sensors, as in ArduPilot's IMU message."""
     samples = next(iter(found.values())).columns[0].cells
-    # Compare the last part of a name: frame_id of header.frame_id.
+    # Compare the last part: frame_id of header.frame_id.
     columns = [c for c in table.columns if plain_name(c.header).rpartition(".")[2] in _INSTANCE]
     for column in columns:
         pairs = zip(column.cells, samples, strict=False)
@@ -415,10 +402,9 @@ def _refuse_instances(table: NamedTable, found: Found) -> None:
 
 
 def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
-    """Return a finding if a sensor or an axis was not found and numeric columns are unused.
+    """Return findings for missing sensors or axes if numeric columns are unused.
 
-    Unused columns x, y or z may belong to the sensor: they cause a warning that explains how to name them.
-    Other columns are listed in a remark.
+    Unused columns x, y, z cause a warning that explains how to choose them; others cause an info.
     """
     used = {index for triad in found.values() for index in triad.indices}
     left = [column for column in table.columns if column.index not in used and _may_be_samples(column)]
@@ -445,7 +431,7 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
 
 
 def _only_axes(table: NamedTable, left: Sequence[NamedColumn], sensor: Sensor) -> Triad | None:
-    """Return the only x, y, z of unused columns, or single axes of a sensor; None if there are several."""
+    """Return the only x, y, z in unused columns, or single axes of a sensor; otherwise None."""
     rest = replace(table, columns=tuple(left))
     with suppress(ChoiceError):
         sets = _families(rest, Role.VECTOR, Role.OTHER, Role(str(sensor)))
@@ -455,7 +441,6 @@ def _only_axes(table: NamedTable, left: Sequence[NamedColumn], sensor: Sensor) -
 
 
 def _may_be_samples(column: NamedColumn) -> bool:
-    """Return whether a column contains numbers and its name does not exclude samples."""
     counts = column.role is Role.COUNTER and column.counts
     if counts or column.role in {Role.TIME, Role.TEMPERATURE} or is_of_something_else(column):
         return False

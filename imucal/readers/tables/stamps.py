@@ -1,7 +1,4 @@
-"""Time in a table: choose a sensor's time columns, find their unit and convert them to ns.
-
-Includes joined columns, counters that wrap, texts, and units inferred from the steps.
-"""
+"""Time in a table: choose a sensor's time columns, find their unit and convert them to ns."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -28,17 +25,16 @@ from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 _SECOND = 10**9
 
-#: Counts examined for the usual step, at each of three places.
+#: Counts examined for the usual step, at up to three places.
 _LOOKED_AT = 1 << 20
 
-#: A column of counts or values.
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
 
 
 def pair_stamps(
     coarse: Numbers, fine: Numbers, ns: int | None, room: Room, *, text: bool = False
 ) -> IntArray:
-    """Return times in ns from whole seconds, or times as `text`, and a column of finer counts of `ns` ns.
+    """Return ns from whole seconds, or times as `text`, and finer counts of `ns` ns.
 
     Without a unit the largest count determines it. Fine counts above a second are complete times.
     """
@@ -52,7 +48,7 @@ def pair_stamps(
 
 
 def text_stamps(columns: Sequence[IntArray], room: Room) -> IntArray:
-    """Return times in ns from the texts of dates and times in one column, or of dates, times, AM and PM."""
+    """Return ns from parsed texts: one column, or dates, times, and optionally AM and PM."""
     if len(columns) == 1:
         return rolled(columns[0], DAY, room)
     date, time, *half = columns
@@ -76,10 +72,10 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
 
 
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
-    """Return counts without the wraps of a counter of 8, 16, 24 or 32 bits, and the number of wraps.
+    """Return counts without wraps at 8, 16, 24 or 32 bits, and the number of wraps.
 
-    A step back is a wrap only from near the counter's end to near its start; other steps back, such as a
-    restart of the logger, stay.
+    A wrap goes from near the end of the range to near its start; other steps back, such as a restart of the
+    logger, stay.
     """
     if counts.size < 2:
         return counts, 0
@@ -92,7 +88,7 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
         if highest >= period:
             continue
         if not usual:
-            # The median of forward steps; in long logs at the start, in the middle and at the end.
+            # Median of forward steps; for long logs from the start, the middle and the end.
             starts = (0, counts.size // 2, counts.size - _LOOKED_AT) if counts.size > 3 * _LOOKED_AT else (0,)
             length = _LOOKED_AT if len(starts) > 1 else counts.size
             steps = np.concatenate([np.diff(counts[start : start + length]) for start in starts])
@@ -106,7 +102,7 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
 
 
 def _places(values: IntArray, above: int, most: int) -> IntArray:
-    """Return the indices after steps larger than `above` and not larger than `most`."""
+    """Return the indices after steps in (`above`, `most`]."""
     found = []
     for part in blocks(values.size - 1, values):
         steps = np.diff(values[part.start : part.stop + 1])
@@ -116,8 +112,6 @@ def _places(values: IntArray, above: int, most: int) -> IntArray:
 
 
 def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntArray:
-    """Return values with a period added from each index in `turns` on."""
-
     def of(part: slice) -> IntArray:
         before, stop = np.searchsorted(turns, [part.start, part.stop])
         added = np.zeros(part.stop - part.start, dtype=np.int64)
@@ -130,9 +124,9 @@ def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntAr
 
 
 def to_ns(values: Numbers, ns: int, room: Room) -> IntArray:
-    """Return times counted in units of `ns` ns as int64 ns, shape (n,).
+    """Return counts of `ns` ns as int64 ns, shape (n,).
 
-    Integers stay exact. Floats are split first, so that they keep their resolution.
+    Integers stay exact; floats are split into whole and fraction to keep their resolution.
     """
     start = 0
     if values.dtype.kind == "i":
@@ -159,8 +153,8 @@ def _ns_of(values: Numbers, ns: int) -> IntArray:
 def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
     """Return the most plausible unit of an IMU's times, and all units that fit.
 
-    A unit fits if the rate is between 1 Hz and 20 kHz. If several fit, the size of a time since 1970
-    decides; if that does not help, the unit is None.
+    A unit fits if the rate is between 1 Hz and 20 kHz. If several fit, the magnitude of a time since 1970
+    decides; otherwise the unit is None.
     """
     rates = rates_by_unit(values)
     if not rates:
@@ -174,19 +168,19 @@ def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
 
 
 def rates_by_unit(values: Numbers) -> dict[str, float]:
-    """Return the rate in Hz for each unit of times; empty if times do not increase."""
+    """Return the rate in Hz for each unit; empty if times do not increase."""
     step = typical_step(values)
     return {unit: 1e9 / (step * ns) for unit, ns in TIME_UNITS_NS.items()} if step > 0 else {}
 
 
 def typical_step(values: Numbers) -> float:
-    """Return the sampling period in counts, from the first values; 0 if they do not increase."""
+    """Return the sampling period in counts from the first values; 0 if they do not increase."""
     head = values[:20_000]
     since = head - head[:1]
     span = float(np.ptp(since)) if since.size else 0.0
     if not 0 < span < np.inf:
         return 0.0
-    # Whole numbers of as many digits as a float holds; the unit is not known, a usual step is about 10 ms.
+    # Scale to integers without exceeding a float's digits; a usual step is about 10 ms in an unknown unit.
     steps = np.abs(np.diff(since))
     digits = min(15 - np.ceil(np.log10(span)), np.rint(7 - np.log10(median(steps[steps > 0]))))
     scale = 1.0 if values.dtype.kind == "i" else 10.0**digits
@@ -198,20 +192,18 @@ def typical_step(values: Numbers) -> float:
 
 
 TimeKind: TypeAlias = Literal["ns", "stamp", "pair", "text", "counter"]
-#: Descriptions of some kinds.
 _KINDS = {"ns": "complete time stamps", "text": "date and time"}
 
-#: Time as text: dates with times in one column, or dates, times and optional AM or PM in several.
 _TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
 
-#: Words for the sensor that stamped the sample.
+#: Words that name the sensor of a time.
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
 _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
-#: Range of seconds since 1970 or 1980.
+#: Seconds since 1970 or 1980.
 _EPOCH = (5e8, 4e9)
 
-#: Words of columns of hours or minutes, and of columns that restart every hour or minute next to them.
+#: Columns of hours or minutes, and columns that restart with them.
 _DATED = frozenset({"hour", "hours", "minute", "minutes"})
 _RESTARTED = frozenset(
     {"minute", "minutes", "min", "second", "seconds", "sec"}
@@ -220,12 +212,12 @@ _RESTARTED = frozenset(
 
 
 def _points(text: str) -> dict[str, int]:
-    """Return the words of a text's lines, each with the number at the start of its line."""
+    """Return word -> number at the start of its line."""
     lines = (line.split() for line in text.strip().splitlines())
     return {word: int(points) for points, *words in lines for word in words}
 
 
-#: Word of a name -> preference; the largest counts.
+#: Word -> preference; the largest counts.
 _PREFERENCE = _points("""
 75 stamp timestamp realtime
 65 time chiptime
@@ -234,10 +226,9 @@ _PREFERENCE = _points("""
 55 uptime elapsed
 50 tick ticks
 """)
-#: Preference of a time whose name has none of these words.
 _UNKNOWN = 40
 
-#: Word of a name -> bonus; times from the logging computer are a worse choice.
+#: Word -> bonus; times of the logging computer are less accurate.
 _BONUS = _points("""
 -40 log logging host receive received recv
 -30 rosbag
@@ -253,13 +244,12 @@ _BONUS = _points("""
 
 @frozen
 class TimeChoice:
-    """The time of a sensor's samples: the indices of its columns, and its name in the log.
+    """The time of a sensor's samples: indices of its columns, and its name in the log.
 
-    ``ns`` is stamps in ns; ``pair`` seconds, or a text, and a finer column; ``text`` dates or times of day,
-    in one column or in columns of dates, times and perhaps AM and PM; ``counter`` a count of samples. `ns`
-    per count (of the finer column) is None if the data determine it; `ns_source` describes its source. Dates
-    with the year last begin with the month, or with the day if `by_day`. If the cells do not decide
-    (`open_date`), the month is assumed.
+    `kind`: ``ns`` are stamps in ns; ``pair`` is seconds (or a text) with a finer column; ``text`` is dates
+    and times in one or several columns; ``counter`` counts samples. `ns` per count (of the finer column) is
+    None if the data determine it; `ns_source` is its source. Dates with the year last begin with the month,
+    or with the day if `by_day`; if the cells do not decide (`open_date`), the month is assumed.
     """
 
     kind: TimeKind
@@ -272,15 +262,14 @@ class TimeChoice:
 
     @property
     def words(self) -> str:
-        """Description of the time's interpretation."""
         words = self.ns_source if self.kind == "pair" else _KINDS.get(self.kind, "stamps")
         return words + (", read as month, day, year" if self.open_date else "")
 
 
 def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
-    """Return the possible times of a sensor's samples in a table, best first.
+    """Return the possible times of a sensor's samples, best first.
 
-    Stamps come before counters. Columns that are empty or constant in the first rows come last.
+    Stamps precede counters; empty or constant columns come last.
     """
     columns = _parts_of_dates(table)[1]
     found = _pairs(columns)
@@ -298,7 +287,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
-    """Return the time in one column, in a coarse and a finer column, or in a date and a time of day.
+    """Return the time in one column, in a coarse and a finer one, or in a date and a time of day.
 
     Raises ChoiceError if the columns are not a time.
     """
@@ -324,7 +313,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
 
 
 def why_no_time(table: NamedTable) -> str:
-    """Return why a table with times has no usable time column, and what to do; empty if it has no times."""
+    """Return why times in a table can't be used, and advice; empty if there are none."""
     if parts := _parts_of_dates(table)[0]:
         shown = ", ".join(column.header for column in parts)
         return f"{shown}: parts of a date; write date and time in one column, such as 2026-11-22 10:00:00.01"
@@ -332,20 +321,19 @@ def why_no_time(table: NamedTable) -> str:
 
 
 def _steps(columns: Sequence[NamedColumn]) -> str:
-    """Return what to do with a column of steps from sample to sample; empty if there is none."""
     header = next((column.header for column in columns if column.words in STEPS), "")
     return header and f"{header} contains steps, not times; write their running sum in a column time"
 
 
 def _parts_of_dates(table: NamedTable) -> tuple[list[NamedColumn], list[NamedColumn]]:
-    """Return the columns of minutes, and of seconds within a minute, and the other columns."""
+    """Return the columns that restart every hour or minute, and the other columns."""
     dated = any(_DATED.intersection(column.words) for column in table.columns)
     parts = [column for column in table.columns if dated and _RESTARTED.intersection(column.words)]
     return parts, [column for column in table.columns if column not in parts]
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
-    """Return the time in the column named by the user; raises ChoiceError if it is missing or not a time."""
+    """Return the time in the user's columns; raises ChoiceError if they are missing or not a time."""
     try:
         indices = [table.index_of(part) for part in name.split("+")]
     except ValueError as error:
@@ -355,7 +343,6 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
 
 
 def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source: str = "") -> TimeChoice:
-    """Return the time in some columns; for texts, with the order of day and month."""
     order = day_first(columns[0].cells) if kind in {"text", "pair"} else False
     return TimeChoice(
         kind=kind,
@@ -369,7 +356,6 @@ def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source
 
 
 def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
-    """Return the time in one column of numbers or texts; None if most cells are neither."""
     filled = column.filled
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
         ns, source = _unit(column, table.dialect)
@@ -379,7 +365,6 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
 
 
 def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | None, str]:
-    """Return the ns per count from the dialect or the name of a column, and which of them was used."""
     name = plain_name(column.header)
     if dialect is not None and (ns := dict(dialect.time_ns).get(name)) is not None:
         return ns, f"as in logs of {dialect.name}"
@@ -387,20 +372,18 @@ def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | No
         return 100_000, "as in logs of Xsens"
     if "sow" in column.words:
         return _SECOND, "seconds of the week"
-    # Words of several letters may be units, also with a suffix such as ustime.
+    # Units have at least two letters, perhaps with a suffix such as ustime.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
     ns = _spelled_ns(column.unit or "", *words)
     return ns, "from the column header" if ns else ""
 
 
 def _spelled_ns(*words: str) -> int | None:
-    """Return the ns of the first word that is a unit of time."""
     unit = next(filter(None, map(parse_time_unit, words)), None)
     return TIME_UNITS_NS[unit] if unit else None
 
 
 def _score(column: NamedColumn, sensor: Sensor) -> float:
-    """Return the preference of a time from its words, its sensor, its unit and its filled cells."""
     words = column.words
     owners = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
     if owners and sensor not in owners:
@@ -416,20 +399,20 @@ def _score(column: NamedColumn, sensor: Sensor) -> float:
 
 
 def _with_cells(score: float, filled: Sequence[str]) -> float:
-    """Return the score corrected for the filled cells of a time; constant cells make it the last choice."""
+    """Adjust a preference by the cells; a constant time is the last choice."""
     if not filled:
         return score
-    # Numbers are better than dates, and ns since 1970 best.
+    # Prefer numbers to dates, and ns since 1970 to other numbers.
     score -= 0 if is_number(filled[0]) else 30
     digits = [cell.lstrip("+-") for cell in filled]
-    # Times coarser than the sampling period are worse.
+    # Times coarser than the sampling period repeat.
     score -= 20 if 2 * len(set(filled)) < len(filled) else 0
     score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
     return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
 
 
 def _pairs(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
-    """Return whole seconds with a finer column whose name differs only in the unit.
+    """Return pairs of whole seconds and a finer column; their names differ only in the unit.
 
     A column named only by a unit belongs to the only column of seconds.
     """
@@ -454,14 +437,13 @@ def _pairs(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
 
 
 def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
-    """Return whether cells are whole seconds: counts of that unit or size, or texts, with many repeats."""
+    """Return whether cells are whole seconds, by unit or magnitude, or texts that mostly repeat."""
     if counts:
         return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
     return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))
 
 
 def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
-    """Return the time in whole seconds, or a text, and a finer column."""
     ns = _spelled_ns(fine.unit or "", *fine.words)
     beside = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
     text = any(map(is_text_stamp, coarse.filled))

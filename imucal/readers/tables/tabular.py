@@ -1,7 +1,4 @@
-"""Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided.
-
-A clock is made of the time's columns, or of a counter and a rate.
-"""
+"""Columns of numbers -> Recording: units, stamps, clocks, temperature, and the reasons of decisions."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -42,29 +39,29 @@ from imucal.readers.tables.stamps import (
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS
 
-#: A unit is that of a time where it gives the rate that the user gave, within this share.
+#: Largest relative difference between the given rate and the rate in a time unit.
 _AS_GIVEN = 0.1
 
 _SECOND = 10**9
 
-#: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
+#: No sensor has a higher rate, in Hz; largest time in 64 bits, in ns (about 30 years).
 _FASTEST, _LONGEST_NS = 1e6, 1e18
 
-#: Where the rate is asked for, the unit is judged by the noise at the slowest that IMUs are logged at, in Hz.
+#: Slowest usual rate of IMUs, in Hz: used to guess units from the noise while the rate is unknown.
 _SLOWEST = 10.0
 
-#: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
+#: Above this share of repeated rows, the sensor is slower than the log; below, samples were sent twice.
 _SENT_TWICE = 0.1
 
 
 @frozen_alone
 class SensorColumns:
-    """The columns of one sensor, as read, shape (n,) each.
+    """The columns of one sensor as read, shape (n,) each, in units of the log.
 
-    The axes are in the unit of the log; `time` and `log_time` are the columns of the plan's times, empty
-    where there are none. Of a `sparse` sensor the rows without any value belong to other sensors; where some
-    rows were left out, `rows_left` tells which from others. `table` names the table if a log has several, and
-    `source` the time. A sample was sent twice if all values in `compared` repeat too (None: in the axes).
+    `time` and `log_time` are the columns of the plan's times, or empty. If `sparse`, rows without values
+    belong to other sensors. `rows_left` is a hash of the rows kept. `table` is a name if the log has several
+    tables, `source` describes the time. Rows are duplicates if all values in `compared` repeat (None: the
+    axes).
     """
 
     plan: SensorPlan
@@ -79,7 +76,6 @@ class SensorColumns:
     compared: Sequence[FloatArray] | None = None
 
     def rows(self, keep: BoolArray, room: Room) -> "SensorColumns":
-        """Return the rows of the columns where `keep` is true."""
         temperature = [] if self.temperature is None else [self.temperature]
         lists: list[Sequence[Any]] = [self.axes, self.time, self.log_time, temperature, self.compared or ()]
         axes, time, log_time, heat, others = ([room.chosen(row, keep) for row in one] for one in lists)
@@ -94,10 +90,10 @@ class SensorColumns:
 
 
 def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
-    """Return the clock of a sensor's samples from the columns of its times, or from a counter and a rate.
+    """Return the clock of a sensor's samples from its time columns, or from a counter and a rate.
 
-    A ChoiceError if the unit of the time is open, or there is neither time nor rate; a DataError if no rate
-    can be measured.
+    Raises ChoiceError if the time unit is ambiguous, or time and rate are missing; DataError if no rate can
+    be measured.
     """
     plan, unit = columns.plan, work.options.time_unit
     if plan.time is None or (plan.time.kind == "counter" and unit is None):
@@ -130,19 +126,17 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
 
 
 def _compared(reading: ClockReading, stamps: IntArray, log: IntArray) -> ClockReading:
-    """Return a clock with findings about its stamps and the times of recording."""
     return replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
 
 
 def _say(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
-    """Add a finding, once; `more` are its advice and its axis."""
     finding = Finding(level, code, text, **more)
     if finding not in work.findings:
         work.findings.append(finding)
 
 
 def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
-    """Return which samples are the one before, sent again; None where there are none."""
+    """Return which samples repeat the previous one; None if none do or the sensor is slower than the log."""
     rows = columns.axes if columns.compared is None else columns.compared
     same = repeats(stamps, rows, work.room) if rows else None
     share = count(same) / same.size if same is not None else 0.0
@@ -177,7 +171,7 @@ def _log_stamps(work: RecordingBuilder, columns: SensorColumns) -> IntArray | No
 def stamps_of(
     work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor
 ) -> IntArray | None:
-    """Return the stamps of a time in ns; None of a count that has the given rate in no unit."""
+    """Return stamps in ns; None if the given rate contradicts the counts in every unit."""
     room = work.room
     if time.kind == "ns":
         return cast("IntArray", columns[0])
@@ -196,9 +190,9 @@ def stamps_of(
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
-    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show.
+    """Return ns per count: given, from the log, or inferred from the rate or the steps.
 
-    None where the counts have the given rate in no unit; a ChoiceError where their unit is open.
+    Returns None if no unit gives the given rate. Raises ChoiceError if the unit is ambiguous.
     """
     rate = work.options.rate_hz
     unit, how = work.options.time_unit, "as given"
@@ -231,7 +225,7 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
 def _open_unit(
     path: str, time: TimeChoice, values: Numbers, fits: Sequence[str], sensor: Sensor
 ) -> ChoiceError:
-    """Return the error of a time whose unit is open; each thing that it says to do works on this log."""
+    """Return the error for an ambiguous time unit; each suggestion in it works on this log."""
     low, high = extremes(values)
     span = float(high - low)
     rates = {
@@ -239,11 +233,11 @@ def _open_unit(
         for unit, rate in rates_by_unit(values).items()
         if rate <= _FASTEST and span * TIME_UNITS_NS[unit] < _LONGEST_NS
     }
-    # The rates of IMUs, or those that are nearest.
+    # If no unit gives a usual rate, suggest the nearest ones.
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
     shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
     name = time.name.strip().strip("\"'")
-    # A header names a unit, but what rate an IMU has only the user says.
+    # Suggest a unit in the header only if it gives a usual rate.
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{shown}; give the time unit, {named}or give the sampling rate"
     has = f"the time of the {sensor}, has no unit and increases by {typical_step(values):g} per row"
@@ -252,7 +246,6 @@ def _open_unit(
 
 
 def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
-    """Return the clock of samples that have no stamps: by their counter and a rate, or by a rate alone."""
     plan, n = columns.plan, columns.axes[0].size
     rate, source = work.options.rate_hz, "given rate"
     if rate is None:
@@ -291,19 +284,18 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
-#: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
+#: Operating temperatures of electronics, in degrees Celsius; values outside are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
-#: Of so many of them at least the median is taken.
+#: The median is taken of at least this many values.
 _LOOKED_AT = 1_000_000
 
 
 def assemble(
     work: RecordingBuilder, plans: Sequence[TablePlan], sensors: Sequence[SensorColumns], *, where: str = ""
 ) -> None:
-    """Add a gyroscope, an accelerometer, or both together; `where` is the start of messages about units.
+    """Add the samples of the sensors to the recording; `where` begins messages about units.
 
-    A ChoiceError if a unit or the time of the samples is open; a DataError if there are no samples, or no
-    rate.
+    Raises ChoiceError if a unit or the clock is ambiguous; DataError if there are no samples, or no rate.
     """
     for what, how in chain.from_iterable(plan.decisions for plan in plans):
         work.decide(what, how)
@@ -338,9 +330,9 @@ def assemble(
 def _clocks(
     work: RecordingBuilder, sensors: Sequence[SensorColumns], lacking: list[ChoiceError]
 ) -> list[ClockReading]:
-    """Return the clock of each sensor; what is not clear is added to `lacking`, and asked for with the units.
+    """Return the clock of each sensor; ambiguities are added to `lacking`.
 
-    Two sensors of one table share the clock where they share the time and the rows.
+    Sensors of one table share a clock if they share the time and the rows.
     """
     keys = [
         (one.table, one.plan.time, one.plan.triad.rows, one.rows_left, one.axes[0].size) for one in sensors
@@ -366,12 +358,12 @@ def _clocks(
 def with_more(
     where: str, error: ColumnsError, options: ReadOptions, reading: Callable[[ReadOptions], object]
 ) -> ChoiceError:
-    """Return an error for columns with what else is missing: `reading` tries the columns that it proposes."""
+    """Return a ChoiceError for columns, and for whatever is missing once the proposed columns are chosen."""
     lacking: list[ChoiceError] = [error]
     proposals = error.example.split(" or ")
-    # Where they are of different sensors, the user's choice says what is missing.
+    # If the proposals are of different sensors, the rest depends on the user's choice.
     if error.example and len({tuple(re.findall("[ga][xyz]?=", text)) for text in proposals}) == 1:
-        # What is wrong with the samples is said when they are read.
+        # Errors of the samples are reported when they are read.
         with suppress(ImucalError):
             try:
                 reading(replace(options, columns=proposals[0]))
@@ -381,7 +373,7 @@ def with_more(
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
-    """Refuse topics, as a table has columns, with a ChoiceError."""
+    """Raise ChoiceError if topics are given for a table."""
     if options.topics:
         text = f"{what} has no topics such as {', '.join(options.topics)}"
         raise refused(path, f"{text}; expected no topic, or a columns text", ChoiceError)
@@ -396,9 +388,9 @@ def contents_of(
     layout: str = "table",
     compression: str = "",
 ) -> LogContents:
-    """Return what a table holds: its layout, its units and where they come from.
+    """Return a description of a table: its layout, its units and their sources.
 
-    `found` is its recording, or why there is none.
+    `found` is its recording, or the reason why it can't be read.
     """
     topic = TopicContents(name=path.name, type=layout, note=found if isinstance(found, str) else "")
     contents = LogContents(path=str(path), format=form, size_bytes=size, compression=compression)
@@ -417,13 +409,12 @@ def contents_of(
 
 
 def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
-    """Return what the head of a table tells: its rate and columns, but not how long it is; `count` rows."""
+    """Return a description made from the start of a table: without its duration, with `count` rows."""
     topics = tuple(replace(topic, count=count, duration_s=None) for topic in contents.topics)
     return replace(contents, topics=topics, duration_s=None)
 
 
 def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
-    """Return the columns of a sensor without the rows that are none of its samples."""
     room, n, axes = work.room, columns.axes[0].size, columns.axes
     keep = room.made(n, np.bool_, lambda _: True)
     if columns.sparse:
@@ -442,7 +433,6 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
 
 
 def _add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:
-    """Add a temperature if its values can be degrees Celsius."""
     values = np.asarray(column, dtype=np.float64)
     some = values[:: max(1, values.size // _LOOKED_AT)]
     finite = some[np.isfinite(some)]

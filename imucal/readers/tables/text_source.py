@@ -1,7 +1,7 @@
-"""Text of a log in blocks of whole lines: plain or compressed, a file or standard input, in any encoding.
+"""Text of a log in blocks of complete lines: any encoding, plain or compressed, file or standard input.
 
-Blocks are bytes of UTF-8 with line feeds. A log compressed a hundredfold takes no more memory than its
-blocks, and one cut in the middle gives what is whole.
+Blocks are UTF-8 (or Latin-1) bytes with line feeds. Memory is limited to a few blocks. A truncated compressed
+log is read up to the damage.
 """
 
 import bz2
@@ -26,10 +26,8 @@ from imucal.readers.read_options import Progress
 from imucal.readers.ways_out import TEXTS, way_out
 from imucal.recording import LogFileInfo
 
-#: The path that means standard input.
 STANDARD_INPUT = "-"
 
-#: First bytes -> compression.
 _MAGIC: dict[bytes, str] = {
     b"\x1f\x8b": "gzip",
     b"\x28\xb5\x2f\xfd": "zstd",
@@ -39,39 +37,38 @@ _MAGIC: dict[bytes, str] = {
 }
 _LONGEST_MAGIC = max(map(len, _MAGIC))
 
-#: Byte order marks.
 _MARKS: dict[bytes, str] = {
     codecs.BOM_UTF8: "utf-8",
     codecs.BOM_UTF16_LE: "utf-16-le",
     codecs.BOM_UTF16_BE: "utf-16-be",
 }
 
-#: Bytes that no text holds; zeros are what a crash leaves in one.
+#: Control characters, which text does not contain; zeros are not included, because crashes leave them.
 _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 
-#: Bytes looked at to find the layout.
+#: Bytes examined to find the layout.
 _HEAD = 1 << 18
-#: Bytes of text parsed at once: large enough for the parser, small enough for memory.
+#: Bytes parsed at once: large for the parser's speed, small for memory.
 _BLOCK = 4 << 20
-#: Fewer lines in the head don't make a table, and so many cells in it are columns of one.
+#: Fewest lines of a table in the head; with this many cells on fewer lines, the rows are too long.
 _FEWEST, _WIDE = 3, 1000
-#: A line longer than this is no row of a table.
+#: Longest row of a table, in bytes.
 _LONGEST_LINE = 1 << 20
-#: Bytes of a zstd stream unpacked at once; each may hold blocks of 128 KiB in 4 bytes.
+#: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
 
-#: Errors of a stream that is cut or damaged, and packages that have errors of their own.
+#: Errors of a truncated or damaged stream, and packages with their own error classes.
 _DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
 _PACKAGES = {"zstandard", "lz4", "backports"}
 
 
 def compression_of(start: bytes) -> str:
-    """Return the compression that the first bytes of a file show; ``none`` where they show none."""
+    """Return the compression of a file from its first bytes; ``none`` if they match no signature."""
     return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "none")
 
 
 def utf16_order(head: bytes) -> str | None:
-    """Return the encoding of UTF-16 without a mark by its zeros, every second byte; None of anything else."""
+    """Return the encoding of UTF-16 without a byte order mark; None for other text."""
     even, odd = head[0::2].count(0), head[1::2].count(0)
     if even + odd <= 0.3 * len(head):
         return None
@@ -81,7 +78,7 @@ def utf16_order(head: bytes) -> str | None:
 
 
 def find_encoding(head: bytes, name: str) -> str:
-    """Return the encoding of a text from its first bytes; a ReadError if they are no text."""
+    """Return the encoding of a text from its first bytes; raises ReadError for binary data."""
     marked = next((encoding for mark, encoding in _MARKS.items() if head.startswith(mark)), None)
     encoding = marked or utf16_order(head)
     if encoding is not None:
@@ -98,7 +95,7 @@ def find_encoding(head: bytes, name: str) -> str:
 
 
 def read_fully(raw: BinaryIO, size: int) -> bytes:
-    """Read until there are as many bytes as asked for, or no more."""
+    """Read until `size` bytes or the end."""
     data = b""
     while len(data) < size and (piece := raw.read(size - len(data))):
         data += piece
@@ -106,7 +103,7 @@ def read_fully(raw: BinaryIO, size: int) -> bytes:
 
 
 class CountedStream:
-    """A stream whose bytes are counted and hashed as they are read: it can't be read a second time."""
+    """A stream that can't be read again: counts and hashes the bytes as they are read."""
 
     def __init__(self, raw: BinaryIO) -> None:
         self._raw = raw
@@ -114,38 +111,34 @@ class CountedStream:
         self.size = 0
 
     def read(self, size: int = -1) -> bytes:
-        """Return up to `size` bytes, none at the end."""
         data = self._raw.read(size)
         self._machine.update(data)
         self.size += len(data)
         return data
 
     def close(self) -> None:
-        """Close the stream."""
         self._raw.close()
 
     def checksum(self) -> str:
-        """Return the BLAKE2b checksum of all of the stream; reads what is left of it."""
         while self.read(1 << 20):
             pass
         return self._machine.hexdigest()
 
 
 class _Joined:
-    """A stream with the bytes already read put back in front."""
+    """A stream with bytes already read put back."""
 
     def __init__(self, start: bytes, rest: BinaryIO) -> None:
         self._start = start
         self._rest = rest
 
     def read(self, size: int) -> bytes:
-        """Return up to `size` bytes, none at the end."""
         data, self._start = self._start[:size], self._start[size:]
         return data or self._rest.read(size)
 
 
 class _Zstd:
-    """The text of zstd frames; unlike the package's own reader it tells a cut frame from a whole one."""
+    """The text of zstd frames; unlike the package's reader, it detects a truncated frame."""
 
     def __init__(self, raw: BinaryIO) -> None:
         import zstandard
@@ -157,9 +150,9 @@ class _Zstd:
         self._packed = self._held = b""
 
     def read(self, size: int) -> bytes:
-        """Return up to `size` bytes, at least one before the end; an EOFError if the last frame is cut."""
+        """Return up to `size` bytes; raises EOFError if the last frame is truncated."""
         while not self._held:
-            # Small pieces: a few bytes may unpack to a whole block.
+            # Small pieces, because a few bytes may expand to a whole block.
             packed = self._packed or self._raw.read(_PIECE)
             if not packed:
                 if self._begun:
@@ -184,16 +177,15 @@ _OPENERS: dict[str, Callable[[BinaryIO], Any]] = {
 
 
 class LongerError(Exception):
-    """A text is longer than was wanted of it. Never leaves the readers."""
+    """A text exceeds the requested length. Caught within the readers."""
 
 
 class TextSource(AbstractContextManager["TextSource"]):
-    """A log of lines, opened: its `name` as the user gave it, its `size` in bytes where that is known.
+    """An open log of lines.
 
-    `compression` and `encoding` are what its first bytes show. `head` are the first lines, decoded, without
-    their ends; a line that the head cuts is left out, and `whole` says whether they are all of the log.
-    `findings` are what reading it has shown so far, and `passed` the bytes of unpacked text that were given
-    out as blocks.
+    `name` is the path as given. `head` contains the first complete lines, decoded; `whole` is true if they
+    are the entire log. `size` is in bytes, None if unknown; `passed` counts the unpacked bytes in blocks so
+    far.
     """
 
     def __init__(
@@ -213,7 +205,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         self.compression = compression_of(start)
         plain = self.compression == "none"
         stream = raw if plain else _OPENERS[self.compression](cast("BinaryIO", _Joined(start, raw)))
-        # What was unpacked before a damage is kept only by reads that never wait for more.
+        # `read1` does not wait for more data, so text before a damage is kept.
         self._take: Callable[[int], bytes] = stream.read if plain else getattr(stream, "read1", stream.read)
         head = start + self._read(_HEAD - len(start)) if plain else self._read(_HEAD)
         self.whole = self._ended
@@ -232,7 +224,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         self._start = self._line_ends(text)
         lines = self._start.decode("latin-1" if self.encoding == "latin-1" else "utf-8", "replace")
         self.head = [line.rstrip("\r") for line in lines.replace("\x00", "").split("\n")]
-        # The last piece is cut by the head or by the end of the log, or empty.
+        # The last line is empty or incomplete.
         if not self.whole or not self.head[-1] or len(self.head) > 3:
             self.head.pop()
 
@@ -240,19 +232,18 @@ class TextSource(AbstractContextManager["TextSource"]):
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
         self._raw.close()
 
     @property
     def expected_rows(self) -> int:
-        """About how many lines a plain file has, a little more than fewer; 0 where its size says nothing."""
+        """Estimated number of lines, slightly too high; 0 if the size is unknown or compressed."""
         if self.size is None or self.compression != "none" or not self.head:
             return 0
         length = sum(map(len, self.head)) / len(self.head) + 1
         return int(1.05 * self.size / length)
 
     def why_no_lines(self) -> str:
-        """Return what is wrong with a text of which the head has no lines, or hardly any, and what to do."""
+        """Return why the head contains too few lines, and the next step."""
         counts = {mark: self._start.count(mark.encode()) for mark in (",", ";", "\t", " ")}
         mark, cells = max(counts.items(), key=itemgetter(1))
         if self.whole or cells < _WIDE:
@@ -268,29 +259,29 @@ class TextSource(AbstractContextManager["TextSource"]):
         )
 
     def files(self) -> tuple[LogFileInfo, ...]:
-        """Return size and checksum of standard input, which nobody can read again; nothing of a file."""
+        """Return size and checksum of standard input; empty for a file, which can be read again."""
         if not isinstance(self._raw, CountedStream):
             return ()
         checksum = self._raw.checksum()
         return (LogFileInfo(path=self.name, size_bytes=self._raw.size, blake2b=checksum),)
 
     def blocks(self) -> Iterator[bytes]:
-        """Yield all text, in blocks of whole lines; the last line may lack its end.
+        """Yield all text in blocks of whole lines; the last line may lack its line feed.
 
-        A ReadError if a line is longer than any row of a table.
+        Raises ReadError if a line is longer than `_LONGEST_LINE`.
         """
         rest, self._start = self._start, b""
         while True:
             data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
             cut = len(data) if self._ended else data.rfind(b"\n") + 1
-            # One copy: the block is the rest of the one before and the whole lines of this one.
+            # Join once, to copy only once.
             block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
             rest = data[cut:] if block or not rest else rest + data
             if len(rest) > _LONGEST_LINE:
                 text = f"a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
                 raise refused(self.name, text)
             if self._progress is not None and self.size:
-                # A stream that can't tell its place, such as a pipe, has no size.
+                # A stream without positions, such as a pipe, has no size.
                 self._progress(min(self._raw.tell(), self.size), self.size)
             self.passed += len(block)
             if self._most is not None and self.passed > self._most:
@@ -301,7 +292,7 @@ class TextSource(AbstractContextManager["TextSource"]):
                 return
 
     def _read(self, size: int) -> bytes:
-        """Return up to `size` bytes of the unpacked stream; a cut stream ends, with a finding."""
+        """Return up to `size` unpacked bytes; a damaged stream ends with a finding."""
         pieces: list[bytes] = []
         missing = max(size, 1)
         try:
@@ -319,7 +310,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
     def _plain(self, data: bytes) -> bytes:
-        """Return bytes as UTF-8 where they are UTF-16; all other encodings share the digits."""
+        """Convert UTF-16 to UTF-8; other encodings have the same digits."""
         if self._decode is None:
             return data
         text = self._decode.decode(data, final=self._ended)
@@ -332,16 +323,17 @@ class TextSource(AbstractContextManager["TextSource"]):
 
 
 def open_text(path: Path, *, progress: Progress | None = None, most: int | None = None) -> TextSource:
-    """Open a text log; ``-`` is standard input. A ReadError if it can't be opened, is empty, or is not text.
+    """Open a text log; ``-`` is standard input.
 
-    Of a text that is longer than `most` bytes, unpacked, its blocks raise a LongerError.
+    Raises ReadError if it can't be opened, is empty, or is not text. `blocks` raises LongerError after `most`
+    unpacked bytes.
     """
     if str(path) == STANDARD_INPUT:
         source = TextSource("standard input", cast("BinaryIO", CountedStream(sys.stdin.buffer)))
     else:
         with ExitStack() as opened:
             try:
-                # Unbuffered: the blocks are the buffer.
+                # Unbuffered, because blocks are large.
                 raw = cast("BinaryIO", opened.enter_context(path.open("rb", buffering=0)))
                 size = path.stat().st_size
             except OSError as error:

@@ -1,10 +1,7 @@
-"""Read delimited text (CSV, TSV, blanks) from a file, standard input, or an app's set of files.
+"""Read delimited text (CSV, TSV, blanks) from a file, standard input, or several files.
 
-The first lines determine the layout, and names of columns the sensors. Polars parses blocks of rows.
-Ambiguous columns are not guessed: the error lists them.
-
-Gyroscope, accelerometer and their times may be in separate files: apps of phones write a zip or a folder
-(phyphox, Sensor Logger), simulators several files.
+The first lines determine the layout, and column names the sensors; polars parses blocks of rows. Ambiguous
+columns raise an error that lists them. Each sensor may have a file, also in the zip or folder of a phone app.
 """
 
 import re
@@ -63,9 +60,9 @@ from imucal.resources import column_limit
 
 
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
-    """Find the layout of a text: messages of a known dialect, or a table.
+    """Find the layout of a text.
 
-    Raises ReadError if it has no rows of numbers or no samples, ChoiceError if its header does not fit them.
+    Raises ReadError if it has no rows of numbers, ChoiceError if its header does not fit them.
     """
     start = "\n".join(lines).encode()
     if way := way_out(path, start, CURVES if options.columns else (*CURVES, *LOGGERS)):
@@ -87,17 +84,16 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     return layout
 
 
-#: Advice for a file of times next to files of samples.
+#: Advice for a file without samples.
 _ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
-#: Types of cells: numbers, or one of the kinds of time as text.
 Kind: TypeAlias = Literal["integer", "float"] | TextKind
 _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
 _QUOTED = re.compile(rb'"[^"\n]*"')
 _UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
 
-#: Name of the column behind those of the layout.
+#: Extra column for cells beyond the layout.
 _LONGER = "longer"
 
 _COMMENTS = ("#", "%", "//", ";")
@@ -107,10 +103,9 @@ _COMMENTS = ("#", "%", "//", ";")
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
-    `kinds` maps the index of each wanted column to the type of its cells. A row without a cell of a `needed`
-    column is bad. `limit` is the most bytes of a column in memory, `expected` the expected number of rows.
-    Dates with the year last begin with the month, or with the day if `by_day`. `good` and `bad` count rows;
-    the first bad row is kept.
+    `kinds` maps column indices to types. A row without a cell in a `needed` column is bad. `limit` is the
+    largest size of a column in memory, in bytes; `expected` is the number of rows. Dates with the year last
+    begin with the day if `by_day`. `good` and `bad` count rows.
     """
 
     layout: TextLayout
@@ -125,7 +120,6 @@ class BlockReader:
     first_bad: str = ""
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
-    #: Delimiter of a plain block.
     _mark: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -140,7 +134,6 @@ class BlockReader:
         self._mark = "," if self.layout.delimiter == BLANKS else self.layout.delimiter
 
     def add(self, block: bytes) -> None:
-        """Read a block of whole lines."""
         if self.layout.prepare is not None:
             block = self.layout.prepare(block)
         if self._pattern is not None:
@@ -157,10 +150,9 @@ class BlockReader:
             column.append(values[index])
 
     def _values(self, table: Any) -> tuple[dict[int, NDArray[Any]], BoolArray]:  # noqa: ANN401 - of polars
-        """Return the wanted columns of polars' table, and which rows can't be read."""
         values: dict[int, NDArray[Any]] = {}
         bad = np.zeros(table.height, np.bool_)
-        # Counts are known; masks take as long as a tenth of the parsing.
+        # Null counts are cached; a mask takes a tenth of the parsing time.
         if table[_LONGER].null_count() < table.height:
             bad |= table[_LONGER].is_not_null().to_numpy()
         for index in self.needed or self.kinds:
@@ -178,7 +170,7 @@ class BlockReader:
         return values, bad
 
     def _plain(self, block: bytes) -> bytes:
-        """Return a block for the parser: one delimiter, decimal points, no quotation marks."""
+        """Convert a block for the parser: one delimiter, decimal points, no quotes."""
         delimiter, mark = self.layout.delimiter, self._mark.encode()
         commas = self.layout.decimal == ","
         if delimiter == BLANKS:
@@ -186,23 +178,23 @@ class BlockReader:
             block = re.sub(rb"[ \t]+", b",", block)
         elif b" " in block:
             block = block.replace(mark + b" ", mark)
-            # Keep a blank in a cell, or two numbers would become one.
+            # Keep blanks inside a cell: joining two numbers would make another one.
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
         if self.layout.quoted:
             inner = b"." if commas else b" "
             block = _QUOTED.sub(lambda match: match[0][1:-1].replace(mark, inner), block)
-            # A mark without a partner makes its line one cell, which is no number.
+            # An unclosed quote makes its line one cell, which is not a number.
             block = _UNCLOSED.sub(lambda match: match[0].replace(mark, b" "), block)
-        # If the delimiter is a comma, decimal commas were in quotes.
+        # With a comma as delimiter, decimal commas were in quotes.
         if commas and delimiter != ",":
             block = block.replace(b",", b".")
         return block
 
     def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
-        """Return a block as polars' table of the columns that are looked at; cells without a value are null.
+        """Return a block as a polars table of the needed columns; unreadable cells are null.
 
-        Rows with more cells than the layout have a value in the column `_LONGER`.
+        Rows with too many cells have a value in the column `_LONGER`.
         """
         import polars as pl
 
@@ -228,14 +220,14 @@ class BlockReader:
             types["integer"] = pl.Float64
             floats = parsed()
             for name in integers:
-                # Numbers that a float rounds are damaged stamps.
+                # Integers that a float would round are damaged stamps.
                 gained = floats[name].filter(table[name].is_null()).drop_nulls()
                 if gained.len() and bool((gained.abs() < 2**53).any()):
                     table = table.with_columns(floats[name])
         return table
 
     def _count_bad(self, lines: Sequence[bytes], indices: NDArray[np.int64]) -> None:
-        """Count rows that can't be read, except blank lines, comments and headers; keep the first."""
+        """Count bad rows except blank lines, comments and headers; keep the first."""
         header = self._mark.join(self.layout.headers).replace(" ", "")
         texts = (lines[index].decode("utf-8", "replace").strip("\r") for index in indices.tolist())
         found = [t for t in texts if t and not t.startswith(_COMMENTS) and t.replace(" ", "") != header]
@@ -253,19 +245,18 @@ def read_table(
     name: str = "",
     head: bool = False,
 ) -> Recording:
-    """Read the table of an opened text; only its first lines if `head`.
+    """Read the table of an open text; only its first lines if `head`.
 
-    `name` is the file name, which may name the sensor. Raises ChoiceError if columns, units or time are not
-    clear, ReadError if the text is not a table, DataError if it has no samples.
+    The file `name` may contain the sensor. Raises ChoiceError if columns, units or time are ambiguous,
+    ReadError if the text is not a table, DataError without samples.
     """
-    # Reuse the memory of blocks.
     keep_freed_memory()
     try:
         layout, plan = plan_of_head(source, options, name)
     except ColumnsError as error:
         tried = partial(read_table, source, name=name, head=True)
         raise with_more(source.name, error, options, tried) from error
-    # Read sensors of the same rows together.
+    # Sensors in the same rows share a reader.
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
         groups.setdefault(sensor.triad.rows, []).append(sensor)
@@ -298,9 +289,9 @@ def read_table(
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
-    """Return the layout and the columns of a text from its first lines; its name may name the sensor.
+    """Return layout and columns of a text from its first lines.
 
-    Raises ChoiceError if columns are not clear, ReadError if the text is not a table.
+    Raises ChoiceError if columns are ambiguous, ReadError if the text is not a table.
     """
     layout = lay_out(source.name, source.head, options)
     names = layout.headers or [""] * layout.width
@@ -321,7 +312,6 @@ def _reader(
     limit: int | None,
     expected: int,
 ) -> BlockReader:
-    """Return the reader of some sensors' columns in the same rows; `lines` are the first rows."""
     rows = sensors[0].triad.rows
     layout = _of_rows(lines, layout, rows)
     kinds: dict[int, Kind] = {}
@@ -331,7 +321,7 @@ def _reader(
     for time in times:
         text = time.kind == "text"
         kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices}
-    # A row without its last cell was cut, perhaps within a number.
+    # A row without its last cell was truncated, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
         kinds.setdefault(temperature, "float")
@@ -340,7 +330,7 @@ def _reader(
         kinds=kinds,
         needed=needed,
         rows=rows,
-        # Half of the limit is for the results made from the columns.
+        # The other half is for the results.
         limit=(limit or column_limit()) // (2 * max(1, len(kinds))),
         expected=expected,
         by_day=any(time.by_day for time in times),
@@ -348,7 +338,7 @@ def _reader(
 
 
 def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
-    """Return the layout of some of the rows: tagged rows differ in width."""
+    """Return the layout of tagged rows, which may differ in width."""
     if rows is None:
         return layout
     lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
@@ -368,7 +358,7 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows after the header; return the last line if it may be cut, otherwise an empty text."""
+    """Read all rows after the header; return the last line if it may be truncated."""
     cut, before = "", layout.start
     for block in blocks:
         *above, whole = block.split(b"\n", before) if before else [block]
@@ -392,7 +382,6 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
 def _row_findings(
     source: TextSource, cut: str, layout: TextLayout, readers: Sequence[BlockReader], *, strict: bool
 ) -> list[Finding]:
-    """Return the problems of a text as findings; refuse a table with hardly any readable row."""
     path, findings = source.name, [*source.findings]
     if strict and findings:
         raise refused(path, f"{findings[0].text} Expected an undamaged log")
@@ -431,12 +420,12 @@ def _columns(
 _ZIP = b"PK\x03\x04"
 _SUFFIXES = (".csv", ".tsv", ".txt")
 
-#: The tables of a set: the name of each, its size unpacked, and how to open it.
+#: Table name -> unpacked size, and function that opens it.
 _Members: TypeAlias = dict[str, tuple[int, Callable[[], TextSource]]]
 
 
 def is_set(path: Path) -> bool:
-    """Return whether a path is a zip, or a folder, of text tables."""
+    """Return whether a path is a zip or a folder of text tables."""
     if path.is_dir():
         return any(entry.suffix.lower() in _SUFFIXES for entry in path.iterdir())
     with suppress(ReadError):
@@ -446,7 +435,6 @@ def is_set(path: Path) -> bool:
 
 @contextmanager
 def _members(path: Path) -> Iterator[_Members]:
-    """Yield the text tables of a zip or a folder; raises ReadError for a damaged zip."""
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
         yield {entry.name: (entry.stat().st_size, partial(open_text, entry)) for entry in entries}
@@ -468,7 +456,6 @@ def _members(path: Path) -> Iterator[_Members]:
 
 
 def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Recording:
-    """Read the gyroscope and the accelerometer of a zip or a folder; only the first lines if `head`."""
     with _members(path) as members:
         chosen = [*members]
         if len(members) != 1 or options.topics:
@@ -482,7 +469,6 @@ def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Record
 
 
 def _head_of(name: str, opened: Callable[[], TextSource], options: ReadOptions) -> FileHead:
-    """Return the start of a table of a set; without sensors if its columns are not clear."""
     head = FileHead()
     try:
         with opened() as source:
@@ -498,7 +484,7 @@ def _head_of(name: str, opened: Callable[[], TextSource], options: ReadOptions) 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     """Read files with one sensor each; None for other files.
 
-    Raises ReadError if a file can't be read, ChoiceError if one has only times.
+    Raises ReadError if a file can't be read, ChoiceError if one has no samples.
     """
     sensors = []
     for path in paths:
@@ -520,9 +506,9 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
-    """Merge the sensors of several recordings into one; each keeps its own clock.
+    """Merge the sensors of several recordings; each keeps its clock.
 
-    Raises ChoiceError if their times do not overlap, such as on different days.
+    Raises ChoiceError if their times do not overlap.
     """
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
@@ -551,15 +537,15 @@ def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recordi
         raise refused(path, f"{apart}; expected one recording; read one file at a time", ChoiceError)
 
 
-#: Largest unpacked text that `describe` reads completely, in less than half a second.
+#: Largest unpacked text that `describe` reads completely, in bytes.
 _SMALL = 64 << 20
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    """Read a text table, or the zip or folder of tables that a phone's app writes.
+    """Read a text table, or the zip or folder of a phone app.
 
-    Raises ChoiceError if files, columns, units or time are not clear, ReadError if it can't be opened or is
-    not a table, DataError if it has no samples.
+    Raises ChoiceError if files, columns, units or time are ambiguous, ReadError if it can't be opened or is
+    not a table, DataError without samples.
     """
     if is_set(path):
         return _read_set(path, options)
@@ -570,10 +556,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the contents of a text table: its columns, units, rate and sensors.
+    """Return the contents of a text table; a note explains why a table can't be read.
 
-    If the columns are not clear, the note explains why the table can't be read. Raises ReadError if it can't
-    be opened or is not a table.
+    Raises ReadError if it can't be opened or is not a table.
     """
     if is_set(path):
         with _members(path) as members:
@@ -583,7 +568,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         contents = _described(path, None, compression, partial(_read_set, path, options, head=not whole))
         return replace(contents if whole else of_a_part(contents), unpacked_bytes=unpacked)
     size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
-    # A few bytes may unpack to very many.
+    # A small file may unpack to a huge one.
     with suppress(LongerError):
         if size is not None and size <= _SMALL:
             with open_text(path, progress=options.progress, most=_SMALL) as source:

@@ -1,12 +1,9 @@
-"""Tables with typed columns: Parquet, HDF5, NumPy's NPZ and NPY, MATLAB's MAT; chosen by name like a CSV's.
+"""Tables with typed columns: Parquet, HDF5, NumPy's NPZ and NPY, MATLAB's MAT.
 
-NPY files are mapped, and NPZ files read part by part. Packages read the others in a child process with
-limited memory, because small files may unpack to very large ones; see `imucal.readers.isolation`. The child
-reads Parquet some columns at a time, HDF5 in slices, and MAT whole.
-
-An array of three columns is ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; in other arrays the position
-of a column has no meaning. Arrays of different lengths are tables of their own: the gyroscope may have one,
-the accelerometer another.
+Packages read all but NPY and NPZ in a child process with limited memory (`imucal.readers.isolation`), because
+small files may unpack to very large ones. An array of three columns is ``name[0]`` to ``name[2]`` for x, y,
+z; in other arrays positions have no meaning. Arrays of different lengths are separate tables, for example one
+per sensor.
 """
 
 import math
@@ -37,13 +34,12 @@ from imucal.recording import Recording
 #: Most columns of a list or a matrix.
 _WIDEST = 64
 
-#: Fields of a MATLAB object in the package's arrays: its name, its system, its class, its numbers.
+#: Fields of a MATLAB object as scipy returns it.
 _OBJECT = ("s0", "s1", "s2", "arr")
 
-#: Deepest nesting of MATLAB structures that is read.
+#: Deepest nesting of MATLAB structures.
 _DEEP = 8
 
-#: First bytes -> format.
 _FORMATS = {
     b"PAR1": "Parquet",
     b"\x93NUMPY": "NPY",
@@ -53,7 +49,6 @@ _FORMATS = {
     b"\x89HDF\r\n\x1a\n": "HDF5",
 }
 
-#: Most arrays listed in a message.
 _SHOWN = 12
 
 #: Class of a MATLAB object -> MATLAB command that writes it as text.
@@ -63,18 +58,17 @@ _IN_MATLAB = {
     "timeseries": "writematrix([{0}.Time squeeze({0}.Data)], '{0}.csv')",
 }
 
-#: Names of a scalar with the sampling rate in Hz.
 _RATES = frozenset(
     {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
 )
 
-#: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
+#: Specific force and turn rate in NaveGo's imu structure.
 _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
 @frozen_alone
 class TypedColumn:
-    """A column, shape (n,), with the name and unit used by the rules for names."""
+    """A column, shape (n,), with name and unit."""
 
     name: str
     values: NDArray[Any]
@@ -82,9 +76,9 @@ class TypedColumn:
 
 
 class Arrays(NamedTuple):
-    """The numeric arrays in a file, with dotted names in structures, and objects: name -> class.
+    """The numeric arrays in a file by dotted name, and objects: name -> class.
 
-    Only MATLAB can read the numbers of its objects, such as a ``table``.
+    Only MATLAB can read its objects, such as a ``table``.
     """
 
     arrays: dict[str, NDArray[Any]]
@@ -92,7 +86,6 @@ class Arrays(NamedTuple):
 
 
 def _parquet_parts(path: Path, _objects: dict[str, str]) -> Iterator[Part]:
-    """Yield the columns of a Parquet file, some at a time; structures and lists are split."""
     import polars as pl
 
     scan = pl.scan_parquet(path, glob=False)
@@ -104,7 +97,6 @@ def _parquet_parts(path: Path, _objects: dict[str, str]) -> Iterator[Part]:
 
 
 def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars is imported late
-    """Yield a series, or the series of its fields or elements, with their names."""
     import polars as pl
 
     name, dtype = series.name, series.dtype
@@ -120,7 +112,6 @@ def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars i
 
 
 def _mat_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
-    """Yield the arrays of numbers in a MATLAB file up to version 7."""
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
@@ -132,7 +123,6 @@ def _mat_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
 
 
 def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
-    """Collect the arrays of MATLAB structures under dotted names."""
     array = np.asarray(value)
     if array.dtype.names == _OBJECT and array.size == 1:
         own, _, kind, _ = array.item()
@@ -149,7 +139,6 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
 
 
 def _hdf5_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
-    """Yield the numeric arrays and attributes of an HDF5 file, which may be MATLAB's version 7.3."""
     import h5py
 
     with h5py.File(path) as file:
@@ -170,7 +159,7 @@ def _hdf5_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
 
 
 def _cut_dataset(node: Any, *, transposed: bool) -> tuple[int, Iterable[NDArray[Any]]]:  # noqa: ANN401 - h5py's
-    """Return the longest axis of a dataset and its parts along it, which have that axis first."""
+    """Return the longest axis of a dataset and its parts along it, moved to the front."""
     if not node.size or not node.ndim or node.dtype.hasobject:
         return 0, [np.asarray(node[()].T if transposed else node[()])]
     axis = int(np.argmax(node.shape))
@@ -182,17 +171,16 @@ def _cut_dataset(node: Any, *, transposed: bool) -> tuple[int, Iterable[NDArray[
 
 
 def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Return the attributes with one number, such as a sampling rate, by their paths."""
     numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
     return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
 
 
 @frozen
 class TableFile:
-    """The columns of a file, its format, and its sampling rate if there is one.
+    """The columns of a file.
 
-    `shapes` lists all arrays for messages, such as ``imu (600, 2, 3)``, also arrays without columns. `way`
-    is advice for data that can't be read.
+    `shapes` lists all arrays for messages, also those without columns, such as ``imu (600, 2, 3)``. `way` is
+    advice for unreadable data.
     """
 
     format: str
@@ -223,7 +211,7 @@ def open_table(path: Path) -> TableFile:
     if kind in _PARTS:
         with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
             target = Path(folder) / "arrays"
-            # The child process may have another working directory.
+            # The child may have another working directory.
             found, objects = isolated(path, write_arrays, kind)(kind, path.absolute(), target)
             return _of_arrays(kind.lower(), taken(found, target), objects)
     try:
@@ -234,7 +222,7 @@ def open_table(path: Path) -> TableFile:
     except ImucalError:
         raise
     except Exception as error:
-        # Damaged headers raise errors of `zipfile`, of Python's parser and others.
+        # Damaged headers raise errors of `zipfile`, Python's parser and others.
         raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
     if arrays.objects:
         raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.said(str(path))}")
@@ -244,7 +232,6 @@ def open_table(path: Path) -> TableFile:
 def _of_arrays(
     form: str, arrays: Mapping[str, NDArray[Any]], objects: Mapping[str, str] | None = None
 ) -> TableFile:
-    """Return the columns of a file's arrays; a scalar may be the sampling rate."""
     rate = None
     columns: list[TypedColumn] = []
     for name, array in arrays.items():
@@ -272,9 +259,9 @@ def _of_arrays(
 
 
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
-    """Return the columns of an array: a record, a matrix or a vector; empty if it is not a table.
+    """Return the columns of a record, matrix or vector; empty if it is not a table.
 
-    With three dimensions or more the longest is the samples; the others are columns ``name[0,2]``.
+    The longest of three or more dimensions contains the samples; the others are columns ``name[0,2]``.
     """
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
@@ -283,7 +270,7 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
     if not array.ndim:
         return []
     longest = int(np.argmax(array.shape))
-    # A matrix is transposed if its rows are few enough to be columns.
+    # Transpose a matrix if its rows are few enough to be columns.
     samples = longest if array.ndim > 2 or array.shape[0] <= _WIDEST else 0
     array = np.moveaxis(array, samples, 0)
     width = math.prod(array.shape[1:])
@@ -293,7 +280,7 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
 
 
 def _label(name: str, at: tuple[int, ...], width: int) -> str:
-    """Return the name of an array's column; only in arrays of three columns the number is an axis."""
+    """Return a column's name; only in arrays of three columns the number is an axis."""
     if len(at) > 1:
         return f"{name}[{','.join(map(str, at))}]"
     if not at or not name or width == 1:
@@ -310,14 +297,14 @@ def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColu
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read a table of typed columns.
 
-    A ChoiceError if columns, units or time are not clear, a ReadError if the file can't be read, a DataError
-    if it holds no samples.
+    Raises ChoiceError if columns, units or time are ambiguous, ReadError if the file can't be read, DataError
+    without samples.
     """
     return _read(path, open_table(path), options)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return what a table holds."""
+    """Return the contents of a table."""
     size, table = path.stat().st_size, open_table(path)
     found: Recording | str
     try:
@@ -325,7 +312,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     except ImucalError as error:
         shown = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
         found = f"{error}; columns: {shown}"
-    # As numbers of eight bytes.
+    # Eight bytes per number.
     unpacked = 8 * sum(column.values.size for column in table.columns)
     return replace(contents_of(path, table.format, found, size=size), unpacked_bytes=unpacked)
 
@@ -351,10 +338,9 @@ def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:
 
 
 def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
-    """Return the columns of each length that have a sensor as a topic; if there are none, the widest.
+    """Return a topic for each array length with a sensor; without one, the widest table.
 
-    The indices in a columns text, and in the error that proposes one, are those of the widest table, or the
-    longest of the widest.
+    Indices in a columns text, and in the error that proposes one, refer to the widest (then longest) table.
     """
     groups = _groups(path, table)
     topics = []
@@ -365,7 +351,6 @@ def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
 
 
 def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
-    """Return the columns by their lengths; a ReadError where there are none of samples."""
     lengths = dict.fromkeys(column.values.size for column in table.columns if column.values.size > 1)
     if not lengths:
         found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
