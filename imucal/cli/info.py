@@ -107,7 +107,7 @@ def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> di
             try:
                 found[topic.name] = logs.named(read(*logs.paths, topic=named, **reading))
             except ImucalError as error:
-                found[topic.name] = logs.said(str(error))
+                found[topic.name] = logs.with_urls(str(error))
     return found
 
 

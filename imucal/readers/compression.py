@@ -112,8 +112,8 @@ def _unpack_lz4(data: memoryview, size: int) -> bytes:
     import lz4.frame
 
     # Bit 3 of the fifth byte: the header contains a size. Source: LZ4 frame format 1.6.
-    told = data[:4] == _LZ4 and len(data) > 13 and data[4] & 8
-    stated = int.from_bytes(data[6:14], "little") if told else 0
+    has_size = data[:4] == _LZ4 and len(data) > 13 and data[4] & 8
+    stated = int.from_bytes(data[6:14], "little") if has_size else 0
     damaged_if(stated > size, f"an lz4 frame states {stated} bytes, its chunk {size}")
     raw, used = lz4.frame.decompress(data, return_bytes_read=True)
     if used == len(data):

@@ -16,7 +16,7 @@ def refused(where: object, text: str, kind: type[Refusal] = ReadError) -> Refusa
 
 
 class DamagedError(Exception):
-    """A part of a log can't be decoded; `code` is that of the finding. Caught within the readers."""
+    """A part of a log can't be decoded; `code` is the finding's code. Caught within the readers."""
 
     def __init__(self, text: str, code: str = "damaged") -> None:
         super().__init__(text)

@@ -38,11 +38,11 @@ ULOG, DATAFLASH = b"ULog\x01\x12\x35", b"\xa3\x95"
 Fields: TypeAlias = Mapping[str, NDArray[Any]]
 
 #: Instances below this share of the fastest rate are health checks, not recordings.
-_TOO_SLOW = 0.2
+_MIN_RATE_SHARE = 0.2
 #: Later stamps are damaged: about 140 years, in microseconds.
-_LATEST_US = 1 << 52
+_MAX_STAMP_US = 1 << 52
 #: Most bytes of an unfinished page at the end.
-_PAGE = 528
+_MAX_PAGE_BYTES = 528
 
 _GYRO, _ACCEL = (tuple(f"{name}[{i}]" for i in range(3)) for name in ("gyro_rad", "accelerometer_m_s2"))
 _OF_BOARD = tuple(f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ")
@@ -105,7 +105,7 @@ def columns_of(message: str, fields: Fields, names: Sequence[str]) -> Fields:
     there = [name for name in _STAMPS if name in fields]
     best = next((name for name in there if bool(np.all(fields[name]))), there[-1] if there else "")
     stamps = fields[best]
-    good = stamps < _LATEST_US
+    good = stamps < _MAX_STAMP_US
     times = np.where(good, stamps, 0).astype(np.int64) * (1_000_000 if best.endswith("MS") else 1000)
     if message.endswith("_fifo"):
         return dict(_of_fifo(fields, times, good))
@@ -124,7 +124,7 @@ def _rates(fields: Fields) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def _of_fifo(fields: Fields, last: IntArray, good: NDArray[np.bool_]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield every sample of a buffer; its stamp is that of the last sample."""
+    """Yield every sample of a buffer; the stamp belongs to the last sample."""
     count = np.asarray(fields["samples"], np.int64)
     index = np.arange(sum(1 for name in fields if name.startswith("x[")))
     step, scale = np.asarray(fields["dt"], np.float64) * 1e3, np.asarray(fields["scale"], np.float64)
@@ -160,7 +160,7 @@ def dataflash_content(path: Path) -> FlightLog:
             for multi in np.unique(instances).tolist():
                 found[name, multi] = {key: values[instances == multi] for key, values in data.items()}
     begun, ended = np.sort(np.concatenate(spans, axis=1), axis=1)
-    whole = begun.size and not (begun[1:] - ended[:-1]).any() and log.data_len - ended[-1] <= _PAGE
+    whole = begun.size and not (begun[1:] - ended[:-1]).any() and log.data_len - ended[-1] <= _MAX_PAGE_BYTES
     return flight_log(found, _BOARD, damaged=not whole)
 
 
@@ -223,7 +223,7 @@ def _open(path: Path, options: ReadOptions) -> tuple[OpenLog, ReadOptions]:
     ]
     fastest = max((topic.rate_hz or 0.0 for topic in topics), default=0.0)
     # A slow instance is read only if it is named.
-    topics = [replace(topic, plain=(topic.rate_hz or 0.0) < _TOO_SLOW * fastest) for topic in topics]
+    topics = [replace(topic, plain=(topic.rate_hz or 0.0) < _MIN_RATE_SHARE * fastest) for topic in topics]
     return OpenLog(path, form, topics, list(log_findings(log))), options
 
 

@@ -14,7 +14,7 @@ from imucal.readers.files import refused
 from imucal.readers.message_samples import Job, job_of, sensor_columns
 from imucal.readers.messages import Topic, choose, decode, find_topics, plan_of
 from imucal.readers.messages.loader import Decoding
-from imucal.readers.messages.surroundings import first_frames, read_temperature, temperature_beside
+from imucal.readers.messages.surroundings import first_frames, read_temperature, temperature_topic
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.recording import Recording, Sensor
@@ -22,7 +22,7 @@ from imucal.recording import Recording, Sensor
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
                     "definition"})  # fmt: skip
 
-_MOST = 60
+_MAX_FIELDS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
         duration_s=topic.duration_s,
         sensors=sensors,
         note=note,
-        fields=tuple(map(str, topic.leaves[:_MOST])),
+        fields=tuple(map(str, topic.leaves[:_MAX_FIELDS])),
     )
 
 
@@ -198,7 +198,7 @@ def _require_messages(work: RecordingBuilder, topic: Topic, decoding: Decoding) 
 def _add_temperature(
     work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], imu: Topic
 ) -> None:
-    topic = temperature_beside(topics, imu.name) if work.temperature is None else None
+    topic = temperature_topic(topics, imu.name) if work.temperature is None else None
     work.temperature = work.temperature or (read_temperature(containers, topic) if topic else None)
     if topic and work.temperature:
         work.decisions.append(("temperature", f"{topic.name}: the only one besides the IMU's"))

@@ -41,7 +41,7 @@ def index_of(log: RemoteLog, options: ReadOptions) -> LogContents | None:
             if opened is None:
                 return None
             containers, form = opened
-            return named.said(describe_logs(containers, path, options, form=form))
+            return named.with_urls(describe_logs(containers, path, options, form=form))
     except (TooMuchError, ChangedError):
         return None
 

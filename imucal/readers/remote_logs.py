@@ -24,7 +24,7 @@ Value = TypeVar("Value")
 #: Bytes of a block: latency makes smaller requests inefficient.
 _BLOCK = 1 << 17
 #: Above this fraction (1/n) of the file and this many bytes, downloading the whole file is faster.
-_SHARE, _LEAST = 4, 1 << 22
+_SHARE, _MIN_BYTES = 4, 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,25 +34,25 @@ class LocalLogs:
     paths: tuple[Path, ...]
     copies: tuple["LocalCopy", ...] = ()
 
-    def said(self, value: Value) -> Value:
+    def with_urls(self, value: Value) -> Value:
         """Replace the paths of copies by URLs without secrets in the texts of a value."""
-        said: Any = value
+        with_urls: Any = value
         if type(value) is str:
             for copy in self.copies:
-                said = said.replace(str(copy.path), copy.log.shown)
+                with_urls = with_urls.replace(str(copy.path), copy.log.shown)
         elif isinstance(value, tuple):
-            said = tuple(map(self.said, value))
+            with_urls = tuple(map(self.with_urls, value))
         elif is_dataclass(value):
-            said = replace(
-                said, **{part.name: self.said(getattr(value, part.name)) for part in fields(value)}
+            with_urls = replace(
+                with_urls, **{part.name: self.with_urls(getattr(value, part.name)) for part in fields(value)}
             )
-        return cast("Value", said)
+        return cast("Value", with_urls)
 
     def named(self, recording: Recording) -> Recording:
         if not self.copies:
             return recording
-        source = replace(self.said(recording.source), files=self.named_files(recording.source.files))
-        return replace(recording, source=source, findings=self.said(recording.findings))
+        source = replace(self.with_urls(recording.source), files=self.named_files(recording.source.files))
+        return replace(recording, source=source, findings=self.with_urls(recording.findings))
 
     def named_files(self, files: Sequence[LogFileInfo]) -> tuple[LogFileInfo, ...]:
         tags = {
@@ -61,7 +61,8 @@ class LocalLogs:
             for path, file in zip(copy.files, copy.log.files, strict=True)
         }
         return tuple(
-            replace(file, path=self.said(file.path), etag=tags.get(file.path) or file.etag) for file in files
+            replace(file, path=self.with_urls(file.path), etag=tags.get(file.path) or file.etag)
+            for file in files
         )
 
     @contextmanager
@@ -69,7 +70,7 @@ class LocalLogs:
         try:
             yield
         except ImucalError as error:
-            text = self.said(str(error))
+            text = self.with_urls(str(error))
             if text == str(error):
                 raise
             raise type(error)(text) from error
@@ -103,16 +104,16 @@ def local_logs(
             if isinstance(one, Path):
                 paths.append(one)
                 continue
-            tell = partial(_tell_part, progress, before, total) if progress else None
+            report = partial(_report_part, progress, before, total) if progress else None
             before += one.size or 0
-            copies.append(stack.enter_context(fetched(one, progress=tell, exact=one in logs)))
+            copies.append(stack.enter_context(fetched(one, progress=report, exact=one in logs)))
             paths.append(copies[-1].path)
         local = LocalLogs(tuple(paths), tuple(copies))
         with local.errors_named():
             yield local
 
 
-def _tell_part(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+def _report_part(progress: Progress, before: int, total: int, done: int, _: int) -> None:
     progress(before + done, total)
 
 
@@ -134,7 +135,7 @@ class RangedFile(LogFile):
         self.path, self.size = path, remote.size
         self.fetched = 0
         self._remote, self._store = remote, store_of(remote.url)
-        self._most = max(_LEAST, remote.size // _SHARE)
+        self._most = max(_MIN_BYTES, remote.size // _SHARE)
         self._blocks: dict[int, bytes] = {}
         self._lock = threading.Lock()
 

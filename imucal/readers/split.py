@@ -18,7 +18,7 @@ from imucal.recording import AxisSeries, Recording, Temperature, span_ns
 from imucal.resources import column_limit
 
 #: Longest pause between two parts, in s.
-_PAUSE = 10.0
+_MAX_PAUSE_S = 10.0
 #: Largest overlap of two parts: in samples, or in s.
 _SAMPLES_OVER, _TIME_OVER = 10, 0.1
 #: File extensions, and the number that log rotation appends.
@@ -31,7 +31,7 @@ _DEVICE = re.compile(r"(?<![a-z])(?:(?:unit|device|dev|board|serial|sn)[\W_]*|im
 
 #: Largest relative difference of the rates of two parts.
 _SAME_RATE = 0.01
-_MOST = 12
+_MAX_LISTED = 12
 #: Stamps before 1 January 1980, in ns, count from power-on and are not dates.
 _NO_DATE = 315_532_800_000_000_000
 
@@ -90,7 +90,7 @@ def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
         if before is None or after is None:
             return f"{second if before else first} has no time stamps of the recording"
         pause = (after[0] - before[1]) / 1e9
-        if pause > _PAUSE:
+        if pause > _MAX_PAUSE_S:
             return f"{second} starts {pause:.4g} s after the end of {first}"
     return ""
 
@@ -126,10 +126,10 @@ def _named(recording: Recording, paths: Sequence[Path]) -> Recording:
 
 
 def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) -> ChoiceError:
-    rows = [_row(path, part) for path, part in zip(paths, parts, strict=True)][:_MOST]
+    rows = [_row(path, part) for path, part in zip(paths, parts, strict=True)][:_MAX_LISTED]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ["  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    lines += [f"  and {len(paths) - _MOST} more"] if len(paths) > _MOST else []
+    lines += [f"  and {len(paths) - _MAX_LISTED} more"] if len(paths) > _MAX_LISTED else []
     listed = "\n".join(lines)
     return ChoiceError(
         f"{paths[0]}: {len(paths)} logs do not look like one recording: {problem}; "

@@ -28,7 +28,7 @@ OBJECT_STORES = {
     "abfss": ("abfs", "adlfs", "azure"),
 }
 #: Longest file name on common file systems, in bytes.
-_LONGEST = 200
+_MAX_NAME_BYTES = 200
 _GLOB = frozenset("*?[")
 
 
@@ -84,7 +84,7 @@ def name_of(url: str) -> str:
     name = "".join("_" if sign in '\\/:*?"<>|' or not sign.isprintable() else sign for sign in name)
     if not name.strip("."):
         return "log"
-    while len(name.encode()) > _LONGEST:
+    while len(name.encode()) > _MAX_NAME_BYTES:
         name = name[1:]
     return name
 
@@ -182,7 +182,7 @@ WAITS = (0.5, 1.0, 2.0)
 _RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
 #: Default timeout in s.
-_PATIENCE = 30.0
+_DEFAULT_TIMEOUT_S = 30.0
 
 #: Kind -> error names of libraries, which may not be installed; the first match is used.
 _ERRORS = {
@@ -220,7 +220,7 @@ def timeout() -> float:
     """Return the timeout in s: ``IMUCAL_REMOTE_TIMEOUT``, or 30; raises SettingError if it is invalid."""
     text = os.environ.get(TIMEOUT, "").strip()
     if not text:
-        return _PATIENCE
+        return _DEFAULT_TIMEOUT_S
     try:
         seconds = float(text.removesuffix("s"))
     except ValueError:
@@ -239,7 +239,7 @@ class Attempts:
         # The libraries of Google and Azure retry by themselves.
         self._waits = WAITS if scheme_of(url) in _RETRIED_HERE else ()
 
-    def went_on(self) -> None:
+    def reset(self) -> None:
         self._failed = 0
 
     def wait(self, error: PassingError) -> None:

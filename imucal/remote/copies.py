@@ -309,7 +309,7 @@ def _download(file: RemoteFile, out: IO[bytes], count_bytes: Callable[[int], Non
                 count_bytes(len(block))
                 if done > farthest:
                     farthest = done
-                    attempts.went_on()
+                    attempts.reset()
             if file.size is None or done == file.size:
                 return
             if done > file.size:

@@ -136,13 +136,15 @@ class _WebRedirects(HTTPRedirectHandler):
         target = scheme_of(urljoin(req.full_url, headers.get("Location", "")))
         if target not in WEB:
             fp.close()
-            raise _led_astray(req.full_url, f"to {target}://" if target else "to an address outside the web")
+            raise _bad_redirect(
+                req.full_url, f"to {target}://" if target else "to an address outside the web"
+            )
         return super().http_error_302(req, fp, code, msg, headers)
 
     http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
 
 
-def _led_astray(url: str, where: str) -> ReadError:
+def _bad_redirect(url: str, where: str) -> ReadError:
     return refused(url, f"the server redirects {where}; expected a file behind https:// or http://")
 
 
@@ -177,7 +179,7 @@ def _refusal(url: str, code: int) -> Exception:
     if code == 416:
         return ChangedError()
     if code in {301, 302, 303, 307, 308}:
-        return _led_astray(url, "without end")
+        return _bad_redirect(url, "without end")
     what = http.client.responses.get(code, "unknown code")
     return refused(url, f"the server answers {code} ({what}); expected the file")
 

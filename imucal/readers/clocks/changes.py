@@ -10,15 +10,15 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
 from imucal.frozen import frozen
 
 #: Most windows; fewest and most samples in each.
-_WINDOWS, _LEAST, _MOST = 400, 32, 512
+_MAX_WINDOWS, _MIN_SAMPLES, _MAX_SAMPLES = 400, 32, 512
 #: Fewest windows of a part, and least share of them.
-_FEWEST, _SHARE = 8, 0.04
+_MIN_WINDOWS, _MIN_SHARE = 8, 0.04
 #: Least ratio of two rates, and of their short steps.
-_RATIO, _SHORT = 1.4, 1.3
+_MIN_RATIO, _MIN_SHORT_RATIO = 1.4, 1.3
 #: A longer step, in units of a long step, is a gap.
 _GAP = 8
 #: Least span of a window, in short steps between different stamps.
-_TICKS = 8
+_MIN_TICKS = 8
 #: A rate is stable if this share of the windows is within this relative distance of the median.
 _STABLE, _NEAR = 0.6, 0.2
 
@@ -43,11 +43,11 @@ class Change:
 
 def rate_change(stamps: IntArray) -> Change | None:
     """Return the largest lasting change of the rate of stamps in ns, shape (n,); None if there is none."""
-    count = min(_WINDOWS, stamps.size // _LEAST)
-    if count < 2 * _FEWEST:
+    count = min(_MAX_WINDOWS, stamps.size // _MIN_SAMPLES)
+    if count < 2 * _MIN_WINDOWS:
         return None
     # An even number of steps, because steps of two sensors may alternate.
-    width = min(stamps.size // count - 1, _MOST) // 2 * 2
+    width = min(stamps.size // count - 1, _MAX_SAMPLES) // 2 * 2
     first = np.linspace(0, stamps.size - 1 - width, count).astype(np.int64)
     steps = np.diff(stamps[first[:, None] + np.arange(width + 1)], axis=1).astype(np.float64)
     every = steps.ravel()
@@ -58,12 +58,12 @@ def rate_change(stamps: IntArray) -> Change | None:
     means = spans / np.maximum(counts.sum(axis=1), 1)
     short = np.sort(steps, axis=1)[:, width // 4]
     # A rate needs several ticks of a coarse clock.
-    good = np.flatnonzero(spans > _TICKS * percentile(every[every > 0], 10))
+    good = np.flatnonzero(spans > _MIN_TICKS * percentile(every[every > 0], 10))
     means, short, first = means[good], short[good], first[good]
-    if good.size < 2 * _FEWEST:
+    if good.size < 2 * _MIN_WINDOWS:
         return None
     at = _split(means)
-    least = max(_FEWEST, int(_SHARE * good.size))
+    least = max(_MIN_WINDOWS, int(_MIN_SHARE * good.size))
     if not least <= at <= good.size - least or not _lasting(means, short, np.arange(good.size) < at):
         return None
     return Change(
@@ -79,7 +79,7 @@ def _split(means: FloatArray) -> int:
     sums, before = np.cumsum(logs)[:-1], np.arange(1, logs.size)
     after = logs.size - before
     contrast = (sums / before - (logs.sum() - sums) / after) ** 2 * before * after
-    at = int(np.argmax(contrast[_FEWEST - 1 : 1 - _FEWEST])) + _FEWEST
+    at = int(np.argmax(contrast[_MIN_WINDOWS - 1 : 1 - _MIN_WINDOWS])) + _MIN_WINDOWS
     # Refine the position: mixed windows and outliers must not move it.
     middle = (median(logs[:at]) + median(logs[at:])) / 2
     sides = np.where((logs > middle) == (median(logs[at:]) > middle), 1, -1)
@@ -92,8 +92,8 @@ def _lasting(means: FloatArray, short: FloatArray, before: BoolArray) -> bool:
         if np.mean(np.abs(means[side] / mean - 1) < _NEAR) < _STABLE:
             return False
     (fast, fast_short), (slow, slow_short) = sorted(levels)
-    if slow < _RATIO * fast:
+    if slow < _MIN_RATIO * fast:
         return False
     # Short steps within batches, or of a coarse clock, do not depend on the sensor's rate.
     batches = fast_short < 0.5 * fast and slow_short < 0.5 * slow
-    return batches or slow_short > _SHORT * fast_short
+    return batches or slow_short > _MIN_SHORT_RATIO * fast_short

@@ -31,14 +31,14 @@ from imucal.recording import gap_findings
 LOG_TIME = "log time"
 
 #: Share of zero stamps above which log time is used.
-_ZEROS = 0.01
+_MAX_ZEROS = 0.01
 #: A longer jump forward means that the clock was set: one day, in ns.
 _DAY = 86_400 * 10**9
 #: Fewest samples per clock reset; with fewer the stamps are noise.
 _RESETS = 20
-_MOST = 100_000
+_MAX_EXAMINED = 100_000
 #: Shortest log for a comparison of clocks, in s, and smallest reported relative difference.
-_SHORTEST, _DRIFT = 60.0, 5e-4
+_MIN_DURATION_S, _MIN_DRIFT = 60.0, 5e-4
 
 
 def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
@@ -162,7 +162,7 @@ def repeats(
     twice = count(found)
     if 2 * twice <= stamps.size - 1 - advancing:
         return None
-    some = [np.diff(column[:_MOST]) for column in (stamps, *rows)]
+    some = [np.diff(column[:_MAX_EXAMINED]) for column in (stamps, *rows)]
     usual = np.all([steps == 0 for steps in some[1:]], axis=0)[some[0] != 0]
     return None if usual.size and 2 * usual.mean() > twice / (stamps.size - 1 - advancing) else found
 
@@ -171,7 +171,7 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     """Compare header stamps with log time: delay and relative rate of the clocks."""
     if stamps.size < 2 or equal(stamps, log) or not any(log[part].any() for part in blocks(log.size, log)):
         return []
-    step = max(stamps.size // _MOST, 1)
+    step = max(stamps.size // _MAX_EXAMINED, 1)
     some, recorded = stamps[::step], log[::step]
     delay = (recorded - some) / 1e9
     usual, most = median(delay), float(delay.max())
@@ -182,7 +182,7 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
         text = f"Time stamps and log time have different origins, {usual:.6g} s apart."
     findings = [Finding("info", "delay", text)]
     own, other = (int(some[-1]) - int(some[0])) / 1e9, (int(recorded[-1]) - int(recorded[0])) / 1e9
-    if min(own, other) > _SHORTEST and abs(own / other - 1) > _DRIFT:
+    if min(own, other) > _MIN_DURATION_S and abs(own / other - 1) > _MIN_DRIFT:
         ratio = f"{own / other - 1:+.2%}"
         text = f"The time stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
         findings.append(Finding("warning", "clocks-differ", text))
@@ -302,10 +302,10 @@ class _Stamps:
             # A device's clock may start at zero.
             return
         constant = n > 1 and is_constant(stamps[None])
-        if (zeros > _ZEROS * n or constant) and self.log_ns is not None:
+        if (zeros > _MAX_ZEROS * n or constant) and self.log_ns is not None:
             what = "are all the same" if constant and not zeros else f"{zeros} of {n} are zero"
             self._use(self.log_ns, "are all zero" if zeros == n else what)
-        elif 0 < zeros <= _ZEROS * n:
+        elif 0 < zeros <= _MAX_ZEROS * n:
             self.stamps = _filled(stamps, self.room)
             text = f"{zeros} of {n} time stamps are zero; they are interpolated."
             self.notes.append(Finding("info", "zero-stamps", text))

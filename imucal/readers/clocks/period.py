@@ -30,28 +30,28 @@ _SAME = 0.03
 #: Steps in a mean step: much longer than batches of up to 128 samples.
 _WINDOW = 512
 #: Most batches between the anchors of a slope.
-_FAR = 64
+_MAX_BATCHES = 64
 #: Longest batch of a buffer, in samples, and longest step within it, in ns.
-_DEEPEST, _SLOWEST = 512, 2_000_000
+_MAX_BURST, _MAX_BURST_STEP = 512, 2_000_000
 #: Anchors of a batch: (last stamp or first, last sample or first).
 _READ = ((True, True), (False, False), (False, True))
 #: White jitter: least jitter in periods, least share of steps near a period, fewest and most stamps of a run,
 #: least mean length of the phases.
-_WHITE, _ALONE, _FEWEST, _PHASES, _COHERENT = 0.1, 0.55, 256, 2048, 0.12
+_MIN_JITTER, _MIN_NEAR_SHARE, _MIN_STAMPS, _MAX_STAMPS, _MIN_COHERENCE = 0.1, 0.55, 256, 2048, 0.12
 #: Least ratio of mean step to period; below it losses are too few to matter.
-_LOST = 1.003
+_MIN_LOST_RATIO = 1.003
 #: Trials: shortest pause in usual steps, fewest samples of a trial, fewest pauses, fewest batches to test
 #: their beat.
-_PAUSE, _TRIAL, _PAUSES, _STARTS = 4, 8, 3, 6
+_MIN_PAUSE, _MIN_TRIAL, _MIN_PAUSES, _MIN_BATCHES = 4, 8, 3, 6
 #: Highest rate, in Hz, at which steps inside a batch may be those of a sensor.
-_SENSOR = 2000.0
+_MAX_SENSOR_RATE = 2000.0
 #: Largest share of missing samples explained by a nominal period in stamps of batches.
-_NOMINAL = 0.1
+_MAX_NOMINAL_LOSS = 0.1
 #: Largest share of missing samples at which steps inside a batch are too long for a buffer.
-_MOST = 0.55
+_MAX_MISSING = 0.55
 #: Cycles of losses: most samples, fewest cycles, most missing samples per sample, tolerances of a mean step
 #: and of the longest step's number of periods.
-_CYCLE, _CYCLES, _LOSES, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
+_MAX_CYCLE, _MIN_CYCLES, _MAX_LOSS, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
 #: Relative difference of equal periods of a clock with coarse ticks.
 _EXACT = 1e-3
 #: Stamps per piece when ticks are removed.
@@ -179,8 +179,8 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
     """
     steps = np.concatenate([np.diff(run) for run in runs])
     usual = median(steps)
-    pieces = _pieces(runs, _PAUSE * usual)
-    if len(pieces) - len(runs) < _PAUSES:
+    pieces = _pieces(runs, _MIN_PAUSE * usual)
+    if len(pieces) - len(runs) < _MIN_PAUSES:
         return [], 0.0
     inside = sum(map(len, pieces))
     own = sum(int(piece[-1] - piece[0]) for piece in pieces) / (inside - len(pieces))
@@ -188,16 +188,16 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
     if inside < 0.9 * sum(map(len, runs)) or own > 1.1 * usual or own < 1e9 / RATES[1]:
         return [], 0.0
     size = inside / len(pieces)
-    beat, uneven, starts = _beat(runs, _PAUSE * usual, size)
+    beat, uneven, starts = _beat(runs, _MIN_PAUSE * usual, size)
     missing, batches = Period(tau_ns=own), Period(tau_ns=beat or late.tau_ns, burst=round(size))
-    pauses = steps[steps > _PAUSE * usual] / own
+    pauses = steps[steps > _MIN_PAUSE * usual] / own
     if rate_hz is not None:
         return pieces if _nearest(batches, missing, rate_hz) is missing else [], 0.0
     if _are_apart(missing, batches, pauses, uneven):
         return pieces, 0.0
-    if not 1e9 / _SENSOR < own < (1 - _MOST) * batches.tau_ns:
+    if not 1e9 / _MAX_SENSOR_RATE < own < (1 - _MAX_MISSING) * batches.tau_ns:
         return [], 0.0
-    if own > _SLOWEST or uneven > 1 or starts < _STARTS:
+    if own > _MAX_BURST_STEP or uneven > 1 or starts < _MIN_BATCHES:
         raise _two_readings(missing, batches)
     return [], own
 
@@ -205,18 +205,18 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
 def _are_apart(missing: Period, batches: Period, pauses: FloatArray, uneven: float) -> bool:
     """Return whether pauses, in periods, separate trials rather than batches of a buffer."""
     share = 1 - missing.tau_ns / batches.tau_ns
-    if share < _MOST:
+    if share < _MAX_MISSING:
         # With a nominal period in stamps of batches, pauses are not whole periods.
-        return share > _NOMINAL or median(np.abs(pauses - np.rint(pauses))) < 0.12
-    odd = batches.burst > _DEEPEST or batches.rate_hz < RATES[0]
-    return odd or uneven > (1.0 if missing.tau_ns > _SLOWEST else 1.5)
+        return share > _MAX_NOMINAL_LOSS or median(np.abs(pauses - np.rint(pauses))) < 0.12
+    odd = batches.burst > _MAX_BURST or batches.rate_hz < RATES[0]
+    return odd or uneven > (1.0 if missing.tau_ns > _MAX_BURST_STEP else 1.5)
 
 
 def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
     if pause <= 0:
         return []
     cut = [np.split(run, np.flatnonzero(np.abs(np.diff(run)) > pause) + 1) for run in runs]
-    return [piece for pieces in cut for piece in pieces if piece.size >= _TRIAL]
+    return [piece for pieces in cut for piece in pieces if piece.size >= _MIN_TRIAL]
 
 
 def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float, int]:
@@ -302,13 +302,13 @@ def _cycle(stamps: IntArray, quantum: int) -> Period | None:
     and ticks. A clock with a tick of about a period also gives such a cycle, with one sample missing.
     """
     steps = np.diff(stamps).astype(np.float64)
-    for size in range(2, min(_CYCLE, steps.size // _CYCLES) + 1):
+    for size in range(2, min(_MAX_CYCLE, steps.size // _MIN_CYCLES) + 1):
         cycles = steps[: steps.size // size * size].reshape(-1, size)
         means = cycles.mean(axis=0)
         longest = int(np.argmax(means))
         usual = float(np.delete(means, longest).mean())
         periods = round(means[longest] / usual) if usual > (1 - _LOOSE) * quantum else 0
-        if not 2 <= periods <= 1 + size * _LOSES or abs(means[longest] / usual / periods - 1) > _WHOLE:
+        if not 2 <= periods <= 1 + size * _MAX_LOSS or abs(means[longest] / usual / periods - 1) > _WHOLE:
             continue
         # Gaps and batches also change the means, but not in all cycles.
         half = len(cycles) // 2
@@ -328,9 +328,9 @@ def _slips(ticks: IntArray) -> float:
     `ticks` are the steps between samples, in ticks, shape (n - 1,).
     """
     at = np.concatenate([[0], np.cumsum(ticks)])
-    at = at[: np.searchsorted(at, _PHASES)]
+    at = at[: np.searchsorted(at, _MAX_STAMPS)]
     n = int(at[-1]) + 1
-    if at.size < _FEWEST // 2 or n == at.size or np.any(ticks[: at.size - 1] < 1):
+    if at.size < _MIN_STAMPS // 2 or n == at.size or np.any(ticks[: at.size - 1] < 1):
         return 0.0
     taken = np.zeros(n)
     taken[at] = 1.0
@@ -373,18 +373,18 @@ def _of_phases(
 
     It is shorter than the mean step `wide`, in ns; only a little if stamps stay near even places
     (`conserved`). White jitter of s periods reduces the mean length of the phases to exp(-(2 pi s)²/2),
-    whatever is missing. Steps have twice the variance and hide the losses.
+    however many samples are missing. Steps have twice the variance and hide the losses.
     """
     usual = median(steps)
     off = np.abs(steps - usual)
     if wide > 8 * usual:
         return None
-    if max(_WHITE * usual, quantum) > 1.05 * median(off) or np.mean(2 * off < usual) < _ALONE:
+    if max(_MIN_JITTER * usual, quantum) > 1.05 * median(off) or np.mean(2 * off < usual) < _MIN_NEAR_SHARE:
         return None
     least, found = wide / 1.05 if conserved else min(0.75 * usual, wide), []
     for run in runs:
-        times = (run[:_PHASES] - run[0]) / wide
-        if times.size < _FEWEST or not 0 < times[-1] < 10 * times.size:
+        times = (run[:_MAX_STAMPS] - run[0]) / wide
+        if times.size < _MIN_STAMPS or not 0 < times[-1] < 10 * times.size:
             return None
         low, high = 1.0, wide / least
         points = 2 * (high - low) * times[-1]
@@ -393,11 +393,11 @@ def _of_phases(
             length = [abs(np.exp(2j * np.pi * one * times).mean()) for one in rates.tolist()]
             rate = float(rates[np.argmax(length)])
             low, high, points = rate - 0.5 / times[-1], rate + 0.5 / times[-1], 80
-        if max(length) < _COHERENT + 5 / np.sqrt(times.size):
+        if max(length) < _MIN_COHERENCE + 5 / np.sqrt(times.size):
             return None
         found.append(rate)
     rate = median(np.array(found))
-    return Period(tau_ns=wide / rate, coherent=True) if rate > _LOST else None
+    return Period(tau_ns=wide / rate, coherent=True) if rate > _MIN_LOST_RATIO else None
 
 
 def _chosen(
@@ -408,10 +408,10 @@ def _chosen(
         return _nearest(late, missing, rate_hz)
     if missing.coherent:
         return missing
-    buffered = late.burst <= _DEEPEST and missing.tau_ns <= _SLOWEST
+    buffered = late.burst <= _MAX_BURST and missing.tau_ns <= _MAX_BURST_STEP
     if conserved and (buffered or share <= 0.5) and (paused or share > 0.5):
         return late
-    if share <= 0.5 or pauses < 3 or late.burst > _DEEPEST:
+    if share <= 0.5 or pauses < 3 or late.burst > _MAX_BURST:
         return missing
     raise _two_readings(missing, late)
 
@@ -520,7 +520,7 @@ def _anchors(
 def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
     slopes = []
     for times, places in anchors:
-        far = max(min(times.size // 8, _FAR), 1)
+        far = max(min(times.size // 8, _MAX_BATCHES), 1)
         slopes.append((times[far:] - times[:-far]) / (places[far:] - places[:-far]))
     every = np.concatenate(slopes)
     return median(every) if every.size else 0.0

@@ -216,7 +216,7 @@ class McapFile(MessageFile):
             start = self._file.read(at, min(_START, size - at))
             opcode, length = HEAD.unpack_from(start)
             end = at + HEAD.size + length
-            # Records after the data are those of a summary, even if its checksum is wrong.
+            # Records after the data belong to the summary, even if its checksum is wrong.
             ended |= opcode in {DATA_END, FOOTER}
             if not opcode or opcode == FOOTER or end > size:
                 break

@@ -162,9 +162,9 @@ def listed(raw: memoryview, key: int, data: Bytes) -> Batch:
     times = cells(heads, time, "<u4").astype(np.int64) * 10**9 + cells(heads, time + 4, "<u4")
     same = heads.view(np.uint8).reshape(-1, len(head)) == np.frombuffer(head, np.uint8)
     same[:, time : time + PAIR.size] = same[:, -U32.size :] = True
-    alike = inside[same.all(axis=1) & (times == log_ns[inside])]
-    alike = alike[payloads[alike] + sizes[alike] <= len(raw)]
-    for row in np.setdiff1d(np.arange(starts.size), alike).tolist() if alike.size < starts.size else ():
+    equal = inside[same.all(axis=1) & (times == log_ns[inside])]
+    equal = equal[payloads[equal] + sizes[equal] <= len(raw)]
+    for row in np.setdiff1d(np.arange(starts.size), equal).tolist() if equal.size < starts.size else ():
         entry = _message(raw, key, int(starts[row]))
         damaged_if(entry.time_ns(b"time") != log_ns[row], "an index record points to wrong records")
         payloads[row], sizes[row] = entry.start, entry.end - entry.start

@@ -30,7 +30,7 @@ _PART, _ROWS = 1 << 22, 256
 #: Rows fetched at once; more is slower.
 _FETCH = 1024
 #: Ranges of damaged rows are halved down to this many rows.
-_FEW = 16
+_MIN_RANGE = 16
 #: Most rows counted if the metadata lack counts.
 _COUNTED = 2_000_000
 #: Errors of damaged pages; the last three come from values of a wrong type.
@@ -131,7 +131,7 @@ class SqliteFile(MessageFile):
             except sqlite3.OperationalError as error:
                 raise _refusal(self.path, error) from error
             except _ERRORS as error:
-                if size > _FEW:
+                if size > _MIN_RANGE:
                     middle = rows.start + size // 2
                     ranges += [range(middle, rows.stop), range(rows.start, middle)]
                 else:

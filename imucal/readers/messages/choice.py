@@ -11,7 +11,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-_MOST, _COLUMNS = 24, 60
+_MAX_TOPICS, _MAX_COLUMNS = 24, 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
     """Return the only topic with numbers, whose columns must be named; raises ChoiceError without one."""
     if options.columns is not None:
         lines = [f"  {topic.name} ({topic.type}): {topic.reason}; found {columns(topic)}" for topic in topics]
-        listed = "\n".join(lines[:_MOST]) or "  no topics"
+        listed = "\n".join(lines[:_MAX_TOPICS]) or "  no topics"
         why = "no topic has the columns in the columns text; found these topics"
         raise refused(path, f"{why}\n{listed}", ChoiceError)
     unreadable = [topic for topic in topics if topic.reason and topic.count != 0 and _looks_like_imu(topic)]
@@ -76,14 +76,14 @@ def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
 def columns(topic: Topic) -> str:
     """Return the columns of a topic for a message."""
     names = [column.name for column in topic.columns]
-    more = f", … {len(names) - _COLUMNS} more" if len(names) > _COLUMNS else ""
-    return ", ".join(names[:_COLUMNS]) + more or "none with numbers"
+    more = f", … {len(names) - _MAX_COLUMNS} more" if len(names) > _MAX_COLUMNS else ""
+    return ", ".join(names[:_MAX_COLUMNS]) + more or "none with numbers"
 
 
 def table(topics: Sequence[Topic]) -> str:
     """Return the topics as lines of name, type, messages, rate and duration."""
     rows = []
-    for topic in topics[:_MOST]:
+    for topic in topics[:_MAX_TOPICS]:
         count = "? messages" if topic.count is None else f"{topic.count} messages"
         rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
         duration = "" if topic.duration_s is None else f"{topic.duration_s:.4g} s"
@@ -92,8 +92,8 @@ def table(topics: Sequence[Topic]) -> str:
     lines = [
         f"  {n:{a}}  {t:{b}}  {count:>{c}}  {rate:>{d}}  {last}".rstrip() for n, t, count, rate, last in rows
     ]
-    if len(topics) > _MOST:
-        lines.append(f"  and {len(topics) - _MOST} more")
+    if len(topics) > _MAX_TOPICS:
+        lines.append(f"  and {len(topics) - _MAX_TOPICS} more")
     return "\n".join(lines)
 
 

@@ -45,7 +45,7 @@ _TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
 #: Limits of nesting, and of fields and files.
-_DEEP, _MANY = 16, 20_000
+_MAX_DEPTH, _MAX_FIELDS = 16, 20_000
 
 
 def plain_type(name: str) -> str:
@@ -136,7 +136,7 @@ class Definition:
         return tuple(_laid_out(self.name, self._fields(self.name)))
 
     def _fields(self, name: str, prefix: str = "", depth: int = 0) -> Iterator[Field]:
-        if depth > _DEEP:
+        if depth > _MAX_DEPTH:
             raise _too_large(name)
         lines = self.lines(name)
         if not lines and not self.ros1:
@@ -172,7 +172,7 @@ class Definition:
                 yield Field(path, "sequence", inner[0].code, sum(one.count for one in inner))
             else:
                 yield Field(path, "other")
-        elif line.count > _MANY:
+        elif line.count > _MAX_FIELDS:
             raise DefinitionError(f"{path} has {line.count} elements")
         else:
             for i in range(line.count):
@@ -183,7 +183,7 @@ def _laid_out(name: str, fields: Iterator[Field]) -> list[Field]:
     found = []
     for field in fields:
         found.append(field)
-        if len(found) > _MANY:
+        if len(found) > _MAX_FIELDS:
             raise _too_large(name)
         if field.kind == "other":
             break
@@ -245,7 +245,7 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     """
     found = {}
     for path in paths:
-        files = sorted(path.rglob("*.msg"))[:_MANY] if path.is_dir() else [path]
+        files = sorted(path.rglob("*.msg"))[:_MAX_FIELDS] if path.is_dir() else [path]
         if not files:
             raise refused(path, "no .msg files in this folder; expected the definitions of message types")
         for file in files:

@@ -30,9 +30,9 @@ _LARGE = 50_000
 _LOOKS = 8
 _MAX_LOSSES = 1000
 #: If more messages in a row are damaged, the others are not tried separately.
-_MANY = 64
+_MAX_TRIED = 64
 #: Least bytes of a message in a file: an index entry.
-_SMALLEST = 12
+_MIN_MESSAGE_BYTES = 12
 
 
 class Decoder(Protocol):
@@ -74,7 +74,7 @@ def decode(
     """
     jobs = list(_jobs(containers, streams, most_chunks))
     # Counts can be wrong, so the file's size limits the reserved memory.
-    most = sum(container.size for container in containers) // _SMALLEST if most_chunks is None else 0
+    most = sum(container.size for container in containers) // _MIN_MESSAGE_BYTES if most_chunks is None else 0
     share = (column_limit() if limit is None else limit) // len(streams)
     outputs = [_Output(stream.types, _stated(containers, stream), most, share) for stream in streams]
     if sum(output.expected for output in outputs) > _LARGE:
@@ -200,5 +200,5 @@ def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block
             return [Loss(error.code, str(error), batch.n)]
     half = batch.n // 2
     first = _pieces(decoder, batch.part(slice(half)))
-    hopeless = half > _MANY and all(isinstance(piece, Loss) for piece in first)
+    hopeless = half > _MAX_TRIED and all(isinstance(piece, Loss) for piece in first)
     return first + _pieces(decoder, batch.part(slice(half, None)), split=not hopeless)

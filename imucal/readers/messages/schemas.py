@@ -13,8 +13,8 @@ from imucal.readers.messages.definitions import Definition, DefinitionError, sta
 from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 
 #: Deepest nesting; types may refer to themselves.
-_DEEP = 8
-_LINES, _MESSAGES = 4000, 2000
+_MAX_DEPTH = 8
+_MAX_LINES, _MAX_MESSAGES = 4000, 2000
 _CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32": "u4", "UINT64": "u8",
           "SINT32": "i4", "SINT64": "i8", "FIXED32": "u4", "FIXED64": "u8", "SFIXED32": "i4",
           "SFIXED64": "i8"}  # fmt: skip
@@ -29,7 +29,7 @@ def _ros_leaves(
     known: Definition, name: str, prefix: str, depth: int, steps: Iterator[int]
 ) -> Iterator[Leaf]:
     for line in known.lines(name):
-        if next(steps) >= _LINES:
+        if next(steps) >= _MAX_LINES:
             return
         path = prefix + line.name
         own = f"{path}[0]" if line.array else path
@@ -38,7 +38,7 @@ def _ros_leaves(
             yield Leaf(path, line.kind + brackets)
         elif line.is_time:
             yield Leaf(own, TIME)
-        elif not line.is_text and depth < _DEEP:
+        elif not line.is_text and depth < _MAX_DEPTH:
             yield from _ros_leaves(known, line.kind, f"{own}.", depth + 1, steps)
 
 
@@ -98,7 +98,7 @@ def _protobuf_leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[i
         if field.message_type is not None and is_time([part.name for part in field.message_type.fields]):
             yield Leaf(f"{path}[0]" if field.is_repeated else path, TIME)
         elif field.message_type is not None:
-            if depth < _DEEP and next(steps) < _MESSAGES:
+            if depth < _MAX_DEPTH and next(steps) < _MAX_MESSAGES:
                 own = f"{path}[0]." if field.is_repeated else f"{path}."
                 yield from _protobuf_leaves(field.message_type, own, depth + 1, steps)
         elif field.type in names:

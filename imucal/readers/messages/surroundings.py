@@ -15,7 +15,7 @@ from imucal.recording import Temperature
 #: Bytes before the frame's length in a ROS 1 header, or a ROS 2 header with encapsulation.
 _BEFORE = 12
 #: A longer frame name is damage.
-_LONGEST = 256
+_MAX_FRAME_BYTES = 256
 
 
 def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> list[tuple[str, str]]:
@@ -39,13 +39,13 @@ def frame_of(message: bytes, encoding: str) -> str:
     little = encoding == "ros1" or message[1] & 1
     end = _BEFORE + 4 + int.from_bytes(message[_BEFORE : _BEFORE + 4], "little" if little else "big")
     name = message[_BEFORE + 4 : end].rstrip(b"\x00")
-    if not 0 < end - _BEFORE - 4 <= _LONGEST or end > len(message):
+    if not 0 < end - _BEFORE - 4 <= _MAX_FRAME_BYTES or end > len(message):
         return ""
     text = name.decode("utf-8", "replace")
     return text if text.isprintable() else ""
 
 
-def temperature_beside(topics: Sequence[Topic], imu: str) -> Topic | None:
+def temperature_topic(topics: Sequence[Topic], imu: str) -> Topic | None:
     """Return the topic of an IMU's temperature; None if there is none.
 
     It must be the only one in the IMU's namespace: a log may contain temperatures of other devices.

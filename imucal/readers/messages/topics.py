@@ -35,7 +35,7 @@ _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
 #: Separators in a columns text, and times that are not columns.
 _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
 #: Longest array whose elements are columns without being named.
-_WIDEST = 9
+_MAX_ELEMENTS = 9
 #: Messages examined, and chunks read for them (more if the first contain too few).
 _HEAD, _LOOKS = 100, (1, 32)
 #: Rows examined of a table in memory.
@@ -145,7 +145,7 @@ class Topic:
 
 
 def cells_of(values: NDArray[Any]) -> list[str]:
-    """Return values as text; without values as that of zeros."""
+    """Return values as text; a column without values counts as zero."""
     cells = values.tolist()
     return ["" if cell is None or cell != cell else str(cell) for cell in cells] or ["0"]  # noqa: PLR0124 - NaN
 
@@ -257,7 +257,7 @@ def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str
     found = {int(match[1]) for one in named if (match := element.fullmatch(one))}
     found |= {0, 1, 2} if found or path in named else set()
     if count:
-        found = {i for i in found if i < int(count)} if int(count) > _WIDEST else set(range(int(count)))
+        found = {i for i in found if i < int(count)} if int(count) > _MAX_ELEMENTS else set(range(int(count)))
     yield from ((f"{path}[{index}]", base) for index in sorted(found))
 
 
@@ -300,8 +300,8 @@ def _by_name(topic: Topic, *, named: bool) -> Topic:
 def _word(topic: Topic) -> str:
     """Return the sensor requested by the user or named by topic or type; empty if there is none."""
     last = plain_type(topic.type).rpartition("/")[2]
-    told = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
-    return str(next(filter(None, told), ""))
+    candidates = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
+    return str(next(filter(None, candidates), ""))
 
 
 def is_command(topic: str) -> bool:
@@ -352,7 +352,7 @@ def _owner(name: str) -> str:
 
 
 def _in_units_of_type(plan: TablePlan) -> TablePlan:
-    """Report units that are not in column names as those of the message type."""
+    """Attribute units that are not in column names to the message type."""
     sensors = tuple(
         replace(sensor, stated=UnitGuess("from the message type", sensor.stated.unit))
         if sensor.stated is not None and sensor.triad.unit is None

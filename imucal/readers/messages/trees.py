@@ -21,7 +21,7 @@ TIME = "time"
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nanos", "nsec", "nsecs", "nanoseconds")
 #: Most members examined of a JSON object.
-_MOST = 600
+_MAX_MEMBERS = 600
 
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 
@@ -102,7 +102,7 @@ def leaves_of_tree(tree: object, path: str = "") -> Iterator[Leaf]:
         if path and is_time(list(tree)) and all(isinstance(value, int) for value in tree.values()):
             yield Leaf(path, TIME)
             return
-        for name, value in list(tree.items())[:_MOST]:
+        for name, value in list(tree.items())[:_MAX_MEMBERS]:
             yield from leaves_of_tree(value, f"{path}.{name}" if path else str(name))
     elif isinstance(tree, list):
         if tree and all(map(_is_number, tree)):

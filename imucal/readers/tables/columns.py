@@ -12,7 +12,7 @@ from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_n
 from imucal.recording import AXES, Axis, Sensor
 
 #: Longest number not rounded in a message; most columns listed.
-_LONG, _LISTED = 9, 60
+_MAX_DIGITS, _MAX_LISTED = 9, 60
 
 _ENDS = (tuple(f".{axis}" for axis in AXES), ("[0]", "[1]", "[2]"), tuple(f"_{axis}" for axis in AXES))
 
@@ -66,8 +66,8 @@ class Triad:
 
     @property
     def unit(self) -> str | None:
-        said = {*self.units} - {None}
-        return said.pop() if len(said) == 1 else None
+        units = {*self.units} - {None}
+        return units.pop() if len(units) == 1 else None
 
     def text(self, rows: str = "") -> str:
         """Return the columns text: ``g=1:4``, ``g=4+3+2``, ``gz=1``; `rows` is such as ``@I:0``."""
@@ -113,14 +113,14 @@ class NamedTable:
     @property
     def listed(self) -> str:
         """The columns with indices, for a message; first cells if there are no names."""
-        named, shown = any(column.header for column in self.columns), []
-        for column in self.columns[:_LISTED]:
+        named, entries = any(column.header for column in self.columns), []
+        for column in self.columns[:_MAX_LISTED]:
             first = "" if named else next(iter(column.cells), "")
-            if len(first) > _LONG and is_number(first):
+            if len(first) > _MAX_DIGITS and is_number(first):
                 first = f"{float(first):.6g}"
-            shown.append(f"{column.index} {column.header or first or '(no name)'}")
-        more = len(self.columns) - _LISTED
-        return ", ".join(shown) + (f", … {more} more" if more > 0 else "")
+            entries.append(f"{column.index} {column.header or first or '(no name)'}")
+        more = len(self.columns) - _MAX_LISTED
+        return ", ".join(entries) + (f", … {more} more" if more > 0 else "")
 
     @property
     def time(self) -> str:

@@ -162,8 +162,8 @@ def parse_column(
     A `unit` from a row of units overrides one in the name. `context` contains the lower-case names of all
     columns: ``alpha_x`` is an acceleration only together with ``omega_x``; p, q, r are rates only together.
     """
-    shown = header.strip().strip("\ufeff").strip()
-    text = shown.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
+    name = header.strip().strip("\ufeff").strip()
+    text = name.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
     text, named_unit, number = _without_brackets(text)
     unit = unit or named_unit
     words, axis, place = _take_axis([word.lower() for word in _WORD.findall(text)])
@@ -178,7 +178,7 @@ def parse_column(
     degrees = (unit or "").strip().lower() in _DEGREES and text.lower().startswith("t")
     if text == "T" or (degrees and role is Role.OTHER):
         role = Role.TEMPERATURE
-    return NamedColumn(index, shown, tuple(words), role, axis, numbered=numbered, unit=unit, cells=cells)
+    return NamedColumn(index, name, tuple(words), role, axis, numbered=numbered, unit=unit, cells=cells)
 
 
 def _without_brackets(text: str) -> tuple[str, str | None, int | None]:

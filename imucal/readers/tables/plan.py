@@ -52,9 +52,9 @@ _PARTNERS = {
 }
 
 #: Most columns, and most columns texts, in a message.
-_LISTED, _SHOWN = 12, 4
+_MAX_LISTED, _MAX_EXAMPLES = 12, 4
 #: Most different tags in a column.
-_MOST_TAGS = 8
+_MAX_TAGS = 8
 
 
 @frozen
@@ -140,8 +140,8 @@ def _plan(
 ) -> TablePlan:
     decisions, sensors = [], []
     for triad in triads:
-        shown = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
-        decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
+        names = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
+        decisions.append((f"{triad.sensor} columns", f"{names}, {reason}"))
         plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
         unit, how = triad.unit, "from the column header"
         if unit is None and table.dialect:
@@ -234,9 +234,9 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
         # A unit in one name applies to all axes: wx(rad/s), wy, wz.
         if triad.sensor not in units_given and len({*triad.units} - {None}) > 1:
             named = zip(triad.headers, triad.units, strict=True)
-            shown = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
+            axes = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
             text = (
-                f"the axes of the {triad.sensor} have different units ({shown}); expected one unit; give "
+                f"the axes of the {triad.sensor} have different units ({axes}); expected one unit; give "
                 f"the unit of the {triad.sensor}, or correct the header; found columns: {table.listed}"
             )
             raise refused(table.path, text, ChoiceError)
@@ -283,11 +283,11 @@ def _pairs(triads: Sequence[Triad]) -> Sequence[tuple[Triad, ...]]:
         return len(first & second) - len(first ^ second), -abs(gyro.index - accel.index)
 
     if not gyros or not accels:
-        return [(triad,) for triad in triads][:_SHOWN]
+        return [(triad,) for triad in triads][:_MAX_EXAMPLES]
     pairs = [max(((gyro, accel) for accel in accels), key=likeness) for gyro in gyros]
     if len(gyros) < len(accels):
         pairs = [max(((gyro, accel) for gyro in gyros), key=likeness) for accel in accels]
-    return pairs[:_SHOWN]
+    return pairs[:_MAX_EXAMPLES]
 
 
 def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()) -> int | None:
@@ -354,7 +354,7 @@ def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
     for column in table.columns:
         texts = [] if column.role is Role.TIME else sorted({*column.filled})
         tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
-        if len(texts) <= _MOST_TAGS and any(tags.values()) and not any(map(is_number, texts)):
+        if len(texts) <= _MAX_TAGS and any(tags.values()) and not any(map(is_number, texts)):
             how = f"in the rows that column {column.header or column.index} names"
             return _each(partial(_in_rows, table, found, column=column, tags=tags)), how
     _refuse_instances(table, found)
@@ -374,10 +374,10 @@ def _in_rows(
         return triad and replace(triad, rows=(column.index, names[0]))
     texts = sorted({*column.filled})
     rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
-    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
+    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_MAX_EXAMPLES]]
     which = f"{len(names)} tags name" if names else "no tag names"
-    said = f"column {column.header or column.index} has tags of rows ({', '.join(texts)})"
-    raise table.ask(f"{said}; {which} the {sensor}", example=" or ".join(examples))
+    found_tags = f"column {column.header or column.index} has tags of rows ({', '.join(texts)})"
+    raise table.ask(f"{found_tags}; {which} the {sensor}", example=" or ".join(examples))
 
 
 def _refuse_instances(table: NamedTable, found: Found) -> None:
@@ -392,11 +392,13 @@ def _refuse_instances(table: NamedTable, found: Found) -> None:
             devices.sort(key=int)
         elif any(map(is_number, devices)):
             continue
-        if not 1 < len(devices) <= _MOST_TAGS:
+        if not 1 < len(devices) <= _MAX_TAGS:
             continue
         name = column.header.strip("\"'")
         at = name if re.fullmatch(r"\w+", name) else str(column.index)
-        texts = [table.columns_text(*found.values(), rows=f"@{at}:{cell}") for cell in devices[:_SHOWN]]
+        texts = [
+            table.columns_text(*found.values(), rows=f"@{at}:{cell}") for cell in devices[:_MAX_EXAMPLES]
+        ]
         problem = f"rows of {len(devices)} sensors, numbered by column {name} ({', '.join(devices)})"
         raise table.ask(problem, example=" or ".join(texts))
 
@@ -410,9 +412,9 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
     left = [column for column in table.columns if column.index not in used and _may_be_samples(column)]
     if not left:
         return ()
-    shown = [f"{column.index} {column.header or '(no name)'}" for column in left[:_LISTED]]
-    shown += [f"… {len(left) - _LISTED} more"] if len(left) > _LISTED else []
-    listed = f"unused columns: {', '.join(shown)}."
+    entries = [f"{column.index} {column.header or '(no name)'}" for column in left[:_MAX_LISTED]]
+    entries += [f"… {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
+    listed = f"unused columns: {', '.join(entries)}."
     findings = []
     for sensor in Sensor:
         triad = found.get(sensor)

@@ -315,8 +315,8 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
 def why_no_time(table: NamedTable) -> str:
     """Return why times in a table can't be used, and advice; empty if there are none."""
     if parts := _parts_of_dates(table)[0]:
-        shown = ", ".join(column.header for column in parts)
-        return f"{shown}: parts of a date; write date and time in one column, such as 2026-11-22 10:00:00.01"
+        names = ", ".join(column.header for column in parts)
+        return f"{names}: parts of a date; write date and time in one column, such as 2026-11-22 10:00:00.01"
     return _steps(table.columns)
 
 
@@ -445,9 +445,9 @@ def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bo
 
 def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
     ns = _spelled_ns(fine.unit or "", *fine.words)
-    beside = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
+    fine_unit = {1: "nanoseconds", 1000: "microseconds", 10**6: "milliseconds"}.get(ns or 0, "a fraction")
     text = any(map(is_text_stamp, coarse.filled))
-    source = f"{'text' if text else 'seconds'} + {beside}"
+    source = f"{'text' if text else 'seconds'} + {fine_unit}"
     return _joined(coarse, fine, kind="pair", ns=ns if ns != _SECOND else None, source=source)
 
 

@@ -40,18 +40,18 @@ from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS
 
 #: Largest relative difference between the given rate and the rate in a time unit.
-_AS_GIVEN = 0.1
+_RATE_TOLERANCE = 0.1
 
 _SECOND = 10**9
 
 #: No sensor has a higher rate, in Hz; largest time in 64 bits, in ns (about 30 years).
-_FASTEST, _LONGEST_NS = 1e6, 1e18
+_MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
 
 #: Slowest usual rate of IMUs, in Hz: used to guess units from the noise while the rate is unknown.
-_SLOWEST = 10.0
+_MIN_RATE_HZ = 10.0
 
 #: Above this share of repeated rows, the sensor is slower than the log; below, samples were sent twice.
-_SENT_TWICE = 0.1
+_MAX_REPEATED = 0.1
 
 
 @frozen_alone
@@ -59,9 +59,9 @@ class SensorColumns:
     """The columns of one sensor as read, shape (n,) each, in units of the log.
 
     `time` and `log_time` are the columns of the plan's times, or empty. If `sparse`, rows without values
-    belong to other sensors. `rows_left` is a hash of the rows kept. `table` is a name if the log has several
-    tables, `source` describes the time. Rows are duplicates if all values in `compared` repeat (None: the
-    axes).
+    belong to other sensors. `rows_left` is a hash of the mask of kept rows, empty if all are kept. `table` is
+    a name if the log has several tables, `source` describes the time. Rows are duplicates if all values in
+    `compared` repeat (None: the axes).
     """
 
     plan: SensorPlan
@@ -129,7 +129,7 @@ def _compared(reading: ClockReading, stamps: IntArray, log: IntArray) -> ClockRe
     return replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
 
 
-def _say(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
+def _add_finding(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
     finding = Finding(level, code, text, **more)
     if finding not in work.findings:
         work.findings.append(finding)
@@ -140,7 +140,7 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
     rows = columns.axes if columns.compared is None else columns.compared
     same = repeats(stamps, rows, work.room) if rows else None
     share = count(same) / same.size if same is not None else 0.0
-    if share <= _SENT_TWICE or columns.compared is not None:
+    if share <= _MAX_REPEATED or columns.compared is not None:
         return same
     sensor = columns.plan.triad.sensor
     text = (
@@ -148,7 +148,7 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
         "written faster than the sensor was read."
     )
     advice = "Log each sample once: repeated samples distort the curve at short averaging times."
-    _say(work, "warning", "held-samples", text, axis=sensor.short, advice=advice)
+    _add_finding(work, "warning", "held-samples", text, axis=sensor.short, advice=advice)
     return None
 
 
@@ -160,7 +160,7 @@ def _compare_rates(work: RecordingBuilder, measured: float) -> None:
             "used."
         )
         advice = "Give the sampling rate if the time stamps are wrong."
-        _say(work, "warning", "rate-differs", text, advice=advice)
+        _add_finding(work, "warning", "rate-differs", text, advice=advice)
 
 
 def _log_stamps(work: RecordingBuilder, columns: SensorColumns) -> IntArray | None:
@@ -184,7 +184,7 @@ def stamps_of(
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
             again = f"Column {time.name} started again {wraps} times at the end of its range"
-            _say(work, "info", "wrapped", f"{again}; it was unwrapped.")
+            _add_finding(work, "info", "wrapped", f"{again}; it was unwrapped.")
     ns = _ns_per_count(work, time, values, sensor)
     return None if ns is None else to_ns(values, ns, room)
 
@@ -202,7 +202,7 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
         return time.ns
     if unit is None and rate is not None:
         rates = rates_by_unit(values).items()
-        unit = next((name for name, found in rates if abs(found / rate - 1) <= _AS_GIVEN), None)
+        unit = next((name for name, found in rates if abs(found / rate - 1) <= _RATE_TOLERANCE), None)
         how = "from the given rate"
     fits: tuple[str, ...] = ()
     if unit is None:
@@ -218,7 +218,7 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
     found = f"Column {time.name} increases by {step:g} per row, which is not {rate:g} Hz in any unit"
-    _say(work, "warning", "time-unused", f"{found}; it is ignored, so gaps are not found.")
+    _add_finding(work, "warning", "time-unused", f"{found}; it is ignored, so gaps are not found.")
     return None
 
 
@@ -231,15 +231,15 @@ def _open_unit(
     rates = {
         unit: rate
         for unit, rate in rates_by_unit(values).items()
-        if rate <= _FASTEST and span * TIME_UNITS_NS[unit] < _LONGEST_NS
+        if rate <= _MAX_RATE_HZ and span * TIME_UNITS_NS[unit] < _MAX_TIME_NS
     }
     # If no unit gives a usual rate, suggest the nearest ones.
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
-    shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
+    choices = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
     name = time.name.strip().strip("\"'")
     # Suggest a unit in the header only if it gives a usual rate.
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
-    ways = f"{shown}; give the time unit, {named}or give the sampling rate"
+    ways = f"{choices}; give the time unit, {named}or give the sampling rate"
     has = f"the time of the {sensor}, has no unit and increases by {typical_step(values):g} per row"
     which = ways if rates else "not a usual rate in any unit; name another time column"
     return refused(path, f"column {time.name!r}, {has}, which is {which}", ChoiceError)
@@ -267,7 +267,7 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     single = sum(count(np.diff(counts[part.start : part.stop + 1]) == 1) for part in rows)
     if counts.size < 2 or single < 0.9 * (counts.size - 1):
         more = f"Counter {plan.time.name} does not count samples, so it can't show gaps"
-        _say(work, "info", "counter-unused", f"{more}; only the rate is used.")
+        _add_finding(work, "info", "counter-unused", f"{more}; only the rate is used.")
         return even
     period, first = _SECOND / rate, int(counts[0])
     reading = clock_from_stamps(
@@ -348,7 +348,7 @@ def _clocks(
                 clocks[key] = table_clock(work, columns)
             except ChoiceError as error:
                 lacking.append(error)
-                clocks[key] = ClockReading(clock=Clock.even(n, _SLOWEST, source=""))
+                clocks[key] = ClockReading(clock=Clock.even(n, _MIN_RATE_HZ, source=""))
             axis = triad.sensor.short if columns.table and len({*keys}) > keys.count(key) == 1 else None
             work.findings += [replace(finding, axis=axis) for finding in clocks[key].findings]
         release(*columns.axes, *columns.time, *columns.log_time)
@@ -358,7 +358,7 @@ def _clocks(
 def with_more(
     where: str, error: ColumnsError, options: ReadOptions, reading: Callable[[ReadOptions], object]
 ) -> ChoiceError:
-    """Return a ChoiceError for columns, and for whatever is missing once the proposed columns are chosen."""
+    """Return a ChoiceError for columns and for everything missing after the proposed choice."""
     lacking: list[ChoiceError] = [error]
     proposals = error.example.split(" or ")
     # If the proposals are of different sensors, the rest depends on the user's choice.
@@ -426,7 +426,9 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
                 keep[part] &= np.isfinite(column[part])
             lost = before - count(keep)
             if lost:
-                _say(work, "warning", "bad-rows", f"{lost} rows have no finite time; they were dropped.")
+                _add_finding(
+                    work, "warning", "bad-rows", f"{lost} rows have no finite time; they were dropped."
+                )
     if count(keep) == n:
         return columns
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())

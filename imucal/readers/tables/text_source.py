@@ -35,7 +35,7 @@ _MAGIC: dict[bytes, str] = {
     b"\xfd7zXZ\x00": "xz",
     b"\x04\x22\x4d\x18": "lz4",
 }
-_LONGEST_MAGIC = max(map(len, _MAGIC))
+_MAX_MAGIC = max(map(len, _MAGIC))
 
 _MARKS: dict[bytes, str] = {
     codecs.BOM_UTF8: "utf-8",
@@ -51,9 +51,9 @@ _HEAD = 1 << 18
 #: Bytes parsed at once: large for the parser's speed, small for memory.
 _BLOCK = 4 << 20
 #: Fewest lines of a table in the head; with this many cells on fewer lines, the rows are too long.
-_FEWEST, _WIDE = 3, 1000
+_MIN_LINES, _MAX_CELLS = 3, 1000
 #: Longest row of a table, in bytes.
-_LONGEST_LINE = 1 << 20
+_MAX_LINE = 1 << 20
 #: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
 
@@ -201,7 +201,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         self.findings: list[Finding] = []
         self._raw, self._progress, self._most = raw, progress, most
         self._ended = False
-        start = read_fully(raw, _LONGEST_MAGIC)
+        start = read_fully(raw, _MAX_MAGIC)
         self.compression = compression_of(start)
         plain = self.compression == "none"
         stream = raw if plain else _OPENERS[self.compression](cast("BinaryIO", _Joined(start, raw)))
@@ -236,7 +236,7 @@ class TextSource(AbstractContextManager["TextSource"]):
 
     @property
     def expected_rows(self) -> int:
-        """Estimated number of lines, slightly too high; 0 if the size is unknown or compressed."""
+        """Estimated number of lines, slightly too high; 0 for compressed or unknown sizes."""
         if self.size is None or self.compression != "none" or not self.head:
             return 0
         length = sum(map(len, self.head)) / len(self.head) + 1
@@ -246,7 +246,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         """Return why the head contains too few lines, and the next step."""
         counts = {mark: self._start.count(mark.encode()) for mark in (",", ";", "\t", " ")}
         mark, cells = max(counts.items(), key=itemgetter(1))
-        if self.whole or cells < _WIDE:
+        if self.whole or cells < _MAX_CELLS:
             found = "is empty" if self.whole else "has no line end in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
             way = way_out(self.name, self._start, TEXTS)
@@ -268,7 +268,7 @@ class TextSource(AbstractContextManager["TextSource"]):
     def blocks(self) -> Iterator[bytes]:
         """Yield all text in blocks of whole lines; the last line may lack its line feed.
 
-        Raises ReadError if a line is longer than `_LONGEST_LINE`.
+        Raises ReadError if a line is longer than `_MAX_LINE`.
         """
         rest, self._start = self._start, b""
         while True:
@@ -277,8 +277,8 @@ class TextSource(AbstractContextManager["TextSource"]):
             # Join once, to copy only once.
             block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
             rest = data[cut:] if block or not rest else rest + data
-            if len(rest) > _LONGEST_LINE:
-                text = f"a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
+            if len(rest) > _MAX_LINE:
+                text = f"a line of more than {_MAX_LINE} bytes; expected rows of a table"
                 raise refused(self.name, text)
             if self._progress is not None and self.size:
                 # A stream without positions, such as a pipe, has no size.
@@ -341,7 +341,7 @@ def open_text(path: Path, *, progress: Progress | None = None, most: int | None 
             source = TextSource(str(path), raw, size=size, progress=progress, most=most)
             opened.pop_all()
     lines = [line for line in source.head if line.strip()]
-    if not lines or (len(lines) < _FEWEST and not source.whole):
+    if not lines or (len(lines) < _MIN_LINES and not source.whole):
         source.close()
         raise refused(source.name, source.why_no_lines())
     return source

@@ -32,13 +32,13 @@ from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
 
 #: Most columns of a list or a matrix.
-_WIDEST = 64
+_MAX_COLUMNS = 64
 
 #: Fields of a MATLAB object as scipy returns it.
 _OBJECT = ("s0", "s1", "s2", "arr")
 
 #: Deepest nesting of MATLAB structures.
-_DEEP = 8
+_MAX_DEPTH = 8
 
 _FORMATS = {
     b"PAR1": "Parquet",
@@ -49,7 +49,7 @@ _FORMATS = {
     b"\x89HDF\r\n\x1a\n": "HDF5",
 }
 
-_SHOWN = 12
+_MAX_LISTED = 12
 
 #: Class of a MATLAB object -> MATLAB command that writes it as text.
 _IN_MATLAB = {
@@ -103,9 +103,9 @@ def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars i
     if isinstance(dtype, pl.Struct):
         yield from ((f"{name}.{field.name}", series.struct.field(field.name)) for field in dtype.fields)
     elif isinstance(dtype, pl.Array):
-        yield from ((f"{name}[{i}]", series.arr.get(i)) for i in range(min(dtype.shape[0], _WIDEST)))
+        yield from ((f"{name}[{i}]", series.arr.get(i)) for i in range(min(dtype.shape[0], _MAX_COLUMNS)))
     elif isinstance(dtype, pl.List):
-        columns = range(min(int(series.list.len().max() or 0), _WIDEST))
+        columns = range(min(int(series.list.len().max() or 0), _MAX_COLUMNS))
         yield from ((f"{name}[{i}]", series.list.get(i, null_on_oob=True)) for i in columns)
     else:
         yield name, series
@@ -129,7 +129,7 @@ def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # n
         found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode(
             "latin-1"
         )
-    elif array.dtype.names is not None and depth < _DEEP:
+    elif array.dtype.names is not None and depth < _MAX_DEPTH:
         for part in array.dtype.names:
             inner = array[part]
             inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
@@ -225,7 +225,7 @@ def open_table(path: Path) -> TableFile:
         # Damaged headers raise errors of `zipfile`, Python's parser and others.
         raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
     if arrays.objects:
-        raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.said(str(path))}")
+        raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.advice(str(path))}")
     return _of_arrays(kind.lower(), *arrays)
 
 
@@ -253,8 +253,8 @@ def _of_arrays(
         format=form,
         columns=tuple(columns),
         rate_hz=rate,
-        shapes=tuple(shapes[:_SHOWN]),
-        way="; ".join(ways[:_SHOWN]),
+        shapes=tuple(shapes[:_MAX_LISTED]),
+        way="; ".join(ways[:_MAX_LISTED]),
     )
 
 
@@ -271,10 +271,10 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
         return []
     longest = int(np.argmax(array.shape))
     # Transpose a matrix if its rows are few enough to be columns.
-    samples = longest if array.ndim > 2 or array.shape[0] <= _WIDEST else 0
+    samples = longest if array.ndim > 2 or array.shape[0] <= _MAX_COLUMNS else 0
     array = np.moveaxis(array, samples, 0)
     width = math.prod(array.shape[1:])
-    if width > _WIDEST:
+    if width > _MAX_COLUMNS:
         return []
     return [_plain(_label(name, at, width), array[:, *at], unit) for at in np.ndindex(array.shape[1:])]
 
@@ -310,8 +310,8 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     try:
         found = _read(path, table, options)
     except ImucalError as error:
-        shown = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
-        found = f"{error}; columns: {shown}"
+        names = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
+        found = f"{error}; columns: {names}"
     # Eight bytes per number.
     unpacked = 8 * sum(column.values.size for column in table.columns)
     return replace(contents_of(path, table.format, found, size=size), unpacked_bytes=unpacked)

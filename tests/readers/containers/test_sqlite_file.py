@@ -81,7 +81,7 @@ def test_topics_and_their_counts(tmp_path: Path) -> None:
         assert file.sample() == b"m1"
 
 
-def test_counts_that_are_known_are_not_counted_again(tmp_path: Path) -> None:
+def test_known_counts_are_not_counted_again(tmp_path: Path) -> None:
     """The metadata's, if they name every topic; of one topic the ids; else messages, unless millions."""
     path = database(tmp_path)
 
@@ -168,7 +168,7 @@ def test_topics_keep_the_order_of_their_rows(tmp_path: Path, monkeypatch: pytest
 )
 def test_rows_of_other_types_are_lost(wrong: Row, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the few rows next to them are lost too."""
-    monkeypatch.setattr(sqlite, "_FEW", 1)
+    monkeypatch.setattr(sqlite, "_MIN_RANGE", 1)
     rows: list[Row] = [(i, 1 + i % 2, 100 + i, b"m%d" % i) for i in range(1, 60) if i != 30]
     with closing(SqliteFile(database(tmp_path, [*rows, wrong]))) as file:
         assert [time for _, time, _ in messages(file, 1)] == [100 + i for i in range(2, 60, 2) if i != 30]
@@ -236,7 +236,7 @@ def test_an_encrypted_file_is_refused(tmp_path: Path) -> None:
         SqliteFile(path)
 
 
-def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_another_database_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "contacts.db3"
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("create table people(name text)")

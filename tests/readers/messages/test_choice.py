@@ -142,7 +142,7 @@ def test_two_nameless_vectors_are_gyroscope_and_accelerometer_in_that_order(tmp_
     assert np.array_equal(recording.axis("accelerometer", "x").samples, TRUTH.accel[:, 0])
 
 
-def test_names_what_there_is_instead(tmp_path: Path) -> None:
+def test_lists_the_available_topics(tmp_path: Path) -> None:
     """A topic that is not there, and one that has no samples of an IMU."""
     types = store(ros1=True)
     kind = "std_msgs/msg/String"
@@ -226,7 +226,7 @@ def test_a_log_recorded_twice_is_read_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "found"), [("/imu/temperature", True), ("/motor/temperature", False)])
-def test_takes_the_temperature_beside_the_imu(name: str, found: object, tmp_path: Path) -> None:
+def test_reads_the_temperature_next_to_the_imu(name: str, found: object, tmp_path: Path) -> None:
     """A topic of its own, in the namespace of the IMU; not that of another thing."""
     types = store()
     kind = "sensor_msgs/msg/Temperature"

@@ -13,7 +13,7 @@ from imucal.readers.containers import Batch, Channel
 from imucal.readers.containers.mcap import open_files
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.choice import table
-from imucal.readers.messages.surroundings import read_temperature, temperature_beside
+from imucal.readers.messages.surroundings import read_temperature, temperature_topic
 from imucal.readers.messages.topics import Topic, find_topics, plan_of
 from imucal.readers.messages.trees import TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
@@ -73,7 +73,7 @@ def test_numbers_in_json_messages() -> None:
 
 
 @pytest.mark.parametrize(("n", "alive"), [(1, {GYRO, ACCEL}), (2, {GYRO}), (3, {GYRO})])
-def test_two_samples_tell_whether_a_sensor_has_data(n: int, alive: set[Sensor], tmp_path: Path) -> None:
+def test_two_samples_decide_whether_a_sensor_has_data(n: int, alive: set[Sensor], tmp_path: Path) -> None:
     truth = samples(n)
     truth = replace(truth, accel=np.ones_like(truth.accel))
     options = ReadOptions()
@@ -106,7 +106,7 @@ def channel(
         ([channel(count=2, first_ns=0)], 2, None, None),
     ],
 )
-def test_what_is_known_of_a_topic(
+def test_properties_of_a_topic(
     channels: list[tuple[int, Channel]],
     count: int | None,
     span: tuple[int, int] | None,
@@ -149,7 +149,9 @@ def test_a_long_table_is_cut(n: int, last: str) -> None:
         (["/temp"], "/data", None),
     ],
 )
-def test_the_one_temperature_beside_an_imu_is_read(names: list[str], imu: str, read: str | None) -> None:
+def test_the_only_temperature_in_the_imus_namespace_is_read(
+    names: list[str], imu: str, read: str | None
+) -> None:
     """In its own namespace; others may be those of other things, and an empty one says nothing."""
     topics = [
         Topic(
@@ -159,7 +161,7 @@ def test_the_one_temperature_beside_an_imu_is_read(names: list[str], imu: str, r
         )
         for name in names
     ]
-    found = temperature_beside(topics, imu)
+    found = temperature_topic(topics, imu)
     assert (found.name if found else None) == read
 
 
