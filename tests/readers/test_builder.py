@@ -48,7 +48,7 @@ def test_samples_are_kept_in_an_order() -> None:
     assert found.temperature.samples.tolist() == [23.0, 20.0, 22.0]
 
 
-def test_what_is_said_twice_is_kept_once() -> None:
+def test_duplicate_findings_and_decisions_are_removed() -> None:
     """In the order in which it was said."""
     builder = RecordingBuilder(path="log", format="csv", decisions=[("unit", "SI")])
     first, second = (Finding(level="info", code=code, text=code) for code in ("a", "b"))
@@ -80,9 +80,7 @@ def samples(sensor: Sensor, stated: UnitGuess | None = None) -> Unscaled:
         (ReadOptions(gyro_unit="deg/s"), "g, inferred: median magnitude 1 is gravity in g", 9.80665),
     ],
 )
-def test_what_the_caller_says_goes_before_what_samples_show(
-    options: ReadOptions, decision: str, scale: float
-) -> None:
+def test_given_units_override_inferred_ones(options: ReadOptions, decision: str, scale: float) -> None:
     """A unit of the sensor, or the scale of its counts; else gravity tells."""
     builder = RecordingBuilder(path="log", format="csv", options=options)
     builder.add([samples(Sensor.ACCELEROMETER)])
@@ -90,7 +88,7 @@ def test_what_the_caller_says_goes_before_what_samples_show(
     npt.assert_allclose(builder.series[2].samples, scale)
 
 
-def test_what_the_log_states_goes_before_what_samples_show() -> None:
+def test_units_in_the_log_override_inferred_ones() -> None:
     """And what the caller says goes before it."""
     stated = UnitGuess(unit="m/s^2", reason="as Acme logs it")
     for options, how in (

@@ -87,7 +87,7 @@ def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> No
     ]
 
 
-def test_a_report_says_what_was_read(tmp_path: Path) -> None:
+def test_a_report_lists_the_files_read(tmp_path: Path) -> None:
     """The file as `b2sum` sees it, and the part that --skip and --take leave, by time and by stamps."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000)))
     done = run("fit", "log.mcap", "--skip", "5s", "--take", "20s", *QUICK, cwd=tmp_path)

@@ -35,14 +35,14 @@ def test_any_part_of_a_file_is_read(file: LogFile) -> None:
 
 
 @pytest.mark.parametrize(("position", "size"), [(0, 21), (19, 2), (21, 0), (5, -1), (-1, 4)])
-def test_what_lies_beyond_the_end_is_said(file: LogFile, position: int, size: int) -> None:
+def test_reading_beyond_the_end_is_reported(file: LogFile, position: int, size: int) -> None:
     with pytest.raises(DamagedError) as caught:
         file.read(position, size)
     assert caught.value.code == "truncated"
     assert str(caught.value) == f"{size} bytes at byte {position} are beyond the end of the file"
 
 
-def test_a_file_that_is_cut_while_it_is_read_is_told(file: LogFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_truncation_during_reading_is_reported(file: LogFile, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the byte where it ends; an error of the disk stops the program."""
     file.path.write_bytes(bytes(range(7)))
     with pytest.raises(DamagedError, match=r"^the file ended at byte 7 during reading$") as caught:

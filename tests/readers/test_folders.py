@@ -128,7 +128,7 @@ def test_knows_the_folders_that_imucal_writes(file: str, said: str, tmp_path: Pa
             read(tmp_path / file)
 
 
-def test_finds_what_matters_in_the_metadata() -> None:
+def test_parses_the_metadata() -> None:
     """Files, compression, messages of each topic, whatever the order of keys and quotes."""
     names, mode, counts = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))
     assert names == ("bag_10.mcap", "bag_2.mcap")

@@ -80,7 +80,7 @@ def test_nothing_was_forgotten_of_a_format(entry: Format, written: set[str]) -> 
     assert missing(entry, written) == []
 
 
-def test_says_what_was_forgotten_of_a_format(written: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reports_missing_parts_of_a_format(written: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """A container added in a hurry: every step that is left out is named."""
     module = ModuleType("imucal_test_gadget")
     monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -108,7 +108,7 @@ def lacks(container: object) -> list[str]:
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_every_container_offers_all_that_readers_ask_of_it(name: str, tmp_path: Path) -> None:
+def test_every_container_has_the_interface_that_readers_use(name: str, tmp_path: Path) -> None:
     """Path, format, compression, size, channels, findings, times, tasks and close."""
     path = CONTAINERS[name](tmp_path, samples(20))
     opened, form = load_opener(detect(path))(path, None)
@@ -118,7 +118,7 @@ def test_every_container_offers_all_that_readers_ask_of_it(name: str, tmp_path: 
     assert form in SOURCE_FORMATS
 
 
-def test_says_what_a_container_lacks() -> None:
+def test_reports_missing_parts_of_a_container() -> None:
     """One with nothing but a path."""
     assert lacks(SimpleNamespace(path=Path("log"), tasks=None)) == [
         f"SimpleNamespace has no {member}."
@@ -137,7 +137,7 @@ def test_says_what_a_container_lacks() -> None:
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
-def test_every_format_refuses_what_only_starts_like_it(entry: Format, tmp_path: Path) -> None:
+def test_every_format_refuses_a_file_with_only_its_signature(entry: Format, tmp_path: Path) -> None:
     """The first bytes of a format and then noise: a message that starts with the path."""
     for number, magic in enumerate(entry.magic or (b"a,b\n",)):
         path = tmp_path / f"{number}{entry.suffixes[0]}"
@@ -186,14 +186,14 @@ def test_needs_a_log() -> None:
         ("log.unknown", b"PK\x03\x04\x00", "text"),
     ],
 )
-def test_the_ending_where_the_first_bytes_say_nothing(
+def test_the_extension_decides_without_a_signature(
     name: str, head: bytes, expected: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_bytes(head)
     assert detect(tmp_path / name).name == expected
 
 
-def test_binary_data_without_a_known_ending_is_refused(tmp_path: Path) -> None:
+def test_binary_data_with_an_unknown_extension_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.xyz"
     path.write_bytes(bytes(range(20)))
     with pytest.raises(ReadError) as error:

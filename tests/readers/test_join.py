@@ -273,7 +273,7 @@ def test_the_series_of_a_name(name: str, series: str) -> None:
     assert series_of(name) == series
 
 
-def test_what_the_message_says_works(tmp_path: Path) -> None:
+def test_the_advice_in_the_message_works(tmp_path: Path) -> None:
     """--join, or one log at a time, in the commands that read logs."""
     for i in range(2):
         write_mcap(tmp_path / f"unit{i}.mcap", imu_messages(part(450 * i, 450 * i + 450)))

@@ -98,7 +98,7 @@ def test_a_member_that_claims_too_much_is_refused(tmp_path: Path) -> None:
         read(path)
 
 
-def test_info_reads_no_samples_of_what_unpacks_to_many(
+def test_info_reads_no_samples_of_a_highly_compressed_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It says so, and --gaps does."""

@@ -48,7 +48,7 @@ def test_what_is_made(room: Room) -> None:
     assert not equal(VALUES, other)
 
 
-def test_a_large_array_lies_in_a_file() -> None:
+def test_a_large_array_is_in_a_file() -> None:
     """Above a sixteenth of what may be held, and keeps its values when its pages are handed back."""
     small, large = Room(16 * 800).empty(100, np.float64), Room(16 * 800).empty(101, np.float64)
     assert small.flags.owndata

@@ -89,7 +89,7 @@ def test_accelerations_without_gravity_are_not_taken_for_g() -> None:
     )
 
 
-def test_linear_acceleration_is_said_of_what_was_read(tmp_path: Path) -> None:
+def test_linear_acceleration_is_reported_if_it_was_read(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     linear = truth().accel - truth().accel.mean(axis=0)
     header = (

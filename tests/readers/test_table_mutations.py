@@ -115,7 +115,7 @@ def test_survives(
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_pyulog_reads_is_what_is_there(tmp_path: Path) -> None:
+def test_pyulog_reads_the_written_samples(tmp_path: Path) -> None:
     """Message by message, nothing damaged, nothing dropped."""
     content = ulog_content(two_sensors(tmp_path / "flight.ulg"))
     found = [(*instance, columns["x"].size) for instance, columns in content.messages.items()]

@@ -228,7 +228,7 @@ def test_objects_of_matlab_are_no_gyroscope(kind: str, way: str, tmp_path: Path)
     assert refused(path) == f"{path}: T is a {kind}, which only MATLAB can read; in MATLAB type {way}"
 
 
-def test_a_table_of_matlab_beside_other_arrays(tmp_path: Path) -> None:
+def test_a_matlab_table_next_to_other_arrays(tmp_path: Path) -> None:
     """Where the others hold no sensor, both ways are named; where they do, they are read."""
     path = tmp_path / "log.mat"
     import scipy.io

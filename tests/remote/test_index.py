@@ -19,7 +19,7 @@ from tests.remote.web_server import WebServer
 
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
-def test_the_index_tells_the_same(web: WebServer, name: str) -> None:
+def test_the_index_gives_the_same_description(web: WebServer, name: str) -> None:
     """As of the file of this machine, for a part of its bytes; nothing goes into the cache."""
     body = (SAMPLE_LOGS / name).read_bytes()
     url = web.add(f"/{name}", body)

@@ -96,7 +96,7 @@ def test_a_log_that_is_not_to_be_kept_goes_after_use(web: WebServer, cache: Path
     assert list(cache.iterdir()) == []
 
 
-def test_a_copy_of_another_size_is_made_anew(web: WebServer, cache: Path) -> None:
+def test_a_copy_of_another_size_is_made_again(web: WebServer, cache: Path) -> None:
     """Somebody cut it."""
     url = web.add("/a", BODY)
     use(url)

@@ -46,7 +46,7 @@ def test_the_index_of_a_log_in_s3(bucket: Any, cache: Path) -> None:  # noqa: AN
     assert list(cache.rglob("*.mcap")) == []
 
 
-def test_a_changed_object_is_downloaded_anew(bucket: Any) -> None:  # noqa: ANN401
+def test_a_changed_object_is_downloaded_again(bucket: Any) -> None:  # noqa: ANN401
     """In the same process: listings are not remembered."""
     bucket.pipe_file("logs/a.csv", b"one")
     with fetched("s3://logs/a.csv") as copy:
@@ -89,7 +89,7 @@ def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:
         imucal.read("s3://logs/split")
 
 
-def test_signs_of_wildcards_may_stand_in_a_name(bucket: Any) -> None:  # noqa: ANN401
+def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: ANN401
     """What matches nothing is looked for as it is."""
     bucket.pipe_file("logs/run[1].csv", b"t,gx\n")
     assert expand("s3://logs/run[1].csv") == ["s3://logs/run[1].csv"]
@@ -151,7 +151,7 @@ def test_no_access_and_no_answer(bucket: Any, web: WebServer, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("scheme", OBJECT_STORES)
-def test_a_missing_extra_says_what_to_type(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_reported_with_the_command(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The extra is there, and brings the package."""
     find = importlib.util.find_spec
     _, package, _ = OBJECT_STORES[scheme]
@@ -169,7 +169,7 @@ def test_a_missing_extra_says_what_to_type(scheme: str, monkeypatch: pytest.Monk
     assert project["optional-dependencies"][match[2]][0].startswith(f"{package}>=")
 
 
-def test_remote_folders_know_the_endings_of_all_formats() -> None:
+def test_remote_folders_accept_the_extensions_of_all_formats() -> None:
     """Those of the readers."""
     messages = {suffix for entry in FORMATS if entry.messages for suffix in entry.suffixes}
     assert set(_MESSAGES) == messages | set(ENDINGS)

@@ -64,7 +64,7 @@ def messages() -> list[str]:
     return re.findall(r"^\| `([^`]+)` \| [^|]* \| [^|]* \|$", text, re.MULTILINE)
 
 
-def test_the_page_quotes_what_is_said() -> None:
+def test_the_page_quotes_the_messages() -> None:
     """Each message, in the words of the source."""
     assert len(messages()) >= 12
     said = [text for text in texts() if len(text) > 12]

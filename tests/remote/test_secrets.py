@@ -102,7 +102,7 @@ def test_wildcards() -> None:
     assert not has_wildcards("https://host/a[1].csv?sig=*")
 
 
-def test_what_libraries_say_is_cleaned() -> None:
+def test_messages_of_libraries_contain_no_secrets() -> None:
     """The URL, with another one that they made of it."""
     url = f"https://host/a.mcap?{SECRET}"
     text = f"400, url='{url}' (https://other/b?sig=SECRET2) failed"

@@ -43,7 +43,7 @@ def test_a_log_behind_a_url_is_the_log(web: WebServer, name: str) -> None:
     assert [f.code for f in there.findings] == [f.code for f in here.findings]
 
 
-def test_a_second_read_asks_for_the_first_bytes_only(web: WebServer, cache: Path) -> None:
+def test_a_second_read_requests_only_the_first_bytes(web: WebServer, cache: Path) -> None:
     """The ETag says that the copy is still right; another signature makes no other log."""
     url = web.add("/log.csv", TABLE)
     imucal.read(f"{url}?sig=1", **OPTIONS)
@@ -53,7 +53,7 @@ def test_a_second_read_asks_for_the_first_bytes_only(web: WebServer, cache: Path
     assert kept(cache) == ["log.csv"]
 
 
-def test_a_changed_object_is_downloaded_anew(web: WebServer) -> None:
+def test_a_changed_object_is_downloaded_again(web: WebServer) -> None:
     """By its ETag; the size may be the same."""
     url = web.add("/log.csv", TABLE)
     first = imucal.read(url, **OPTIONS)
@@ -62,7 +62,7 @@ def test_a_changed_object_is_downloaded_anew(web: WebServer) -> None:
     assert (first.series[0].samples != second.series[0].samples).any()
 
 
-def test_a_time_of_change_stands_for_an_etag(web: WebServer, cache: Path) -> None:
+def test_a_time_of_change_replaces_an_etag(web: WebServer, cache: Path) -> None:
     """Where the server has none; then the query may choose the content."""
     url = web.add("/log.csv", TABLE, etag=None, modified="Sun, 22 Nov 2026 05:00:00 GMT")
     assert identify(url).etag == "Sun, 22 Nov 2026 05:00:00 GMT"
@@ -133,7 +133,7 @@ def test_a_little_farther_each_time_comes_to_the_end(web: WebServer) -> None:
     assert len(web.asked) == len(cuts) + 1
 
 
-def test_what_changes_on_its_way_is_taken_anew(web: WebServer) -> None:
+def test_an_object_that_changes_during_download_is_downloaded_again(web: WebServer) -> None:
     """A part of the old object is never joined to one of the new."""
     new = TABLE.replace(b"0.0001,", b"0.0002,")
 

@@ -83,7 +83,7 @@ def test_batches_of_a_buffer(size: int) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, case in KINDS.items() if case.refused])
-def test_both_readings_are_told_and_either_is_read(name: str, tmp_path: Path) -> None:
+def test_both_explanations_are_reported_and_each_can_be_read(name: str, tmp_path: Path) -> None:
     """Where most samples would be missing the user says which rate it is; each rate that is told works."""
     case = KINDS[name]
     path = tmp_path / "log.csv"
@@ -106,7 +106,7 @@ def test_both_readings_are_told_and_either_is_read(name: str, tmp_path: Path) ->
     assert (most.n, none.n) == (case.samples.size, case.samples.size)
 
 
-def test_what_a_refusal_says_is_typed(tmp_path: Path) -> None:
+def test_the_advice_of_a_refusal_can_be_typed(tmp_path: Path) -> None:
     """On the command line the refusal names the option, and with it the log is read."""
     case = lossy(100.0, 0.7, n=3000)
     path = tmp_path / "log.csv"
@@ -122,7 +122,7 @@ def test_what_a_refusal_says_is_typed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.5, 25_000.0])
-def test_a_rate_of_no_imu_is_for_the_user_to_say(rate: float, tmp_path: Path) -> None:
+def test_an_implausible_rate_must_be_given(rate: float, tmp_path: Path) -> None:
     """Fibre-optic and seismic sensors are above 20 kHz; with their rate they are read."""
     case = even(rate, n=300)
     path = tmp_path / "log.csv"
@@ -270,7 +270,7 @@ def test_gaps_between_random_batches() -> None:
     assert reading.clock.missing == pytest.approx(1501, abs=31)
 
 
-def test_samples_of_a_batch_are_told_apart_from_jitter() -> None:
+def test_batches_are_distinguished_from_jitter() -> None:
     """A reader that comes at random is in bursts; stamps that jitter are not."""
     assert "bursts" in {finding.code for finding in clock_of(scheduled(200.0)).findings}
     for jitter in (0.2, 0.3, 0.5):
@@ -291,7 +291,7 @@ def test_coarse_stamps_and_coarse_samples_lose_nothing(tick: int, tmp_path: Path
     assert not {"duplicate-stamps", "held-samples"} & {finding.code for finding in recording.findings}
 
 
-def test_jitter_of_more_than_a_period_says_what_it_does() -> None:
+def test_jitter_above_a_period_is_reported_with_its_effect() -> None:
     """To the rate, and through it to N."""
     (note,) = (f for f in clock_of(even(200.0, jitter=1.5)).findings if f.code == "uneven-stamps")
     assert note.level == "warning"

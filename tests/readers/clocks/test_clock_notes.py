@@ -91,7 +91,7 @@ def test_what_stamps_show(given: dict[str, int], level: str, code: str, text: st
 
 
 @pytest.mark.parametrize("given", [{}, {"same": 3, "resolution": TAU // 50}])
-def test_nothing_is_said_of_what_nobody_notices(given: dict[str, int]) -> None:
+def test_negligible_deviations_are_not_reported(given: dict[str, int]) -> None:
     """Even stamps, and a few equal ones of a clock that is coarse but fine enough."""
     assert noted(**given) == []
 

@@ -250,7 +250,7 @@ def test_a_throttled_topic_shows_the_missing_third() -> None:
     assert reading.clock.missing == len(EVEN[PLACE % 3 == 2]) - (N % 3 == 0)
 
 
-def test_a_given_rate_wins_and_a_wrong_one_is_told() -> None:
+def test_a_given_rate_is_used_and_a_wrong_one_reported() -> None:
     """The caller knows better, but is told what the stamps say."""
     reading = read(EVEN, rate=100.0)
     assert reading.clock.rate_hz == 100.0
@@ -273,7 +273,7 @@ def test_short_logs_have_a_rate(n: int) -> None:
     assert read(EVEN[:n]).clock.rate_hz == pytest.approx(200)
 
 
-def test_refuses_what_has_no_rate() -> None:
+def test_refuses_stamps_without_a_rate() -> None:
     """No sample, one sample, stamps that stand still."""
     with pytest.raises(
         DataError, match=re.escape("no samples to take the header stamp of; expected at least two")

@@ -117,7 +117,7 @@ def test_breaks(
         (0.2, 330, 1190, 1),
     ],
 )
-def test_jitter_hides_a_part_of_what_is_missing(jitter: float, early: int, by: int, missing: int) -> None:
+def test_jitter_hides_some_missing_samples(jitter: float, early: int, by: int, missing: int) -> None:
     """A gap after an early stamp looks longer than it is: three times the jitter is believed of it."""
     stamps = late(100, by)
     stamps[99] -= early
@@ -253,7 +253,7 @@ def test_a_long_log_may_have_long_gaps() -> None:
         assert _believable(stamps, None, breaks, NONE, tau)[1] == ({2: 1} if wrong else {})
 
 
-def test_a_reset_misses_what_the_log_time_says() -> None:
+def test_log_time_gives_the_missing_samples_at_a_reset() -> None:
     """At least one sample, and just one without log time."""
     reset = np.array([100])
     assert _believable(EVEN, None, NO_BREAKS, reset, float(TAU))[1] == {100: 1}

@@ -350,7 +350,7 @@ def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) 
         ("no.bin", bytes(range(256)) * 8, "binary data of an unknown format (first bytes 00 01 02 03"),
     ],
 )
-def test_says_what_a_file_is_not(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+def test_refuses_a_file_of_another_format(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     """Empty and hollow files."""
     path = tmp_path / name
     path.write_bytes(content)
@@ -368,7 +368,7 @@ def test_says_that_there_is_no_file(tmp_path: Path) -> None:
     assert str(caught.value) == f"{path}: can't be opened: No such file or directory"
 
 
-def test_an_empty_topic_says_so(tmp_path: Path) -> None:
+def test_an_empty_topic_is_reported(tmp_path: Path) -> None:
     """A bag that was started and stopped."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(1))[:0])
     with pytest.raises(ReadError) as caught:

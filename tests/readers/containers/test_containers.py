@@ -11,7 +11,7 @@ from tests.readers.logs import CONTAINERS, TOPIC, samples
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_reads_what_was_written(name: str, tmp_path: Path) -> None:
+def test_reads_the_written_messages(name: str, tmp_path: Path) -> None:
     """Samples are bit-equal, the rate and the start are those of the stamps, nothing is found wrong."""
     truth = samples(300)
     recording = read(CONTAINERS[name](tmp_path, truth))
@@ -29,7 +29,7 @@ def test_reads_what_was_written(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_says_what_a_log_holds(name: str, tmp_path: Path) -> None:
+def test_describes_a_log(name: str, tmp_path: Path) -> None:
     """Topic, type, count, rate, duration and sensors, from the index."""
     contents = describe(CONTAINERS[name](tmp_path, samples(300)))
     (topic,) = contents.topics

@@ -74,7 +74,7 @@ def opened(held: Held, **parts: object) -> Iterator[McapFile]:
         yield file
 
 
-def test_the_index_says_what_is_in_a_file(held: Held) -> None:
+def test_the_index_describes_a_file(held: Held) -> None:
     """Topics, types, counts, times of first and last message; with a checksum or without."""
     for crc in (0, None):
         with opened(held, crc=crc) as file:
@@ -182,7 +182,7 @@ def test_the_last_byte_of_a_chunk_may_be_that_of_the_file(held: Held) -> None:
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_an_unknown_compression_is_refused_if_no_chunk_has_a_known_one(held: Held, known: bool) -> None:  # noqa: FBT001
+def test_an_unknown_compression_of_all_chunks_is_refused(held: Held, known: bool) -> None:  # noqa: FBT001
     """Otherwise the name of one chunk is damaged, and the others are read."""
     chunks = chunk_index(0, kind=b"" if known else b"brotli") + chunk_index(1, kind=b"brotli")
     path = held(Parts(summary=DEFINITIONS + chunks).bytes()).path

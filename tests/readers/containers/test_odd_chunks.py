@@ -68,7 +68,7 @@ def test_a_size_may_change_from_a_chunk_to_the_next(tmp_path: Path) -> None:
     check(read(write_bag(tmp_path / "log.bag", messages, compression="lz4", chunk_size=CHUNK)))
 
 
-def test_the_fields_of_one_header_may_stand_in_another_order(tmp_path: Path) -> None:
+def test_the_fields_of_one_header_may_have_another_order(tmp_path: Path) -> None:
     """The specification leaves the order open; nothing is lost and nothing is said."""
 
     def turn(fields: bytes) -> bytes:
@@ -89,7 +89,7 @@ def test_a_message_of_no_connection_is_lost_with_a_word(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4"])
-def test_a_cut_bag_gives_what_is_whole(compression: str, tmp_path: Path) -> None:
+def test_the_complete_part_of_a_truncated_bag_is_read(compression: str, tmp_path: Path) -> None:
     """The chunk in which it is cut is lost."""
     path = bag(tmp_path, compression=compression)
     data = path.read_bytes()

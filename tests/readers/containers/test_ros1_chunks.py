@@ -72,7 +72,7 @@ def test_an_index_record_without_entries_lists_no_messages(held: Held) -> None:
     assert payloads(found[2]) == [b""]
 
 
-def test_a_connection_may_stand_in_front_of_its_first_message(held: Held) -> None:
+def test_a_connection_may_precede_its_first_message(held: Held) -> None:
     """Recorders let the index point there; the message behind it is meant."""
     found = loaded(held, chunk(RAW), index(1, (SECOND + 5, 0), (2 * SECOND + 6, THIRD)), TWO)
     assert (payloads(found[1]), found[1].loss) == ([b"abcd", b"efgh"], None)

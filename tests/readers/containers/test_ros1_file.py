@@ -59,7 +59,7 @@ def lost(bag: BagFile) -> int:
     return int(text.partition("The last ")[2].split()[0]) if "The last" in text else 0
 
 
-def test_the_index_section_says_what_is_in_a_bag(held: Held) -> None:
+def test_the_index_section_describes_a_bag(held: Held) -> None:
     """Chunks reach to the next one, the last to the index; times and counts are those of all chunks."""
     found = bag(held, SECTION + infos(HEAD + len(CHUNK), HEAD))
     found.close()
@@ -200,7 +200,7 @@ def test_a_damaged_chunk_without_index_records_is_tried_when_messages_are_read(h
     found.close()
 
 
-def test_a_bag_whose_compression_is_not_known_is_refused(held: Held) -> None:
+def test_a_bag_with_unknown_compression_is_refused(held: Held) -> None:
     """By name; a head that can't be read leaves it open."""
     path = held(MAGIC, bag_head(0), chunk(RAW, b"snappy"), connection(1)).path
     with pytest.raises(ReadError) as caught:

@@ -106,7 +106,7 @@ def test_two_named_topics_are_one_for_each_sensor(names: tuple[str, str]) -> Non
         chosen(pair, *names, "/a")
 
 
-def test_what_is_there_instead_is_said() -> None:
+def test_the_available_topics_are_listed() -> None:
     """Vectors that may be anything, a type that can't be read, or the topics there are."""
     with pytest.raises(
         ChoiceError, match="only vectors without a known meaning; choose one of these topics\n  /p"

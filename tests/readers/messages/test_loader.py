@@ -114,7 +114,7 @@ def test_a_chunk_that_can_not_be_read_loses_its_messages() -> None:
     assert (values, found.losses, found.missing) == ([1], [], 0)
 
 
-def test_a_file_that_counts_nothing_knows_no_missing_messages() -> None:
+def test_without_counts_the_missing_messages_are_unknown() -> None:
     """Of one channel is enough."""
     stream = Stream(TYPES, {(0, 1): Decoder(), (0, 2): Decoder()})
     (found,) = decode([container(task({1: batch([1])}), counts=[3, None])], [stream])  # type: ignore[list-item]
@@ -138,7 +138,7 @@ def test_damaged_messages_are_lost_alone() -> None:
 
 
 @pytest.mark.parametrize("code", ["encapsulation", "definition"])
-def test_a_layout_that_is_not_known_is_lost_as_a_whole(code: str) -> None:
+def test_messages_of_unknown_layout_are_all_lost(code: str) -> None:
     """Halves of it are not known either."""
     decoder = Decoder(code)
     values, found = run(task({1: batch([1, -2, 3])}), decoder=decoder)

@@ -84,7 +84,7 @@ def test_what_is_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
         ("px4_msgs/msg/M", "gyro", "accel", True),
     ],
 )
-def test_units_are_certain_in_known_types_alone(name: str, gyro: str, accel: str, *, stated: bool) -> None:
+def test_units_are_certain_only_in_known_types(name: str, gyro: str, accel: str, *, stated: bool) -> None:
     """Of messages of ROS and PX4, and of fields that are called as in these; others are inferred."""
     plan = planned(found(f"geometry_msgs/Vector3 {gyro}\ngeometry_msgs/Vector3 {accel}\n" + V3, name=name))
     units = [(one.stated.unit, one.stated.reason) if one.stated else None for one in plan.sensors]
@@ -151,7 +151,7 @@ def test_sensors_that_no_field_holds_together() -> None:
         ("/angular_accel", None),
     ],
 )
-def test_what_the_name_of_a_topic_says(topic: str, sensor: Sensor | None) -> None:
+def test_sensors_in_the_name_of_a_topic(topic: str, sensor: Sensor | None) -> None:
     """One sensor, or nothing; it is read only if it is named."""
     one = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
     assert one.sensors == ((sensor,) if sensor else ())
@@ -160,7 +160,7 @@ def test_what_the_name_of_a_topic_says(topic: str, sensor: Sensor | None) -> Non
     assert stamped.sensors == one.sensors
 
 
-def test_a_vector_is_what_the_caller_says() -> None:
+def test_the_caller_chooses_the_sensor_of_a_vector() -> None:
     """Of two topics the first is the gyroscope, whatever it is called; a twist is one in any case."""
     text = "float64 x\nfloat64 y\nfloat64 z"
     vector: dict[str, Any] = {"name": "geometry_msgs/msg/Vector3", "topics": ("/accel", "/b")}
@@ -239,7 +239,7 @@ def test_what_is_a_temperature(name: str, known: bool) -> None:  # noqa: FBT001
     assert plan.temperature == (0 if known else None)
 
 
-def test_definitions_end_where_the_layout_is_not_known() -> None:
+def test_fields_end_at_an_unknown_layout_and_have_limits() -> None:
     """Nests of sixteen are read, deeper ones refused; so are more elements than twenty thousand."""
 
     def nested(depth: int) -> str:
@@ -281,7 +281,7 @@ def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa
     [("/turtle1/cmd_vel", True), ("/arm/command", True), ("/setpoint", True), ("/commander/imu", False),
      ("/twist", False), ("/targets/rate", True), ("/retarget", False)],
 )  # fmt: skip
-def test_a_command_is_known_by_the_name_of_its_topic(topic: str, *, command: bool) -> None:
+def test_the_name_of_a_topic_identifies_commands(topic: str, *, command: bool) -> None:
     """Only whole words of the name count; an IMU is no command."""
     assert is_command(topic) is command
     twist = "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n" + V3

@@ -298,7 +298,7 @@ def test_a_json_stamp_beyond_all_times_loses_its_message_alone(tmp_path: Path) -
     assert "a JSON message has no IMU sample: OverflowError" in recording.findings[0].text
 
 
-def test_refuses_an_encoding_with_what_it_is(tmp_path: Path) -> None:
+def test_refuses_an_encoding_by_name(tmp_path: Path) -> None:
     """Topic, type and encoding, and what can be read."""
     messages = [
         Message(topic=TOPIC, type="acme.Imu", log=log, data=b"\x0a\x00", encoding="flatbuffer")

@@ -154,7 +154,7 @@ def test_the_axes_may_be_in_any_order(tmp_path: Path) -> None:
     npt.assert_array_equal(axes(recording), TRUTH.gyro[:, [2, 0, 1]])
 
 
-def test_units_that_nothing_says_are_asked_for(tmp_path: Path) -> None:
+def test_unknown_units_must_be_given(tmp_path: Path) -> None:
     """Counts of a gyroscope say nothing of it; beside an SI accelerometer it is assumed, and said."""
     with pytest.raises(
         ChoiceError, match=r"topic /imu/data: the unit of the gyroscope is unknown: .* integer"

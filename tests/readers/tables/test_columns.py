@@ -112,7 +112,7 @@ def test_names(header: str, role: Role, index: int | None, unit: str | None) -> 
     assert (column.role, column.axis, column.unit) == (role, index, unit)
 
 
-def test_alpha_is_an_acceleration_beside_an_omega_only() -> None:
+def test_alpha_is_an_acceleration_only_next_to_omega() -> None:
     """Kalibr's names make sense together."""
     assert parse_column("alpha_x", 4, context=frozenset({"omega_x", "alpha_x"})).role is ACCEL
     assert parse_column("alpha_x", 4, context=frozenset({"time", "alpha_x"})).role is Role.OTHER
@@ -459,7 +459,7 @@ def test_bare_axes(tmp_path: Path) -> None:
     )
 
 
-def test_linear_acceleration_beside_the_plain_one_is_left_out(tmp_path: Path) -> None:
+def test_linear_acceleration_is_left_out_if_there_is_plain_acceleration(tmp_path: Path) -> None:
     """Without gravity it is the phone's estimate; alone it is what ROS calls the measurement."""
     header = "time (s)," + ",".join(
         f"{kind} {a} (m/s^2)" for kind in ("linear acceleration", "acceleration") for a in "XYZ"

@@ -56,7 +56,7 @@ def test_every_decision_has_a_source(style: Style, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["EuRoC", "ArduPilot", "VectorNav INSTINCT", "WitMotion", "phyphox zip"])
-def test_describe_says_the_same(name: str, tmp_path: Path) -> None:
+def test_describe_reports_the_same(name: str, tmp_path: Path) -> None:
     """`describe` names the layout, the count and the rate."""
     style = next(style for style in STYLES if style.name == name)
     contents = describe(write(style, tmp_path), options(style))

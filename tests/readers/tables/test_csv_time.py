@@ -191,7 +191,7 @@ CLOCK = [f"12:{t // 60_000:02d}:{t // 1000 % 60:02d}" for t in TIMES]
     ],
 )
 @pytest.mark.parametrize("named", [False, True])
-def test_a_finer_column_beside_a_coarse_one(
+def test_a_finer_column_next_to_a_coarse_one(
     header: str,
     coarse: list[object],
     fine: list[object],

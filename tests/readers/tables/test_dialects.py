@@ -143,7 +143,7 @@ def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: p
         ({"name": "Apex"}, "docs/formats.md does not name it: add it to the headers listed under Tables"),
     ],
 )
-def test_what_is_forgotten_is_said(
+def test_missing_parts_are_reported(
     change: dict[str, Any], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A half-made entry fails with a sentence that says what to do."""
@@ -153,7 +153,7 @@ def test_what_is_forgotten_is_said(
     assert any(each.startswith(f"{broken.name}: {sentence}") for each in said), said
 
 
-def test_a_sensor_that_is_never_found_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_that_is_never_found_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A dialect is complete only where each sensor of its example is read."""
     half = replace(ACME, headers=("turn_gyro_x", "push_x"))
     example = replace(EXAMPLE, build=lambda true: _acme_text(true).replace("push_accel", "push"))
@@ -167,9 +167,7 @@ def test_a_sensor_that_is_never_found_is_said(tmp_path: Path, monkeypatch: pytes
     assert forgotten(half, tmp_path, (*STYLES, alone), WORDS) == []
 
 
-def test_a_word_for_a_sensor_that_nobody_knows_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unknown_word_for_a_sensor_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the names of the columns say no sensor, the sentence names them and the module to teach."""
     strange = replace(ACME, headers=("twirl_x",))
     example = replace(EXAMPLE, build=lambda true: re.sub("turn_gyro|push_accel", "twirl", _acme_text(true)))

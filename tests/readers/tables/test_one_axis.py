@@ -73,7 +73,7 @@ def test_gravity_along_one_axis_is_no_proof_of_a_unit(tmp_path: Path) -> None:
     assert read(path, accel_unit="g").series[0].samples.mean() == pytest.approx(9.80665, rel=1e-3)
 
 
-def test_a_single_axis_beside_a_whole_sensor_is_left_to_the_user(tmp_path: Path) -> None:
+def test_a_single_axis_next_to_a_complete_sensor_is_left_to_the_user(tmp_path: Path) -> None:
     """``az`` beside a gyroscope may be an azimuth: a finding shows the columns, its text reads them."""
     path = write(tmp_path, "t,gx_dps,gy_dps,gz_dps,az", TIMES, *RATES.T, RATES[:, 0])
     recording = read(path)

@@ -155,7 +155,7 @@ def test_a_wrong_columns_text_is_put_right(wrong: str, tmp_path: Path) -> None:
     is_truth(read(path, columns=columns, **UNITS))
 
 
-def test_a_table_without_three_numbers_is_not_told_to_try(tmp_path: Path) -> None:
+def test_a_table_without_three_numbers_gets_no_suggestion(tmp_path: Path) -> None:
     """No example is better than one that can't work."""
     path = tmp_path / "log.csv"
     path.write_text(lines("time,lat,lon,alt", list(range(N)), *xyz(truth().gyro)), encoding="utf-8")
@@ -204,7 +204,7 @@ def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("write", ["csv", "npy", "jsonl"])
-def test_one_refusal_asks_for_all_that_is_missing(write: str, tmp_path: Path) -> None:
+def test_one_refusal_lists_everything_missing(write: str, tmp_path: Path) -> None:
     """Columns first, then rate and unit together; what it names, typed once, reads."""
     path = tmp_path / f"log.{write}"
     both = np.column_stack([truth().deg, truth().g])

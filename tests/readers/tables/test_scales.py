@@ -76,7 +76,7 @@ def test_reasons(size: float, reason: str) -> None:
     assert infer_accel_unit(still(size)).reason == reason
 
 
-def test_nothing_to_tell_from() -> None:
+def test_no_samples_to_infer_from() -> None:
     """Without finite samples no unit is taken."""
     nothing = np.zeros((0, 3))
     assert infer_accel_unit(nothing).reason == "there are no finite samples"

@@ -36,7 +36,7 @@ def times(step: float, start: float = 0.0) -> FloatArray:
         (1e10, ()),
     ],
 )
-def test_rates_that_tell_a_unit(step: float, fits: tuple[str, ...]) -> None:
+def test_rates_determine_the_unit(step: float, fits: tuple[str, ...]) -> None:
     """Every unit in which the step is one of an IMU; the only one is taken."""
     unit, found = infer_time_unit(times(step))
     assert sorted(found) == sorted(fits)
@@ -46,7 +46,7 @@ def test_rates_that_tell_a_unit(step: float, fits: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("start", "unit"), [(0.9e15, None), (1.1e15, "us"), (3.9e15, "us"), (4.1e15, None), (1.1e12, "ms")]
 )
-def test_a_time_since_1970_tells_its_unit(start: float, unit: str | None) -> None:
+def test_a_time_since_1970_determines_its_unit(start: float, unit: str | None) -> None:
     """From 2001 to 2096, for a step that fits several units."""
     assert infer_time_unit(times(100.0, start))[0] == unit
 
@@ -155,7 +155,7 @@ def test_a_repeated_count_is_no_wrap() -> None:
 
 
 @pytest.mark.parametrize(("still", "step"), [(10_000, 1.0), (20_000, 0.0)])
-def test_the_first_times_tell_the_step(still: int, step: float) -> None:
+def test_the_first_times_determine_the_step(still: int, step: float) -> None:
     """Of 20 000 times; what comes later does not count."""
     values = np.concatenate([np.zeros(still), np.arange(60_000.0)])
     assert typical_step(values) == step

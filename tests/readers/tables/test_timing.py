@@ -103,7 +103,7 @@ def test_what_cells_are_worth(cells: tuple[str, ...], score: float) -> None:
     assert _score(parse_column("time", 0, cells=cells), GYRO) == score
 
 
-def test_a_time_of_another_sensor_that_stands_still_is_not_lifted() -> None:
+def test_a_constant_time_of_another_sensor_is_not_preferred() -> None:
     """A low score stays where it is, and one below zero is no choice."""
     assert _score(parse_column("gps_log_time", 0, cells=ON), GYRO) == -20
     assert _score(parse_column("gps_log_time", 0, cells=("7", "7")), GYRO) == -20
@@ -213,7 +213,7 @@ def test_units_of_times(name: str, ns: int | None) -> None:
     assert (choice.ns, choice.ns_source) == (ns, "from the column header" if ns else "")
 
 
-def test_a_dialect_knows_its_units() -> None:
+def test_a_dialect_has_units() -> None:
     """It goes before what the name says, for the columns that it names."""
     known = Dialect(name="Ours", headers=(), time_ns=(("stamp", 100), ("time (us)", 7)))
     columns = {'"#stamp"': ON, "time (us)": ON, "time (ms)": ON}
@@ -236,7 +236,7 @@ def test_a_dialect_knows_its_units() -> None:
         (("'1'", '"2"'), "stamp"),
     ],
 )
-def test_half_of_the_cells_say_what_a_column_is(cells: tuple[str, ...], kind: str | None) -> None:
+def test_half_of_the_cells_decide_the_kind_of_a_column(cells: tuple[str, ...], kind: str | None) -> None:
     """Numbers first, then dates and times of day; the empty cells left out."""
     named = table({"foo": cells})
     if kind is None:

@@ -140,7 +140,7 @@ def test_navego(tmp_path: Path) -> None:
     assert recording.findings == ()
 
 
-def test_rate_beside_the_samples(tmp_path: Path) -> None:
+def test_rate_next_to_the_samples(tmp_path: Path) -> None:
     """Without stamps the file's own rate is used, and named as the source."""
     path = tmp_path / "log.npz"
     np.savez(path, gyro=GYRO, accel=ACCEL, fs=250.0)

@@ -141,7 +141,7 @@ def test_two_imus_are_offered_pair_by_pair(header: str, ready: list[str], tmp_pa
         assert np.array_equal(recording.axis("accelerometer", "z").samples, T.accel[:, 2])
 
 
-def test_a_sensor_that_was_not_understood_is_said(tmp_path: Path) -> None:
+def test_a_sensor_that_was_not_recognised_is_reported(tmp_path: Path) -> None:
     """Its columns are listed, and the text that the finding offers reads them."""
     header = "time (s),turn_x,turn_y,turn_z,ax,ay,az,humidity,mag_x,mag_y,mag_z,qw"
     zero = ["0"] * N

@@ -213,7 +213,7 @@ def test_what_is_asked_for_must_be_there(tmp_path: Path) -> None:
         ((250, 1000), "The logger reports 2 dropouts of 1.25 s in all: its card was too slow."),
     ],
 )
-def test_dropouts_are_told(durations: tuple[int, ...], text: str) -> None:
+def test_dropouts_are_reported(durations: tuple[int, ...], text: str) -> None:
     (finding,) = log_findings(FlightLog({}, damaged=False, dropouts=list(durations)))
     assert (finding.level, finding.code, finding.text) == ("info", "dropouts", text)
     assert finding.advice == "Use a faster card or log fewer topics."
