@@ -66,7 +66,7 @@ _SAMPLE_SPELLINGS = {
         "rad/s": "rad/s rads^-1 rads-1 rads radps radpers",
         "mrad/s": "mrad/s mradps mrads^-1 mrads",
         "deg/s": "deg/s degs^-1 degs-1 degs degps dps d/s",
-        "mdeg/s": "mdeg/s mdegs^-1 mdegs mdegps mdps",
+        "mdeg/s": "mdeg/s mdegs^-1 mdegs mdegps mdps mdeg",
         "deg/h": "deg/h degh^-1 degph dph deg/hr",
         "m/s^2": "m/s^2 m/s2 m/s/s ms^-2 ms-2 m/ss ms2 mps2 mps^2 mss mpss m/s^-2",
         "g": "g gs g0 gn gee",

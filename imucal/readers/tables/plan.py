@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import PurePath
 from typing import TypeAlias
 
@@ -146,7 +147,8 @@ def _plan(
         unit, how = triad.unit, "from the column header"
         if unit is None and table.dialect:
             unit, how = table.dialect.unit_of(triad.sensor), f"as in logs of {table.dialect.name}"
-        sensors.append(replace(plan, stated=UnitGuess(how, unit) if unit else None))
+        either = triad.unit is None and table.dialect is not None and table.dialect.may_be_g
+        sensors.append(replace(plan, stated=UnitGuess(how, unit, assumed=either) if unit else None))
     if table.dialect is not None:
         decisions.append(("layout", f"{table.dialect.name}, from the column names"))
     return TablePlan(
@@ -296,6 +298,10 @@ def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
+#: Largest number of sensors that a column may number.
+_MAX_SENSORS = 8
+
+
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
     """Return the sensors of bare columns x, y, z, and the reason: tags or the file name.
 
@@ -319,8 +325,28 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
     if sensor is None:
         gyro, accel = both.values()
         problem = f"x, y and z ({', '.join(gyro.headers)}) have no sensor in their names"
-        raise table.ask(problem, example=f"{table.columns_text(gyro)} or {table.columns_text(accel)}")
+        example = f"{table.columns_text(gyro)} or {table.columns_text(accel)}"
+        if (found := _column_of_ids(table, gyro)) is not None:
+            column, first, second = found
+            problem += f"; column {column.header or column.index} may number the sensors"
+            rows = [triad.text(f"@{column.index}:{row}") for triad, row in ((gyro, first), (accel, second))]
+            example = ",".join(filter(None, [table.columns_text(), *rows]))
+        raise table.ask(problem, example=example)
     return {sensor: both[sensor]}, "by the name of the file"
+
+
+def _column_of_ids(table: NamedTable, triad: Triad) -> tuple[NamedColumn, str, str] | None:
+    """Return a column that may number the sensors, and two of its numbers.
+
+    It has few whole numbers, which change often.
+    """
+    for column in table.columns:
+        cells, values = column.filled, [*dict.fromkeys(column.filled)]
+        changes = sum(a != b for a, b in pairwise(cells))
+        few = 2 <= len(values) <= _MAX_SENSORS and 4 * changes > len(cells)
+        if few and column.index not in triad.indices and all(map(str.isdigit, values)):
+            return column, values[0], values[1]
+    return None
 
 
 def _several_rows(

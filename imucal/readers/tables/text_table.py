@@ -38,6 +38,7 @@ from imucal.readers.tables.layout import (
     Rows,
     TextLayout,
     find_layout,
+    is_number,
     row_pattern,
     rows_of_tag,
     split_line,
@@ -75,6 +76,8 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
         first = next(filter(None, map(str.strip, lines)), "")
         expected = way or "expected a table with a row per sample"
         raise refused(path, f"found no rows of numbers; the first line is {first[:80]!r}; {expected}")
+    if not layout.headers and (way := _other_rows(path, layout)):
+        raise refused(path, way)
     layout = name_columns(layout)
     if options.columns is None and not layout.headers:
         problem = f"the {layout.width} columns have no header"
@@ -84,6 +87,24 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     return layout
 
 
+def _other_rows(path: str, layout: TextLayout) -> str:
+    """Return advice for a table with a row per axis, or with two separators; empty for other tables."""
+    log, delimiter = shlex.quote(path), layout.delimiter
+    if layout.width > _MAX_COLUMNS and all(row and not is_number(row[0]) for row in layout.rows):
+        own = "" if delimiter == "," else f", delimiter={delimiter!r}"
+        rows = f"zip(*csv.reader(open(sys.argv[1]){own}))"
+        command = f'python -c "import csv, sys; csv.writer(sys.stdout).writerows({rows})" {log} > log.csv'
+        return f"it has a row for each axis, expected a row per sample; type: {command}"
+    cells = [cell for row in layout.rows[:3] for cell in row]
+    for other in ",;\t":
+        if other != delimiter and any(cell.count(other) > 1 for cell in cells):
+            marks, command = f"{delimiter!r} and {other!r}", f"tr {other!r} {delimiter!r} < {log} > log.csv"
+            return f"its rows contain two separators, {marks}; type: {command}"
+    return ""
+
+
+#: Widest table with a row per sample.
+_MAX_COLUMNS = 500
 #: Advice for a file without samples.
 _ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
