@@ -97,7 +97,8 @@ def _other_rows(path: str, layout: TextLayout) -> str:
         return f"it has a row for each axis, expected a row per sample; type: {command}"
     cells = [cell for row in layout.rows[:3] for cell in row]
     for other in ",;\t":
-        if other != delimiter and any(cell.count(other) > 1 for cell in cells):
+        several = any(sum(map(is_number, cell.split(other))) > 1 for cell in cells)
+        if several and other != delimiter != BLANKS:
             marks, command = f"{delimiter!r} and {other!r}", f"tr {other!r} {delimiter!r} < {log} > log.csv"
             return f"its rows contain two separators, {marks}; type: {command}"
     return ""

@@ -229,7 +229,7 @@ def test_headers(
         ("one,two", 2),
         ("one,two,three,four", 4),
         ("one", None),
-        ("one,two,three,four,five", None),
+        ("one,two,three,four,five", 5),
         ("one,two,three,", None),
     ],
 )

@@ -24,7 +24,7 @@ SI: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
 
 def write(path: Path, *columns: object, header: str = "", separator: str = ",") -> Path:
     """Write columns of numbers or texts below a header."""
-    rows = zip(*columns, strict=True)  # type: ignore[call-overload]
+    rows = zip(*columns, strict=True)
     texts = (separator.join(cell if isinstance(cell, str) else f"{cell:.9g}" for cell in row) for row in rows)
     path.write_text("\n".join(filter(None, [header, *texts])) + "\n", encoding="utf-8")
     return path
