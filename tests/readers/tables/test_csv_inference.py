@@ -88,7 +88,10 @@ def moving(scale: float) -> FloatArray:
             moving(1.0),
             "m/s^2",
             None,
-            "the median rate 3.68 is too fast for rad/s at rest, but the sensor may have moved, so it may be either",
+            (
+                "the median rate 3.68 is too fast for rad/s at rest, "
+                "but the sensor may have moved, so it may be either"
+            ),
         ),
         (noise(1e-3), None, None, "the log does not contain it"),
         (
