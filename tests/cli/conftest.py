@@ -12,6 +12,6 @@ def pictures() -> None:
 
 @pytest.fixture(autouse=True)
 def pictures_unless_asked_for(request: pytest.FixtureRequest) -> None:
-    """Leave pictures blank where a test does not ask for `pictures`."""
+    """Draw blank pictures unless a test uses the fixture `pictures`."""
     if "pictures" not in request.fixturenames:
         request.getfixturevalue("pictures_are_blank")

@@ -20,10 +20,10 @@ SAMPLE_LOGS = Path(__file__).parents[2] / "sample_logs"
 def run(
     *arguments: str, cwd: Path, text: str | bytes | None = None, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run ``imucal ARGUMENTS`` in `cwd`, with `text` on standard input, without a process of its own.
+    """Run ``imucal ARGUMENTS`` in `cwd`, with `text` on standard input, in this process.
 
-    A process imports everything anew, which takes longer than most commands do. What hangs on the
-    interpreter (the encoding of a terminal, closed streams, signals) needs `run_process`.
+    A new process would import everything again, which takes longer than most commands. Tests of the
+    interpreter's behaviour (encoding of a terminal, closed streams, signals) use `run_process`.
     """
     data = text.encode() if isinstance(text, str) else text or b""
     given, out, err = io.BytesIO(data), io.BytesIO(), io.BytesIO()

@@ -22,7 +22,7 @@ def _table(text: str) -> list[dict[str, str]]:
 
 
 def test_prints_every_axis_as_csv(tmp_path: Path) -> None:
-    """One header, then the curves of the library, nine digits each; what was read on standard error."""
+    """The output is a header and the library's curves with nine digits; notes are on standard error."""
     done = run("adev", MEMS, cwd=tmp_path)
     assert done.returncode == 0
     assert done.stdout.splitlines()[0] == HEADER
@@ -70,7 +70,7 @@ def test_prints_json_with_the_spectrum(tmp_path: Path) -> None:
     ("estimator", "edf"), [("standard", "model"), ("modified", "hybrid"), ("hadamard", "greenhall")]
 )
 def test_estimators_and_methods_are_options(estimator: str, edf: str, tmp_path: Path) -> None:
-    """The values are those of the library's call."""
+    """The values are equal to those of the library."""
     done = run("adev", MEMS, "-q", "--estimator", estimator, "--edf", edf, "--taus", "decade:3", cwd=tmp_path)
     series = imucal.read(MEMS).axis("gyroscope", "x")
     curve = imucal.allan_curve(series, taus="decade:3", estimator=estimator, edf=edf)
@@ -88,7 +88,7 @@ def test_a_list_of_times_has_units(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["octaves", "-1", "1,,2"])
 def test_refuses_times_that_are_neither(text: str, tmp_path: Path) -> None:
-    """Usage: exit code 2 and what is understood."""
+    """The exit code is 2, and the message lists valid values."""
     done = run("adev", MEMS, f"--taus={text}", cwd=tmp_path)
     assert done.returncode == 2
     expected = "is neither octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
@@ -106,7 +106,7 @@ def test_a_time_out_of_reach_is_one_message(tmp_path: Path) -> None:
 
 
 def test_one_bad_axis_does_not_hide_the_others(tmp_path: Path) -> None:
-    """The others are printed; the message and the exit code tell."""
+    """The other axes are printed; a message and the exit code report the bad one."""
     rng = np.random.default_rng(0)
     lines = ["t,gx,gy,gz"]
     for i in range(400):

@@ -1,4 +1,4 @@
-"""What a run leaves on the terminal: one line a folder, one remedy, errors as JSON."""
+"""Output on the terminal: one line per folder, one remedy, errors as JSON."""
 
 import json
 from pathlib import Path
@@ -39,7 +39,7 @@ def test_a_folder_is_one_line_and_a_second_run_reports_the_replacement(tmp_path:
 
 
 def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path) -> None:
-    """The options that the finding gives do it; what was printed as JSON stays one document."""
+    """The suggested options work, and the JSON output stays one document."""
     _write(tmp_path / "carried.csv", 120, carried_s=10.0)
     done = run("fit", "carried.csv", "--no-report", "--json", *_PLAIN, cwd=tmp_path)
     assert done.returncode == 4
@@ -64,7 +64,7 @@ def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path
 def test_errors_are_json_where_json_was_asked_for(
     arguments: tuple[str, ...], kind: str, code: int, tmp_path: Path
 ) -> None:
-    """On standard output, beside the sentence on standard error."""
+    """JSON is on standard output, a sentence on standard error."""
     done = run(*arguments, cwd=tmp_path)
     document = json.loads(done.stdout)
     assert document["schema"] == "imucal/error/1"
@@ -78,7 +78,7 @@ def test_errors_are_json_where_json_was_asked_for(
     [("imucal.toml", "[adev]\ntaus = '0.1,1'\n"), ("pyproject.toml", "[tool.imucal.adev]\ntaus = '0.1,1'\n")],
 )
 def test_default_options_in_a_file_are_named_and_not_used(name: str, text: str, tmp_path: Path) -> None:
-    """In one line, with --quiet too; what the line suggests works."""
+    """One line reports them, with --quiet too, and its suggestion works."""
     (tmp_path / "pyproject.toml").write_text("[tool.imucalibration]\n", encoding="utf-8")
     expected = run("adev", _SHORT, "-q", cwd=tmp_path)
     assert "toml" not in expected.stderr
@@ -92,7 +92,7 @@ def test_default_options_in_a_file_are_named_and_not_used(name: str, text: str, 
 
 
 def test_a_log_of_seconds_is_good_for_n_only(tmp_path: Path) -> None:
-    """The verdict says that it is too short for B and K."""
+    """The verdict reports that it is too short for B and K."""
     _write(tmp_path / "short.csv", 20)
     done = run("fit", "short.csv", "--no-report", "-q", cwd=tmp_path)
     assert done.stdout.startswith("Good for N; too short for B and K: 2 of 2 axes are stationary noise")

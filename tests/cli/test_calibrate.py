@@ -1,4 +1,4 @@
-"""`imucal calibrate`: table, files, JSON and its schema, the corrected log, and what it refuses."""
+"""`imucal calibrate`: table, files, JSON and its schema, the corrected log, and refusals."""
 
 import json
 import re
@@ -180,7 +180,7 @@ def changed(one: Log, kind: str) -> Recording:
 def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
     kind: str, up: np.ndarray | None, said: str, tmp_path: Path
 ) -> None:
-    """The message names the log, the reason and what to do; nothing is written."""
+    """The message contains the log, the reason and the next step; nothing is written."""
     if kind == "one attitude" and up is not None:
         # A small tilt between the rests separates them.
         up = up + np.random.default_rng(2).normal(0, 0.04, up.shape)
@@ -213,7 +213,7 @@ def test_swapped_axes_are_calibrated_after_reordering(tmp_path: Path) -> None:
 
 
 def test_a_log_in_g_is_refused_with_the_option_that_helps(tmp_path: Path) -> None:
-    """The option of the message is typed, and the result is that of the log in m/s²."""
+    """With the suggested option the result equals the result of the log in m/s²."""
     one = drawn().recording()
     write_accelerometer(one, tmp_path / "g.csv", 1 / 9.80665)
     arguments = ("calibrate", "g.csv", "--rate", "100", *PLACE, "-o", "out")
@@ -312,7 +312,7 @@ def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
 
 
 def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
-    """One file, standard output, all of them; formats that need another kind of folder are refused."""
+    """One file, standard output, or all formats are written; formats of noise reports are refused."""
     place = str(folder / "poses-calibration")
     one = run("export", place, "--to", "OpenVINS", "-o", "imu.yaml", cwd=tmp_path)
     assert (one.returncode, one.stdout) == (0, "imu.yaml\n")

@@ -1,4 +1,4 @@
-"""`imucal check`: the gate opens, closes, or can't tell; table, JSON, JUnit, annotations."""
+"""`imucal check`: pass, fail or undecided; table, JSON, JUnit, annotations."""
 
 import json
 from dataclasses import replace
@@ -77,7 +77,7 @@ def test_json_is_alone_on_standard_output(tmp_path: Path) -> None:
 
 
 def test_junit_is_written_whole(tmp_path: Path) -> None:
-    """Its path is said on standard error; a parser reads it; a bad place ends with 5."""
+    """A parser reads the file, its path is on standard error, and an invalid path ends with exit code 5."""
     code, _, err = _check(tmp_path, FAILS, "--junit", "out.xml")
     assert (code, err) == (1, "out.xml\n")
     assert ET.parse(tmp_path / "out.xml").getroot().get("failures") == "2"  # noqa: S314 - our own file
@@ -159,7 +159,7 @@ def test_a_terminal_that_knows_ascii_alone_gets_ascii(tmp_path: Path) -> None:
 
 
 def test_a_log_is_characterised_first(tmp_path: Path) -> None:
-    """A minute of data can't tell much, but its rate."""
+    """A minute of data determines little more than the rate."""
     (tmp_path / "limits.toml").write_text("[log]\nrate = { min = 1 }\n[findings]\nlevel = 'none'\n")
     log = str(SAMPLE_LOGS / "too_short.db3")
     done = run("check", log, "--limits", "limits.toml", cwd=tmp_path)

@@ -1,4 +1,4 @@
-"""`imucal completion`: scripts that shells take, and what they offer."""
+"""`imucal completion`: scripts for shells, and their suggestions."""
 
 import shutil
 import subprocess
@@ -40,7 +40,7 @@ def test_an_unknown_shell_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_commands_formats_and_choices_are_offered(words: str, offered: set[str], tmp_path: Path) -> None:
-    """As the script asks for them."""
+    """The script of the shell receives them."""
     count = len(words.split(" ")) - 1
     done = run(cwd=tmp_path, _IMUCAL_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(count))
     found = {line.partition(",")[2] for line in done.stdout.splitlines()}

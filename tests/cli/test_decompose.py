@@ -1,4 +1,4 @@
-"""`imucal decompose`: its files, its table, and what it refuses."""
+"""`imucal decompose`: files, table and refusals."""
 
 import csv
 import json
@@ -57,7 +57,7 @@ def test_files_and_table_contain_the_bias(folder: Path) -> None:
 
 
 def test_rows_come_as_often_as_asked_for(folder: Path) -> None:
-    """Samples are averaged around each; the bias is that of the row's time."""
+    """Samples are averaged around the time of each row."""
     done = run("decompose", LOG, *MODEL, "--axis", "gyro_x", "--every", "1s", "-o", "bias", cwd=folder)
     assert done.returncode == 0, done.stderr
     rows = list(csv.DictReader((folder / "bias" / "gyro_x.csv").read_text(encoding="utf-8").splitlines()))
@@ -76,7 +76,7 @@ def test_json_is_the_document(folder: Path) -> None:
 
 
 def test_a_folder_of_its_own_is_written_again_and_others_are_left_alone(folder: Path) -> None:
-    """Exit code 5 before the log is read, and what was there stays."""
+    """Other folders end with exit code 5 before the log is read, and stay unchanged."""
     for _ in range(2):
         done = run("decompose", LOG, *MODEL, "--axis", "gyro_x", "-q", "-o", "bias", cwd=folder)
         assert done.returncode == 0, done.stderr
@@ -97,7 +97,7 @@ def test_a_folder_of_its_own_is_written_again_and_others_are_left_alone(folder: 
 
 
 def test_an_axis_that_is_not_there_is_named(folder: Path) -> None:
-    """With those that are; a name that is none is a usage error."""
+    """The message lists the existing axes; an invalid name is a usage error."""
     (folder / "gyro.csv").write_text(
         "t,gx,gy,gz\n" + "".join(f"{i / 100},{i % 7}e-3,{i % 5}e-3,{i % 3}e-3\n" for i in range(500)),
         encoding="utf-8",
@@ -118,7 +118,7 @@ def test_strict_turns_a_warning_into_an_exit_code(folder: Path) -> None:
 
 
 def test_what_is_not_noise_ends_with_code_4_unless_forced(tmp_path: Path) -> None:
-    """The files are written, since the picture shows what happened; the message says what to do."""
+    """The files are written, because the picture shows the motion; the message contains the next step."""
     write(tmp_path / "log.csv", moved)
     done = run("decompose", "log.csv", "--model", "N", "--axis", "gyro_x", "-q", cwd=tmp_path)
     assert done.returncode == 4

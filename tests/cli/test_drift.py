@@ -1,4 +1,4 @@
-"""`imucal drift`: the table, JSON, the picture, and what it refuses."""
+"""`imucal drift`: table, JSON, picture and refusals."""
 
 import json
 from dataclasses import fields
@@ -19,7 +19,7 @@ from tests.report.synthetic import consumer_report, small_report
 
 
 def test_a_report_gives_a_table(tmp_path: Path) -> None:
-    """Value, limits and unit, the axis, the term that makes most; and what the log has not seen."""
+    """It contains value, limits, unit, axis and the largest term, and the times beyond the log."""
     write_report(tmp_path, "a", small_report())
     done = run("drift", "a", "--times", "10s,1min", cwd=tmp_path)
     assert done.returncode == 0
@@ -59,7 +59,7 @@ def test_both_sensors_determine_heading_and_both_parts(tmp_path: Path) -> None:
 
 
 def test_json_is_the_drift(tmp_path: Path) -> None:
-    """SI, every attribute, and null for what is not known; times rise, each once."""
+    """Values are in SI, unknown values are null, and times increase."""
     write_report(tmp_path, "a", small_report())
     done = run("drift", "a", "--times", "1min,1s,60s", "--rest", "30s", "--json", "-q", cwd=tmp_path)
     document = json.loads(done.stdout)
@@ -80,7 +80,7 @@ def test_json_is_the_drift(tmp_path: Path) -> None:
 
 
 def test_numbers_are_those_of_drawn_coasts() -> None:
-    """Long records of a known model, cut into rest and coast: their rms within 3 % of what is printed."""
+    """In long records of a known model, the rms of coasts is within 3 % of the printed numbers."""
     times = (1.0, 10.0, 60.0)
     text = "N=1e-3 + B=3e-4 + K=2e-5"
     drawn = drawn_rms(NoiseModel.parse(text), times, coasts=8000, rng=np.random.default_rng(4302))
@@ -91,7 +91,7 @@ def test_numbers_are_those_of_drawn_coasts() -> None:
 
 @pytest.mark.usefixtures("pictures")
 def test_a_log_is_characterised_first_and_drawn(tmp_path: Path) -> None:
-    """The picture is whole, and what is on standard output is the table alone."""
+    """The picture is complete, and standard output contains only the table."""
     (tmp_path / "log.csv").write_bytes(one_axis())
     log = ("log.csv", *OPTIONS, "--rest", "1s", "--times", "1s")
     done = run("drift", *log, "-o", "drift.png", "-q", cwd=tmp_path)

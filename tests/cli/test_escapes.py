@@ -97,7 +97,7 @@ def test_json_is_exact_and_steers_nothing(logs: Path) -> None:
 
 
 def test_a_report_shows_escapes(logs: Path) -> None:
-    """Its page and pictures, and the config files made of it."""
+    """The page, the pictures and the config files contain escapes instead of control characters."""
     quick = ("--model", "N", "--segments", "1", "--format", "svg")
     done = run("fit", f"table{EVIL}.csv", *quick, "--gyro-unit", "rad/s", "-o", "r", cwd=logs)
     assert done.returncode == 0

@@ -18,7 +18,7 @@ def still(tmp_path: Path) -> str:
 
 
 def test_a_file_is_written_under_its_own_name(still: str, tmp_path: Path) -> None:
-    """Its path stands on standard output, what to know on standard error."""
+    """Its path is on standard output, notes are on standard error."""
     done = run("export", still, "--to", "kalibr", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "kalibr_imu.yaml\n")
     assert "cover the fitted spectrum, so they are larger than N and K" in done.stderr
@@ -52,7 +52,7 @@ def test_several_formats_go_to_a_folder(
 
 
 def test_policy_inflation_and_topic_reach_the_file(still: str, tmp_path: Path) -> None:
-    """Each changes its number, and is said."""
+    """Each option changes its number, and a comment reports it."""
     options = ["--axis-policy", "x", "--inflate", "white=2, walk=10", "--rostopic", "/my/imu"]
     options += ["--numbers", "as-fitted"]
     done = run("export", still, "--to", "kalibr", "-o", "-", "-q", *options, cwd=tmp_path)
@@ -116,7 +116,7 @@ def test_what_cannot_be_done_is_one_message(
 
 
 def test_a_report_without_an_accelerometer_gives_its_half(tmp_path: Path) -> None:
-    """The file has the gyroscope's keys, and standard error says so; with all, every format of it."""
+    """The file has the gyroscope's keys, and standard error reports the missing sensor."""
     name = write_report(tmp_path, report=small_report())
     done = run("export", name, "--to", "kalibr", cwd=tmp_path)
     assert done.returncode == 0

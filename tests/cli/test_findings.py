@@ -25,7 +25,7 @@ FINDINGS = (
 
 
 def test_one_finding_represents_those_that_differ_in_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    """It is said how many there are and on which axes; nothing goes to standard output."""
+    """The line contains their number and axes; standard output is empty."""
     print_findings(FINDINGS)
     out, err = capsys.readouterr()
     assert out == ""

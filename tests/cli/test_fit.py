@@ -25,7 +25,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.Complete
 def test_results_and_talk_go_to_different_streams(
     whole: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
-    """Standard output holds the table alone; paths and findings stand on standard error."""
+    """Standard output contains only the table; paths and findings are on standard error."""
     done, _ = whole
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(("Good for N; ", "Look first: "))
@@ -47,7 +47,7 @@ def test_the_report_folder_holds_everything(whole: tuple[subprocess.CompletedPro
 
 
 def test_a_log_on_standard_input_is_read(tmp_path: Path) -> None:
-    """- stands for text on standard input."""
+    """The path - is text on standard input."""
     text = one_axis().decode()
     done = run("fit", "-", *OPTIONS, "-q", "--json", "--no-report", "--model", "N", cwd=tmp_path, text=text)
     assert done.returncode == 0, done.stderr
@@ -62,7 +62,7 @@ def test_an_unknown_term_is_a_usage_error(tmp_path: Path) -> None:
 
 
 def test_a_removed_option_is_a_usage_error(tmp_path: Path) -> None:
-    """The message tells what to do, and the help does not list the option."""
+    """The message contains the replacement, and the help does not list the option."""
     done = run("fit", SHORT, "--verify", cwd=tmp_path)
     assert done.returncode == 2
     assert "--verify was removed: imucal's tests compare fits with the exact likelihood; leave it out" in (
@@ -72,7 +72,7 @@ def test_a_removed_option_is_a_usage_error(tmp_path: Path) -> None:
 
 
 def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
-    """--skip and --take choose it; the report says so."""
+    """--skip and --take select it, and the report contains the range."""
     part = ("--skip", "5s", "--take", "10s", *QUICK)
     done = run("fit", SHORT, "-q", "--json", "--no-report", *part, cwd=tmp_path)
     document = json.loads(done.stdout)
@@ -88,7 +88,7 @@ def test_strict_turns_a_warning_into_an_exit_code(tmp_path: Path) -> None:
 
 
 def test_a_part_has_its_own_gaps_only(tmp_path: Path) -> None:
-    """What was lost elsewhere is not warned of, and the part is one reading of six axes."""
+    """There is no warning about gaps elsewhere, and the six axes share one clock."""
     log = str(SAMPLE_LOGS / "with_gaps.csv")
     part = ("--skip", "25s", "--take", "30s", "--model", "N + B", "--segments", "1")
     done = run("fit", log, "--no-report", "--strict", *part, cwd=tmp_path)
@@ -99,7 +99,7 @@ def test_a_part_has_its_own_gaps_only(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_a_report_is_left_alone(tmp_path: Path) -> None:
-    """Exit code 5, and what was there stays."""
+    """The exit code is 5, and the folder is unchanged."""
     mine = tmp_path / "out"
     mine.mkdir()
     (mine / "thesis.tex").write_text("mine", encoding="utf-8")
@@ -119,7 +119,7 @@ def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Pa
 
 
 def test_hints_can_be_typed(tmp_path: Path) -> None:
-    """A folder with a blank, or one that begins like an option, is quoted."""
+    """Paths with blanks, or like options, are quoted."""
     (tmp_path / "log.csv").write_bytes(one_axis())
     done = run("fit", "log.csv", *OPTIONS, *QUICK, "--no-html", "-o", "-my report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -142,7 +142,7 @@ def test_the_report_is_named_after_the_log(log: str, folder: str) -> None:
 
 
 def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) -> None:
-    """The report says into how many parts; none is no number of parts."""
+    """The report contains the number of parts; zero parts are refused."""
     rows = np.c_[np.arange(10_000) / 100, 1e-3 * np.random.default_rng(3).standard_normal(10_000)]
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,gz", comments="")
     ask = ("fit", "log.csv", *OPTIONS, "--no-report", "--json", "-q", "--model", "N")
@@ -158,7 +158,7 @@ def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) ->
 
 @pytest.mark.usefixtures("forks")
 def test_json_on_standard_output_is_the_report_however_many_axes_are_fitted_at_a_time(tmp_path: Path) -> None:
-    """And nothing else, the same to the byte; no file is written; no axis at a time is a usage error."""
+    """The bytes do not depend on the workers, no file is written, and zero workers are refused."""
     command = ["fit", SHORT, "--json", "--no-report", "-q", "--model", "N + B", "--segments", "1", "--jobs"]
     one, two, none = (run(*command, jobs, cwd=tmp_path) for jobs in "120")
     assert (one.returncode, two.returncode, none.returncode) == (0, 0, 2)

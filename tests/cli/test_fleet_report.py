@@ -1,4 +1,4 @@
-"""``imucal fleet report``, and fleets in ``export``, ``check`` and ``compare``: what a person sees."""
+"""``imucal fleet report``, and fleets in ``export``, ``check`` and ``compare``: output and exit codes."""
 
 import json
 from pathlib import Path
@@ -64,7 +64,7 @@ def test_report_writes_its_files_and_prints_the_result(folder: Path) -> None:
 
 
 def test_report_lists_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An old page does not stay in place of the one that can't be drawn."""
+    """An old page is removed if the new page can't be drawn."""
 
     def broken(*_: object) -> str:
         msg = "no ticks"
@@ -124,7 +124,7 @@ def test_contradicting_options_are_reported(
 
 
 def test_a_fleet_is_exported(folder: Path) -> None:
-    """The bound by default, the median on request; the file says which."""
+    """The default is the bound, the option selects the median, and a comment names the choice."""
     bound = run("export", "fleet", "--to", "kalibr", "-o", "-", cwd=folder)
     median = run("export", "fleet", "--value", "median", "--to", "kalibr", "-o", "-", cwd=folder)
     assert "every number is the 95/95 tolerance bound" in bound.stdout

@@ -1,4 +1,4 @@
-"""``imucal fleet run`` and ``status``: what a person sees, and the exit codes."""
+"""``imucal fleet run`` and ``status``: output and exit codes."""
 
 import json
 import os
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with seven short logs in it, and one that is cut off."""
+    """Return a folder with seven short logs and one truncated log."""
     folder = tmp_path_factory.mktemp("logs")
     made = make_fleet(folder / "logs", logs=8, seconds=20.0, seed=4, axes=1)
     assert [log.broken for log in made] == [""] * 7 + ["cut"]
@@ -58,7 +58,7 @@ def test_every_log_has_its_results_and_labels(done: Path) -> None:
 
 
 def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
-    """Nor does one that names only the folder."""
+    """A command with only the folder does nothing either."""
     parts = sorted((done / "fleet" / "logs").iterdir())
     for arguments in (("logs", *LABELS), ()):
         again = run("fleet", "run", *arguments, "--shard", "1/1", "--max-failed", "20%", cwd=done)
@@ -87,7 +87,7 @@ def test_more_failures_than_allowed_end_with_4(done: Path) -> None:
 
 
 def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
-    """A run without labels keeps those of the first; one of a new folder asks for them."""
+    """A run without labels keeps the stored ones; a run of a new folder requires them."""
     again = run("fleet", "run", "logs", "--shard", "1/1", cwd=done)
     assert again.stderr.startswith("0 logs to do, 0 kB; 8 already done\nunreadable: 1\n")
     first = run("fleet", "run", "logs/alpha/u00", "-o", "without", "--shard", "1/1", cwd=done)
@@ -95,14 +95,14 @@ def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
 
 
 def test_the_help_shows_the_actual_defaults(tmp_path: Path) -> None:
-    """It has a copy of its own of two of them."""
+    """The help has copies of two of them."""
     text = " ".join(run("fleet", "run", "--help", cwd=tmp_path).stdout.split())
     assert f"Fit these terms to every log. [default: {MODEL}]" in text
     assert f"Confidence level of every interval. [default: {LEVEL}]" in text
 
 
 def test_a_dry_run_writes_nothing(logs: Path) -> None:
-    """And says of every log what would be done with it."""
+    """It prints the planned action for every log."""
     ended = run("fleet", "run", "logs", *LABELS, "-o", "other", "--dry-run", cwd=logs)
     assert ended.returncode == 0
     lines = ended.stdout.splitlines()
@@ -161,7 +161,7 @@ def test_a_dry_run_lists_logs_and_duplicates(done: Path, tmp_path: Path) -> None
 
 
 def test_two_shards_do_all_of_it(done: Path) -> None:
-    """Each its part, on one store; the results are those of one run."""
+    """Each shard does its part in one store, and the results equal those of one run."""
     for shard, code in (("2/2", 4), ("1/2", 0)):
         ended = run("fleet", "run", "logs", "-o", "halves", *LABELS, "--shard", shard, cwd=done)
         assert ended.stdout.startswith("halves: 4 logs done: ")
@@ -222,7 +222,7 @@ def test_slips(arguments: tuple[str, ...], code: int, said: str, tmp_path: Path)
 
 
 def test_another_model_in_the_same_folder_is_refused(done: Path) -> None:
-    """One structure a fleet; what the message says to type works."""
+    """A fleet has one model, and the suggestion of the message works."""
     ended = run("fleet", "run", "logs", "--model", "N + K", "--shard", "1/1", cwd=done)
     assert ended.returncode == 2
     message = (
@@ -232,7 +232,7 @@ def test_another_model_in_the_same_folder_is_refused(done: Path) -> None:
 
 
 def test_status_of_what_is_no_fleet(tmp_path: Path) -> None:
-    """Exit code 3, and what was expected."""
+    """The exit code is 3, and the message contains the expected content."""
     ended = run("fleet", "status", "nowhere", cwd=tmp_path)
     assert ended.returncode == 3
     assert "no such file; expected the folder of a fleet, written by imucal fleet run" in ended.stderr

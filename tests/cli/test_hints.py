@@ -1,4 +1,4 @@
-"""The option that answers a message of the library, which knows no options."""
+"""The option for each message of the library, which does not know options."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_a_missing_rate_is_asked_for_with_its_option(tmp_path: Path) -> None:
 
 
 def test_an_open_time_unit_is_asked_for_with_its_options(tmp_path: Path) -> None:
-    """Either of them does."""
+    """Either option works."""
     rows = "\n".join(f"{100 * i},{0.001 * (i % 7)},0.002,{0.001 * (i % 3)}" for i in range(300))
     (tmp_path / "log.csv").write_text(f"time,gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}\n", encoding="utf-8")
     done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
@@ -93,7 +93,7 @@ def test_a_message_without_an_answer_has_no_hint(tmp_path: Path) -> None:
 
 
 def test_columns_of_messages_are_asked_for_with_their_option(tmp_path: Path) -> None:
-    """What the error proposes can be typed as it stands; info -v lists the fields."""
+    """The suggestion of the error works, and info -v lists the fields."""
     two_gyros(tmp_path)
     done = run("adev", "log.mcap", cwd=tmp_path)
     assert done.returncode == 3

@@ -1,4 +1,4 @@
-"""``imucal info``: what is in a log, on 80 columns or as JSON."""
+"""``imucal info``: the contents of a log, on 80 columns or as JSON."""
 
 import json
 from dataclasses import replace
@@ -18,7 +18,7 @@ TRUTH = samples(300)
 
 
 def test_prints_topics_and_gaps(tmp_path: Path) -> None:
-    """Topic, type, count, rate, duration, sensors; then rate, gaps and units of what was read."""
+    """The table has topic, type, count, rate, duration and sensors; rate, gaps and units follow."""
     gap = Samples(
         stamps=TRUTH.stamps + (TRUTH.stamps > TRUTH.stamps[150]) * 100_000_000,
         log=TRUTH.log,
@@ -71,7 +71,7 @@ def test_prints_json(tmp_path: Path) -> None:
 
 
 def test_reads_no_samples_where_it_need_not(tmp_path: Path) -> None:
-    """The index is enough for what the first table shows."""
+    """The index contains the values of the first table."""
     write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
     done = run("info", "--no-gaps", "log.mcap", cwd=tmp_path)
     assert "Gaps were not checked in a large log; --gaps reads all samples." in done.stdout

@@ -1,4 +1,4 @@
-"""What every command shares: help, exit codes, one message and no traceback."""
+"""All commands: help, exit codes, one message and no traceback."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from tests.remote.one_axis import one_axis
 
 @pytest.mark.parametrize("command", list(COMMANDS))
 def test_every_command_has_help_with_examples_that_fits_80_columns(command: str, tmp_path: Path) -> None:
-    """Help is what people read first."""
+    """The help is the first text that users read."""
     done = run(command, "--help", cwd=tmp_path, COLUMNS="80")
     assert done.returncode == 0
     assert "Examples:" in done.stdout
@@ -77,7 +77,7 @@ def test_a_number_that_makes_no_sense_is_a_usage_error(option: str, value: str, 
 
 
 def test_columns_of_a_log_of_messages(tmp_path: Path) -> None:
-    """They can be named as those of a table; constants are no samples."""
+    """They are given like columns of a table; constants are not samples."""
     log = str(SAMPLE_LOGS / "too_short.db3")
     found = run("adev", log, cwd=tmp_path).stdout
     for columns in ("g=angular_velocity,a=linear_acceleration", "t=0,g=14:17,a=26:29"):
@@ -88,7 +88,7 @@ def test_columns_of_a_log_of_messages(tmp_path: Path) -> None:
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
-    """`imucal adev LOG | head -1` prints nothing else."""
+    """`imucal adev LOG | head -1` prints no error."""
     command = f"{sys.executable} -m imucal adev -q --taus all {SAMPLE_LOGS / 'too_short.db3'} | head -1"
     done = subprocess.run(  # noqa: S602 - a pipe is the point
         command, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False

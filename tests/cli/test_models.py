@@ -95,7 +95,7 @@ def test_invalid_models_are_reported(typed: tuple[str, ...], said: str, tmp_path
 
 
 def test_a_file_whose_name_looks_like_a_model_is_a_file(tmp_path: Path) -> None:
-    """What is there is meant."""
+    """An existing file takes precedence."""
     write_report(tmp_path, "N=1e-3")
     done = run("export", "N=1e-3", "--to", "px4", "-o", "-", "-q", cwd=tmp_path)
     assert done.returncode == 0

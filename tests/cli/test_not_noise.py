@@ -1,4 +1,4 @@
-"""Data that are not noise at rest: exit code 4, no export, one line when quiet, a report that says so."""
+"""Data that are not noise at rest: exit code 4, no export, one line with --quiet, a finding."""
 
 import json
 import re
@@ -38,7 +38,7 @@ def dead(rows: FloatArray) -> None:
 
 
 def absurd(rows: FloatArray) -> None:
-    """Write stamps in ms where the heading says s."""
+    """Write stamps in ms below a header with s."""
     rows[:, 0] *= 1000
 
 

@@ -70,7 +70,7 @@ def test_a_filter_model_of_one_axis(bench: Path) -> None:
 
 
 def test_it_is_checked_against_limits_of_its_own(bench: Path) -> None:
-    """The axes that must be there are those that the limits name."""
+    """The limits name the required axes."""
     (bench / "limits.toml").write_text('[gyroscope]\naxes = ["z"]\nN = { max = 1.0 }\n', encoding="utf-8")
     done = run("check", "report", "--limits", "limits.toml", cwd=bench)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -79,7 +79,7 @@ def test_it_is_checked_against_limits_of_its_own(bench: Path) -> None:
 
 @pytest.mark.parametrize("target", sorted(TARGETS))
 def test_no_format_makes_up_what_was_not_measured(target: str, bench: Path) -> None:
-    """Each leaves the accelerometer out and says so, or says which axis it needs and writes nothing."""
+    """Each format omits the accelerometer with a note, or reports the missing axis and writes nothing."""
     done = run("export", "report", "--to", target, "-o", "-", cwd=bench)
     if done.returncode == 0:
         assert "the report has no accelerometer; the files omit its numbers" in done.stderr

@@ -1,4 +1,4 @@
-"""`imucal plan`: the table, JSON and what it refuses."""
+"""`imucal plan`: table, JSON and refusals."""
 
 import json
 from pathlib import Path

@@ -55,7 +55,7 @@ def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("duration", ["0", "1000000d"])
 def test_a_length_that_makes_no_log_is_a_usage_error(duration: str, tmp_path: Path) -> None:
-    """No log of one sample, and no attempt at one that fits no disk."""
+    """A single sample, or a log larger than any disk, is refused."""
     done = run("simulate", "N=1e-3", "--duration", duration, "-o", "log.csv", cwd=tmp_path)
     assert done.returncode == 2
     assert "samples; expected 1 to 1e+09" in done.stderr

@@ -1,4 +1,4 @@
-"""What people type by mistake: the exit code, and one message that helps. The table is the docs' own."""
+"""Typical mistakes: the exit code, and one message that helps. The docs contain the table."""
 
 import re
 import shlex
@@ -21,7 +21,7 @@ SLIPS = re.findall(r"^\| `imucal (.*)` \| (\d+) \| (.*) \|$", PAGE.read_text(enc
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder that the page speaks of."""
+    """Return the folder of the page's examples."""
     place = tmp_path_factory.mktemp("slips")
     write_report(place)
     moving = Finding(level="error", code="motion", text="It moved.")

@@ -19,7 +19,7 @@ SUGGESTED = re.compile(r"(?:--skip ([\d.]+)s )?--take ([\d.]+)s")
 
 @dataclass(frozen=True)
 class Log:
-    """A log of a certain length with disturbances, start and end each, in s; what is typed to skip."""
+    """A log of a certain length with disturbances (start and end in s), and the typed --skip."""
 
     rows: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     length_s: float
@@ -27,7 +27,7 @@ class Log:
     skip_s: float
 
     def longest_rest_s(self) -> float:
-        """Return the longest time without a disturbance in what is read."""
+        """Return the longest time without a disturbance in the part that is read."""
         ends = [(self.skip_s, self.skip_s), *self.disturbed, (self.length_s, self.length_s)]
         ends = sorted((max(a, self.skip_s), max(b, self.skip_s)) for a, b in ends)
         rests, last = [], self.skip_s

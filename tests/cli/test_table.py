@@ -48,7 +48,7 @@ def test_both_sensors_are_side_by_side() -> None:
 @pytest.mark.parametrize("datasheet", [False, True])
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii", "latin-1", "cp1252", "nonsense"])
 def test_it_fits_80_columns_and_the_encoding(make: object, *, datasheet: bool, encoding: str) -> None:
-    """Whatever the terminal can print; signs that it can't are written out."""
+    """Characters that the terminal can't print are replaced by words."""
     report = make()  # type: ignore[operator]
     odd = [replace(axis, rate_hz=285.7142857, duration_s=45.7) for axis in report.axes]
     report = replace(report, axes=tuple(odd))
@@ -70,7 +70,7 @@ def test_si_units_share_a_power_of_ten() -> None:
 
 
 def test_gauss_markov_terms_have_their_correlation_time() -> None:
-    """Only the axes that have such a term are listed."""
+    """Only axes with such a term are listed."""
     text = summary_table(consumer_report(), datasheet=True, encoding="utf-8")
     assert (
         "GM1  Gauss-Markov  deg/h\nz  8.3  [7.7, 8.9]\n\nGM1  correlation time  s\nz  90  [73, 111]" in text
@@ -86,7 +86,7 @@ def test_a_heading_keeps_numbers_with_their_units() -> None:
 
 
 def test_axes_with_different_clocks_are_listed_separately() -> None:
-    """A missing axis, another rate: the heading says which is which."""
+    """If an axis is missing or has another rate, the heading names the axes."""
     report = consumer_report()
     slow = replace(report.axes[1], rate_hz=100.0)
     report = Report(source=report.source, axes=(report.axes[0], slow), settings={}, version="1", findings=())
@@ -99,7 +99,7 @@ def test_axes_with_different_clocks_are_listed_separately() -> None:
 
 
 def test_axes_that_are_not_noise_are_left_out() -> None:
-    """One axis that is stuck leaves the others; of a log that was moved the sentence alone stands."""
+    """A stuck axis is omitted; for a moved log only the sentence is printed."""
     report = consumer_report()
     stuck = Finding(level="error", code="stuck", axis="gyro_x", text="It is stuck.")
     one = replace(report, findings=(*report.findings, stuck))

@@ -1,4 +1,4 @@
-"""``imucal --version`` and ``python -m imucal``: which imucal runs, and what is in its way."""
+"""``imucal --version`` and ``python -m imucal``: the running imucal, and conflicts with another package."""
 
 import subprocess
 import sys
@@ -31,7 +31,7 @@ def test_the_module_is_the_command(tmp_path: Path) -> None:
 
 
 def test_the_other_distribution_is_named(tmp_path: Path) -> None:
-    """Its files and these are mixed: the line after the version says so and what to type."""
+    """The line after the version reports that files of both are mixed, and suggests a command."""
     info = tmp_path / "imucal-2.6.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: imucal\nVersion: 2.6.0\n")

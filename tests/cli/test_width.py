@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("columns", [40, 80])
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
 def test_every_table_fits(command: tuple[str, ...], columns: int, folder: Path) -> None:
-    """No line is longer than the terminal; what stands in the wide table stands in the narrow one."""
+    """No line is longer than the terminal, and the narrow table contains the values of the wide one."""
     done = run(*command, cwd=folder, COLUMNS=str(columns))
     assert done.returncode in {0, 1}
     assert done.stdout
@@ -52,7 +52,7 @@ def test_every_table_fits(command: tuple[str, ...], columns: int, folder: Path) 
 
 
 def test_the_width_is_80_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And 30 at least, below which nothing would stand in a line."""
+    """It is at least 30, because narrower lines would be unreadable."""
     for columns, expected in [("200", 80), ("80", 80), ("55", 55), ("10", 30)]:
         monkeypatch.setenv("COLUMNS", columns)
         assert width() == expected
