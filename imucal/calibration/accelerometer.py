@@ -34,7 +34,7 @@ _DIAGONAL = np.array([True, False, True, False, False, True, True, True, True])
 _NOTHING, _WEAK = 1e-5, 1e-2
 #: A parameter is part of a direction if its component exceeds this.
 _PART = 1e-3
-#: Most Gauss-Newton steps, the step in standard deviations that ends them, and most halvings of a step.
+#: Limits of Gauss-Newton: number of steps, last step in standard deviations, halvings of a step.
 _STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
 #: Standard deviation of the misalignments that a diagonal model ignores, in rad: 2 % is a usual upper limit.
 _IGNORED_MISALIGNMENT = 0.01
@@ -51,22 +51,10 @@ Status: TypeAlias = Literal["estimated", "weak", "not-observable"]
 class AccelerometerFit(ReadOnlyArrays):
     """A calibrated accelerometer: f = C (raw - b).
 
-    Attributes
-    ----------
-    C, b
-        Lower triangular matrix, shape (3, 3), in m/s² per raw unit; bias, shape (3,), in raw units.
-    covariance
-        Of `PARAMETERS`: the lower triangle of C by rows, then b, shape (9, 9); zero for fixed parameters.
-    free
-        Which parameters were fitted, shape (9,).
-    f, residual
-        Specific force of each rest, shape (m, 3), and |f| - g, shape (m,), in m/s².
-    jacobian, residual_covariance
-        Derivatives of the residuals, shape (m, 9), and their covariance, shape (m, m).
-    chi2, dof
-        Weighted sum of squares and its degrees of freedom.
-    statuses
-        Of each parameter; see `observability`.
+    C is lower triangular, in m/s² per raw unit; b is in raw units. `covariance`, shape (9, 9), is zero for
+    parameters that are not `free`. `f`, shape (m, 3), and `residual` |f| - g, shape (m,), are in m/s².
+    `jacobian`, shape (m, 9), has the derivatives of the residuals. `statuses` are explained at
+    `observability`.
     """
 
     C: FloatArray
@@ -83,7 +71,7 @@ class AccelerometerFit(ReadOnlyArrays):
 
     @property
     def model(self) -> Model:
-        """`full` with nine parameters, `diagonal` without misalignment."""
+        """``full`` with nine parameters, ``diagonal`` without misalignment."""
         return "full" if self.free.all() else "diagonal"
 
     @property
@@ -121,22 +109,12 @@ def fit_accelerometer(
     model: Model | None = None,
     start: tuple[FloatArray, FloatArray] | None = None,
 ) -> AccelerometerFit:
-    """Fit C and b so that |C (mean - b)| is gravity at every rest.
+    """Fit C and b so that |C (mean - b)| is `gravity`, in m/s², at every rest.
 
-    Parameters
-    ----------
-    means
-        Mean raw accelerometer reading of each rest, shape (m, 3), in m/s² or any other unit.
-    covariances
-        Of the means of each axis, shape (3, m, m), in the square of their unit.
-    gravity, gravity_sigma
-        Length of gravity and its standard deviation, in m/s².
-    model
-        ``full`` (9 parameters) or ``diagonal`` (6, no misalignment). By default ``full`` if the rests
-        determine all nine, otherwise ``diagonal``. The covariance of a diagonal fit includes ignored
-        misalignments of 0.01 rad.
-    start
-        C and b to start from; by default an ellipsoid through the means, or each axis's extremes.
+    `means`, shape (m, 3), are raw readings in any unit, `covariances`, shape (3, m, m), those of each axis.
+    The default `model` is ``full`` (9 parameters) if the rests determine it, otherwise ``diagonal`` (6, no
+    misalignment); the covariance of a diagonal fit includes ignored misalignments of 0.01 rad. `start` has C
+    and b; the default is an ellipsoid through the means, or each axis's extremes.
 
     Raises
     ------
@@ -206,7 +184,6 @@ def _gauss_newton(
     start: tuple[FloatArray, FloatArray],
     free: BoolArray,
 ) -> AccelerometerFit:
-    """Return the generalised least squares fit of the free parameters."""
     C, b = (np.array(value, dtype=np.float64) for value in start)
     fixed = ~free
     for step_number in range(_STEPS + 1):
@@ -269,15 +246,8 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status
     """Return which parameters the residuals determine.
 
     A parameter is ``not-observable`` if it is not free or has a part in a direction whose singular value is
-    below 1e-5 of the largest, and ``weak`` if directions below 1e-2 cause most of its variance.
-
-    Parameters
-    ----------
-    J, S
-        Derivatives of the residuals in parameters of comparable size, shape (m, p), and the covariance of the
-        residuals, shape (m, m).
-    free
-        Which parameters are fitted, shape (p,).
+    below 1e-5 of the largest, and ``weak`` if directions below 1e-2 cause most of its variance. J, shape (m,
+    p), are derivatives in parameters of comparable size, S the covariance of the residuals.
     """
     Jw = solve_triangular(np.linalg.cholesky(S), J[:, free], lower=True)
     _, values, V = np.linalg.svd(Jw, full_matrices=True)
@@ -296,9 +266,8 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status
 class Suggestion:
     """An attitude that would help most.
 
-    `down` is the unit vector of gravity in the frame of the accelerometer, `text` its description.
-    `parameter` is the least certain parameter now; `ratio` is the worst relative deviation after one more
-    rest there, divided by the one now.
+    `down` is the unit vector of gravity in the frame of the accelerometer. `parameter` is the least certain
+    parameter now; `ratio` is the worst relative deviation after one more rest there, divided by the one now.
     """
 
     down: tuple[float, float, float]

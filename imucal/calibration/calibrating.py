@@ -72,7 +72,7 @@ def calibrate(
     Parameters
     ----------
     recording
-        The log; raw counts are welcome.
+        The log, in SI units or raw counts.
     noise
         A report of a static log of 30 min or more, or models by axis name; by default slow noise is
         estimated from the rests.

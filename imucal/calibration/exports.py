@@ -1,6 +1,6 @@
-"""Files of other programs with bias, scale and misalignment, and the noise numbers where they have both.
+"""Files of other programs with bias, scale and misalignment, and the noise numbers if a file has both.
 
-Formulas were read in the consumers' sources: Kalibr (imu models), OpenVINS (State::Dm), PX4
+Formulas were read in the programs' sources: Kalibr (imu models), OpenVINS (State::Dm), PX4
 (Accelerometer.cpp), ArduPilot (AP_InertialSensor_Backend.cpp), DLIO (odom.cc), imu_calib (accel_calib.cpp),
 Basalt (calib_bias.hpp), Fusion (FusionCalibration.h), imu_tk (calibration.h), MATLAB (accelparams,
 gyroparams).
@@ -65,7 +65,6 @@ class CalibrationTarget:
 
 
 def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
-    """Yield the programs of ``exports.toml`` by their names."""
     text = files("imucal.calibration").joinpath("exports.toml").read_text("utf-8")
     for name, own in tomllib.loads(text).items():
         values: dict[str, Any] = {
@@ -75,7 +74,7 @@ def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
 
 
 def find_calibration_target(name: str) -> CalibrationTarget:
-    """Return a program by its name, whatever its case and hyphens; a ValueError lists those there are."""
+    """Return a program by its name, ignoring case and hyphens; a ValueError lists the known ones."""
     for target in CALIBRATION_TARGETS.values():
         if name_key(target.name) == name_key(name):
             return target
@@ -85,17 +84,10 @@ def find_calibration_target(name: str) -> CalibrationTarget:
 def render_calibration(
     found: Intrinsics, name: str, noise: Report | None = None, options: ExportOptions = DEFAULT_OPTIONS
 ) -> str:
-    """Return the text of a program's file.
+    """Return the text of the file of a program, a key of `CALIBRATION_TARGETS`.
 
-    Parameters
-    ----------
-    found
-        The intrinsics.
-    name
-        A key of `CALIBRATION_TARGETS`.
-    noise, options
-        Report whose numbers go into the same file if the program has a place for both, and the options of
-        `imucal.report.exports.export`.
+    The numbers of the report `noise`, with the `options` of `imucal.report.exports.export`, go into the same
+    file if the program has a place for both.
 
     Raises
     ------
@@ -245,5 +237,5 @@ def _parameters(target: CalibrationTarget, found: Intrinsics) -> dict[str, str]:
     return {name: format(Decimal(repr(float(value))), "f") for name, value in values.items()}
 
 
-#: Name of a program -> how its file is written.
+#: Name of a program -> its target.
 CALIBRATION_TARGETS: dict[str, CalibrationTarget] = dict(_targets())

@@ -46,16 +46,10 @@ def rotation_to(frame: str, C: FloatArray) -> FloatArray:
 
 @frozen_alone
 class Frame(ReadOnlyArrays):
-    """A frame of one accelerometer.
+    """A frame of one accelerometer; `name` is a key of `FRAMES`.
 
-    Attributes
-    ----------
-    name
-        A key of `FRAMES`.
-    R
-        Rotation from the frame of the fit, whose C is lower triangular, shape (3, 3).
-    slopes
-        Rᵀ d(R C): derivatives of R C in the lower triangle of C, turned back, shape (3, 3, 6).
+    R, shape (3, 3), is the rotation from the frame of the fit, whose C is lower triangular. `slopes`, shape
+    (3, 3, 6), are Rᵀ d(R C): derivatives of R C in the lower triangle of C, turned back.
     """
 
     name: str
@@ -64,7 +58,7 @@ class Frame(ReadOnlyArrays):
 
     @classmethod
     def of(cls, name: str, C: FloatArray) -> "Frame":
-        """Return a frame for a lower triangular C; `name` is a key of `FRAMES`."""
+        """Return a frame for a lower triangular C."""
         R, slopes = rotation_to(name, C), np.empty((3, 3, 6))
         for k, (i, j) in enumerate(zip(*LOWER, strict=True)):
             step = np.zeros((3, 3))

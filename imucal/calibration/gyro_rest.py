@@ -28,24 +28,14 @@ _MIN_BEYOND = 2
 
 @frozen_alone
 class GyroRest(ReadOnlyArrays):
-    """Bias and g-sensitivity of a gyroscope.
+    """Bias and g-sensitivity of a gyroscope, with 95 % intervals.
 
-    Attributes
-    ----------
-    b, b_interval
-        Bias, shape (3,), in raw units, and its 95 % interval, shape (3, 2).
-    G
-        What to apply, shape (3, 3), in raw units per m/s²: zero unless `significant`.
-    G_estimate, G_interval
-        The estimate and its 95 % intervals, shape (3, 3, 2). NaN if the rests do not determine it.
-    G_apparent
-        G with the vertical part of the earth's rotation, which a correction in the earth's frame needs.
-    significant
-        Whether chi² of the nine entries has p < 0.01.
-    earth_share
-        Standard deviation of the diagonal of G from an unknown earth rate, divided by its whole deviation.
-    excess
-        Slow noise of each axis beyond the base.
+    `b` is in raw units, `b_interval` has shape (3, 2). `G`, in raw units per m/s², is zero unless
+    `significant`: chi² of the nine entries has p < 0.01. `G_estimate` and `G_interval`, shape (3, 3, 2), are
+    NaN if the rests do not determine them. `G_apparent` includes the vertical part of the earth's rotation,
+    which a correction in the earth's frame needs. `earth_share` is the standard deviation of the diagonal of
+    G from an unknown earth rate, divided by its whole deviation. `excess` is the slow noise of each axis
+    beyond the base.
     """
 
     b: FloatArray
@@ -73,22 +63,10 @@ def estimate_gyro_rest(
 ) -> GyroRest:
     """Estimate bias and g-sensitivity by generalised least squares, axis by axis.
 
-    Parameters
-    ----------
-    means
-        Mean raw rate of each rest, shape (m, 3).
-    f
-        Calibrated specific force of each rest, shape (m, 3), in m/s².
-    base, walk
-        Covariance of the means by the noise model, shape (3, m, m), and `walk_covariance`, shape (m, m).
-    scale
-        M_g, shape (3, 3), in raw units per rad/s.
-    earth, gravity
-        At the place of the log; gravity in m/s².
-    checked
-        True if `base` is a model of a long static log, which is used alone if its chi² has p >= 0.2.
-    headings
-        Of a horizontal vector at the rests, by default independent at each.
+    `means` are raw rates, `f` calibrated specific forces in m/s², shape (m, 3). `base`, shape (3, m, m), is
+    the covariance of the means by the noise model, and `walk` the `walk_covariance`. `scale` is M_g in raw
+    units per rad/s. If `checked`, `base` is a model of a long static log, used alone if its chi² has p >=
+    0.2. `headings` are of a horizontal vector at the rests, by default independent at each.
     """
     m = len(means)
     horizontal = (np.linalg.norm(scale, axis=1) * earth.horizontal_sigma)[:, None, None] ** 2

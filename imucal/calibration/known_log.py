@@ -28,7 +28,7 @@ __all__ = ["MIN_RESTS", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"
 MIN_RESTS, _MIN_PLANNED = 6, 9
 #: Deviations of the errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
 _SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
-#: A hand tilts an attitude by this, in rad; length of a turn in s, and how far it also yaws, in rad.
+#: A hand tilts an attitude by this, in rad; length of a turn in s, and its yaw, in rad.
 _TILT, _TURN_S, _YAW = 0.08, 2.0, 0.6
 _FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, -1, 0.0]])
 
@@ -78,7 +78,7 @@ def simulate_rests(
     seed: int = 0,
     lsb: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Recording, ImuErrors]:
-    """Return a log of rests with smooth turns between, and the errors of its IMU, which the seed draws.
+    """Return a log of rests with smooth turns between, and the errors of its IMU, drawn with the seed.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _motion(up: FloatArray, rng: np.random.Generator, *, rest_s: float, rate_hz:
     for target in up[1:]:
         axis = np.cross(v, target)
         sine = float(np.linalg.norm(axis))
-        # Opposite directions have no common plane; any axis across does.
+        # Opposite directions have no common plane; any perpendicular axis has one.
         if sine < 1e-6:
             axis = np.cross(v, [0.6, 0.0, 0.8])
         axis /= np.linalg.norm(axis)

@@ -1,4 +1,4 @@
-"""Which noise a calibration starts from: the models of a report, or the white noise within the rests."""
+"""The noise that a calibration starts from: the models of a report, or the white noise within the rests."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ from imucal.report.result import Report
 
 __all__ = ["NoiseBase", "base_covariance", "noise_base", "report_models", "white_models"]
 
-#: Terms that a fit may only bound and that count all the same.
+#: Terms that count even if a fit only bounds them.
 _SLOW = ("N", "B", "K")
 #: Noise that differs by more than this factor has another unit: no unit of samples is nearer to SI, except g.
 _OTHER_UNIT = 30.0
@@ -28,10 +28,9 @@ _OTHER_UNIT = 30.0
 class NoiseBase:
     """Noise of three axes.
 
-    `origin` is ``report``, ``given`` or ``rests``; `checked` is true for the first two, which describe slow
-    noise too. `ratio` is the deviation of the samples by the models, divided by that within the rests; the
-    ratio of the axis that differs most. `factors` are the raw units per SI unit by which models in SI were
-    multiplied, empty if they are as given.
+    `origin` is ``report``, ``given`` or ``rests``. `ratio` is the deviation of the samples by the models,
+    divided by that within the rests, of the axis that differs most. `factors` are the raw units per SI unit
+    by which models in SI were multiplied, empty if they are as given.
     """
 
     models: tuple[NoiseModel, ...]
@@ -53,15 +52,9 @@ def noise_base(
 ) -> NoiseBase:
     """Return the noise of a sensor's axes.
 
-    Parameters
-    ----------
-    noise
-        A report of a long static log, or models by axis name such as ``accel_x``, in SI or in the unit of the
-        log. None for the white noise within the rests.
-    data, rests
-        The sensor and its rests.
-    scale
-        Computes raw units per SI unit of each axis, shape (3,); only called if the noise has another unit.
+    `noise` is a report of a long static log, or models by axis name such as ``accel_x``, in SI or in the unit
+    of the log; None for the white noise within the rests. `scale` returns raw units per SI unit of each axis,
+    shape (3,); it is only called if the noise has another unit.
 
     Raises
     ------

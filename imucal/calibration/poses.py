@@ -1,7 +1,7 @@
 """Rests of a log in which the IMU is put down, turned and put down again.
 
-A rest here lasts a second or more. `imucal.rests` serves noise fits and requires 20 s. Both cut an axis into
-windows and find rests between disturbed ones. The limits differ: a short rest has only five windows.
+A rest lasts a second or more; `imucal.rests`, for noise fits, requires 20 s. Both find rests between
+disturbed windows. The limits differ: a short rest has only five windows.
 """
 
 import math
@@ -52,16 +52,8 @@ _SAME_ATTITUDE = math.radians(10.0)
 class Triad(ReadOnlyArrays):
     """Three axes of one sensor on one even grid.
 
-    Attributes
-    ----------
-    sensor
-        Which one.
-    samples
-        Raw samples, shape (n, 3); NaN where samples are missing or unusable.
-    rate_hz
-        Sampling rate, in Hz.
-    offset_s
-        Time of the first sample after the first one of the accelerometer, in s.
+    Raw `samples`, shape (n, 3), are NaN if missing or unusable. `offset_s` is the time of the first sample
+    after the first one of the accelerometer.
     """
 
     sensor: Sensor
@@ -82,10 +74,10 @@ class Triad(ReadOnlyArrays):
 
 @frozen_alone
 class RestMeans(ReadOnlyArrays):
-    """What one sensor measured in m rests.
+    """Measurements of one sensor in m rests.
 
-    `spans` are first sample and end of each, shape (m, 2); `means` shape (m, 3); `deviations` the standard
-    deviation of the samples within the rests, shape (3,).
+    `spans` are first sample and end of each, shape (m, 2); `deviations`, shape (3,), are those of the samples
+    within the rests.
     """
 
     spans: IntArray
@@ -112,10 +104,7 @@ class RestMeans(ReadOnlyArrays):
 def triad(recording: Recording, sensor: Sensor) -> Triad | None:
     """Return a sensor's axes on one grid; None if the recording has none of them.
 
-    Raises
-    ------
-    DataError
-        If only some of the three axes exist, or they have different clocks.
+    If only some of the axes exist, or they have different clocks, a DataError is raised.
     """
     own = sorted((one for one in recording.series if one.sensor is sensor), key=lambda one: one.axis)
     if not own:
@@ -147,21 +136,8 @@ def find_rests(
     """Return start and end of each rest, shape (m, 2), in s from the first sample of the accelerometer.
 
     Windows of 0.2 s are quiet if each axis varies little, no axis turns steadily and the accelerometer does
-    not jump. A rest is a run of quiet windows of at least `at_least_s`, with 0.15 s removed at each end.
-
-    Parameters
-    ----------
-    accelerometer, gyroscope
-        The sensors; without a gyroscope only the accelerometer is used.
-    at_least_s
-        Shortest rest, in s.
-    in_hand
-        Count rates below 0.03 rad/s as rest, as in a hand.
-
-    Raises
-    ------
-    DataError
-        If an axis never changes.
+    not jump. A rest is a run of quiet windows of `at_least_s`, with 0.15 s removed at each end. If `in_hand`,
+    rates below 0.03 rad/s count as rest. An axis that never changes raises a DataError.
     """
     sensors = [accelerometer] if gyroscope is None else [accelerometer, gyroscope]
     start, end = max(data.offset_s for data in sensors), min(data.end_s for data in sensors)
@@ -222,7 +198,7 @@ def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ..
     """Return the difference of the two half means of each rest and axis, in deviations, shape (m, 3).
 
     The deviation follows from the noise models. If most differences are larger, their robust spread replaces
-    it: flicker that the models lack, or a trembling hand, does not exclude every rest.
+    it, so that flicker that the models lack, or a trembling hand, does not exclude every rest.
     """
     first, end = rests.spans.T
     middle = (first + end) // 2

@@ -24,7 +24,6 @@ _NOISY = 3
 _LONGEST_TURN_S = 60.0
 #: A clipped axis repeats its extreme this often, and the extreme is this many steps from the level at rest.
 _REPEATED, _FAR = 3, 20
-#: What to do if there are too few rests or attitudes.
 ADVICE = "put the IMU down on each face and on six edges, 5 s each: about 2 minutes"
 
 

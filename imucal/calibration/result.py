@@ -29,8 +29,9 @@ class Rest:
     """One rest.
 
     `mean_accel` and `mean_gyro` (None without a gyroscope) are raw; `residual` is |f| - g after calibration,
-    `before` that of the raw mean, and `sigma` the deviation of the residual, in m/s². `z` is the difference
-    of the halves that is furthest from 0, in deviations. `why` it is not used, or an empty text.
+    `before` the same of the raw mean, and `sigma` the deviation of the residual, in m/s². `z` is the
+    difference of the halves that is furthest from 0, in deviations. `why` is the reason if the rest is not
+    used.
     """
 
     start_s: float
@@ -50,11 +51,10 @@ class Rest:
 class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
-    `covariance` is that of the lower triangle of C by rows, then b, shape (9, 9); of the upper triangle by
-    columns in the frame ``imu-tk``. `diagonal_C` and
-    `diagonal_b` are the best fit without misalignment, for consumers that have no place for it. `model`,
-    `excess`, `chi2`, `dof`, `p` describe the fit; `p` is NaN if nothing could be checked. `suggestion` is the
-    rest that would help most.
+    `covariance`, shape (9, 9), is of the lower triangle of C by rows, then b; of the upper triangle by
+    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment, for
+    programs that have no place for it. `p` is NaN if nothing could be checked. `suggestion` is the rest that
+    would help most.
     """
 
     C: FloatArray
@@ -80,9 +80,9 @@ class AccelerometerResult(ReadOnlyArrays):
 class GyroscopeResult(ReadOnlyArrays):
     """w = C (raw - b - G f), raw = M w + b + G f.
 
-    `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant; parameters
-    contain the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. C and M are the identity and
-    the covariance is 0 if `scaled` is false: then no turn could be used.
+    `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant;
+    `parameters` contain the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. If no turn could
+    be used, `scaled` is false, C and M are the identity and the covariance is 0.
     """
 
     C: FloatArray
@@ -109,23 +109,19 @@ class Calibration(Displayed):
 
     Attributes
     ----------
-    source, frame
-        The log, and the name of the frame: ``kalibr``, ``imu-tk`` or ``nearest``.
-    gravity
-        Length, deviation and origin of gravity.
+    frame
+        ``kalibr``, ``imu-tk`` or ``nearest``.
     rests, turns
-        All that were found, with why some are not used.
-    accelerometer, gyroscope
-        The results; gyroscope is None without one.
+        All that were found, with the reason if they are not used.
+    gyroscope
+        None without a gyroscope.
     temperature
         Mean, lowest and highest in degrees Celsius, or None.
     noise
-        The noise of each sensor, and where it comes from.
-    findings, verdict
-        What to know, and `good`, `look first` or `not usable`.
+        The noise of each sensor, and its origin.
     """
 
-    #: Draws the text and the table that notebooks show.
+    #: Module of the text and the table that notebooks show.
     drawn_by: ClassVar[str] = "imucal.calibration.table"
 
     source: Source
@@ -183,7 +179,7 @@ class Calibration(Displayed):
 
 
 def at_other_times(data: Triad, values: FloatArray, other: Triad) -> FloatArray:
-    """Return values of one sensor's samples, shape (n, 3), at the times of another's, by straight lines."""
+    """Interpolate values of one sensor's samples, shape (n, 3), at the times of another's."""
     same = data.rate_hz == other.rate_hz and other.offset_s == 0 and len(values) == len(other.samples)
     if same and np.isfinite(values).all():
         return values

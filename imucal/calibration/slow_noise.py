@@ -1,4 +1,4 @@
-"""Slow noise between rests: how much more the means differ than the noise model says, averaged over its size.
+"""Slow noise between rests: how much more the means differ than the noise model, averaged over its size.
 
 The base covariance gets two terms: tau² for each rest and axis, and a random walk kappa. The likelihood of
 both is REML's, with half-Cauchy priors that scale with the base. An interval is a quantile of the mixture of
@@ -73,10 +73,7 @@ class Mixture(ReadOnlyArrays):
         return np.asarray(within + np.einsum("k,ki,kj->ij", self.weights, apart, apart))
 
     def interval(self, rows: FloatArray, *, level: float = 0.95) -> FloatArray:
-        """Return the interval of each linear combination, minus its mean, shape (q, 2).
-
-        `rows`, shape (q, p), are the coefficients; the quantiles are those of the mixture.
-        """
+        """Return the interval of each combination in `rows`, shape (q, p), minus its mean, shape (q, 2)."""
         centres = (self.means - self.mean) @ rows.T
         deviations = np.sqrt(np.maximum(np.einsum("qi,kij,qj->kq", rows, self.covariances, rows), 0.0))
         deviations = np.maximum(deviations, np.finfo(float).tiny)
@@ -96,8 +93,8 @@ class Mixture(ReadOnlyArrays):
 class Excess:
     """Slow noise beyond the base.
 
-    `tau` is the deviation of each rest and axis, in raw units; `kappa` that of a random walk, in raw units
-    per √s; `walk_share` the share of the walk in the variance of both between rests.
+    `tau` is the deviation of each rest and axis, in raw units; `kappa` the coefficient of a random walk, in
+    raw units per √s; `walk_share` the share of the walk in the variance of both between rests.
     """
 
     tau: float = 0.0
@@ -107,7 +104,7 @@ class Excess:
 
 @frozen
 class Spread:
-    """Sizes that scale the grid: deviation of the base, and of a walk with kappa = 1, between rests."""
+    """Scales of grid and priors: deviation of the base, and of a walk with kappa = 1, between rests."""
 
     base: float
     walk: float
@@ -132,14 +129,8 @@ def mix(
 ) -> tuple[Mixture, Excess, Excess]:
     """Return the parameters over the grid of (tau, kappa), the mean excess and the most likely one.
 
-    Parameters
-    ----------
-    residual, J, theta
-        Residuals at `theta`, shape (m,); their derivatives, shape (m, p); the parameters, shape (p,).
-    parts
-        Covariances of the residuals, each (m, m): the base; tau = 1; kappa = 1.
-    spread
-        Sizes that scale grid and priors.
+    `residual`, shape (m,), and its derivatives J, shape (m, p), are at the parameters `theta`. `parts` are
+    covariances of the residuals, each (m, m): the base; tau = 1; kappa = 1.
     """
     base, rest, walk = parts
     shares, prior = _grid()
@@ -174,18 +165,9 @@ def mix(
 class AccelerometerEstimate(ReadOnlyArrays):
     """An accelerometer's parameters with their distribution.
 
-    Attributes
-    ----------
-    fit
-        The fit at the most likely slow noise; its `free` and `statuses` apply.
-    mixture
-        Distribution of the free parameters, p of nine.
-    excess
-        Slow noise beyond the base; zero if the base is trusted.
-    chi2, dof, p
-        Of the base alone; p is NaN without degrees of freedom.
-    covariances
-        Of the means of each axis with the most likely slow noise, shape (3, m, m).
+    `fit` is at the most likely slow noise. `mixture` is the distribution of the free parameters. `excess` is
+    zero if the base is trusted. `chi2`, `dof` and `p`, NaN without degrees of freedom, are of the base alone.
+    `covariances`, shape (3, m, m), of the means include the most likely slow noise.
     """
 
     fit: AccelerometerFit
@@ -205,7 +187,7 @@ class AccelerometerEstimate(ReadOnlyArrays):
 
     @property
     def covariance(self) -> FloatArray:
-        """Of all nine parameters, shape (9, 9); zero for fixed ones."""
+        """Covariance of all nine parameters, shape (9, 9); zero for fixed ones."""
         full = np.zeros((9, 9))
         full[np.ix_(self.fit.free, self.fit.free)] = self.mixture.covariance
         return full
@@ -223,26 +205,11 @@ def estimate_accelerometer(
 ) -> AccelerometerEstimate:
     """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
 
-    Parameters
-    ----------
-    means
-        Mean raw readings of the rests, shape (m, 3).
-    base
-        Covariance of the means by the noise model, shape (3, m, m).
-    walk
-        `walk_covariance` of the rests, shape (m, m).
-    gravity, gravity_sigma
-        In m/s².
-    checked
-        True if `base` is a model of a long static log: it is used alone if its chi² has p >= 0.2, or if
-        nothing can be checked. False if it is only the white noise within the rests.
-    model
-        As in `fit_accelerometer`; by default ``diagonal`` also if the slow noise hides misalignment.
-
-    Raises
-    ------
-    DataError
-        If the rests do not determine bias and scale.
+    `base`, shape (3, m, m), is the covariance of the raw `means`, shape (m, 3), by the noise model. `walk` is
+    the `walk_covariance` of the rests. If `checked`, `base` is a model of a long static log, used alone if
+    its chi² has p >= 0.2 or nothing can be checked; otherwise it is only the white noise within the rests.
+    `model` as in `fit_accelerometer`; the default is ``diagonal`` also if the slow noise hides misalignment.
+    Rests that do not determine bias and scale raise a DataError.
     """
     fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma)
     fit = first = fit_with(base, model=model)

@@ -1,4 +1,4 @@
-"""Turns between rests as arrays, and where a fit of the gyroscope starts."""
+"""Turns between rests as arrays, and a start for a fit of the gyroscope."""
 
 import math
 from dataclasses import replace
@@ -15,16 +15,16 @@ __all__ = ["Headings", "Turn", "TurnData", "prepare_turns", "rotations", "start_
 
 #: Median residual in rad above which a start is useless.
 _LOST = 0.3
-#: Common scales tried, and samples of the coarse turns they are tried on.
+#: Number of common scales to try, and of samples of the coarse turns for it.
 _SCALES, _COARSE = 60, 40
 
 
 @frozen
 class Turn:
-    """One turn between two used rests; angles in degrees.
+    """One turn between two used rests.
 
     `residual_deg` and `before_deg` are the two components of the error with the calibration and before. `p`
-    is the p-value of the residual; None if the turn was not judged. `why` it is not used, or an empty text.
+    is the p-value of the residual; None if the turn was not judged. `why` is the reason if it is not used.
     """
 
     start_s: float
@@ -41,20 +41,10 @@ class Turn:
 class TurnData(ReadOnlyArrays):
     """Turns as arrays, padded to the longest.
 
-    Attributes
-    ----------
-    rates
-        Raw rate minus bias and g-sensitivity, shape (t, n, 3); 0 beyond a turn's end.
-    spans
-        First sample and end of each, shape (t, 2).
-    share
-        Weight of the later rest in the interpolated bias, shape (t, n).
-    rests
-        Index of the rest before each turn; the next one follows it, shape (t,).
-    up
-        Unit vectors of the specific force at the m rests, shape (m, 3).
-    tau0
-        Sampling period, in s.
+    `rates`, shape (t, n, 3), are raw minus bias and g-sensitivity, 0 beyond a turn's end. `spans`, shape (t,
+    2), are first sample and end of each. `share`, shape (t, n), is the weight of the later rest in the
+    interpolated bias. `rests`, shape (t,), are indices of the rest before each turn; the next one follows it.
+    `up`, shape (m, 3), are unit vectors of the specific force at the rests.
     """
 
     rates: FloatArray
@@ -65,7 +55,6 @@ class TurnData(ReadOnlyArrays):
     tau0: float
 
     def keeping(self, keep: BoolArray) -> "TurnData":
-        """Return the turns where `keep`, shape (t,), is true."""
         return replace(
             self,
             rates=self.rates[keep],
@@ -84,16 +73,9 @@ def prepare_turns(
 ) -> TurnData:
     """Return the turns as arrays.
 
-    Parameters
-    ----------
-    data, rests
-        The gyroscope, finite inside the turns, and its m rests.
-    up
-        Unit vectors of the specific force at the rests, shape (m, 3).
-    which
-        Indices of the rests before the wanted turns.
-    g_parts
-        G f at each sample and rest, shapes (n, 3) and (m, 3); by default 0.
+    `data` is finite inside the turns. `up`, shape (m, 3), are unit vectors of the specific force at the
+    rests. `which` are the indices of the rests before the wanted turns. `g_parts` are G f at each sample and
+    rest, shapes (n, 3) and (m, 3), by default 0.
     """
     first, end = rests.spans[which, 1], rests.spans[which + 1, 0]
     index = first[:, None] + np.arange(int((end - first).max()))
@@ -117,10 +99,7 @@ def prepare_turns(
 def start_of(data: TurnData) -> FloatArray:
     """Return the identity, or the common scale and, if necessary, the order of axes that explain the turns.
 
-    Raises
-    ------
-    DataError
-        If none does.
+    If there is none, a DataError is raised.
     """
     coarse = _coarse(data)
     identity = np.eye(3)
@@ -150,8 +129,7 @@ class Headings(ReadOnlyArrays):
     """A horizontal vector that is fixed to the earth, at m rests; its heading at the first one is unknown.
 
     `ahead` and `aside` are two such vectors at right angles in the frame of the IMU, shape (m, 3). Turns
-    carry them along. After a missing turn the heading is unknown again, and another `chain` begins, shape
-    (m,).
+    carry them along. After a missing turn the heading is unknown again, and another `chain` begins.
     """
 
     ahead: FloatArray
@@ -174,7 +152,7 @@ class Headings(ReadOnlyArrays):
 
     @property
     def covariance(self) -> FloatArray:
-        """Of each axis's part at the rests if both components have a variance of 1, shape (3, m, m)."""
+        """Covariance of each axis's part at the rests for components of variance 1, shape (3, m, m)."""
         both = sum(np.einsum("ia,ja->aij", one, one) for one in (self.ahead, self.aside))
         return np.asarray(both * (self.chain[:, None] == self.chain))
 
@@ -206,7 +184,7 @@ def _misfit(data: TurnData, C: FloatArray) -> float:
 
 
 def _whole(data: TurnData, C: FloatArray) -> FloatArray:
-    """Return what each turn does to the vectors of the earth in the frame of the IMU, shape (t, 3, 3)."""
+    """Return the rotation of the earth's vectors in the frame of the IMU by each turn, shape (t, 3, 3)."""
     steps = rotations(-data.tau0 * data.rates @ C.T)
     whole = np.broadcast_to(np.eye(3), (len(steps), 3, 3))
     for k in range(steps.shape[1]):
@@ -215,7 +193,7 @@ def _whole(data: TurnData, C: FloatArray) -> FloatArray:
 
 
 def _coarse(data: TurnData) -> TurnData:
-    """Return the turns with means over blocks of samples, for a quick look."""
+    """Return the turns with means over blocks of samples."""
     t, n, _ = data.rates.shape
     length = max(1, -(-n // _COARSE))
     padded = np.zeros((t, -(-n // length) * length, 3))

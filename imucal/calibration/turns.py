@@ -23,7 +23,7 @@ from imucal.noise import NoiseModel
 
 __all__ = ["GyroNoise", "TurnsFit", "direction_covariance", "fit_turns"]
 
-#: Most Gauss-Newton steps; the covariance is computed in these; the step in deviations that ends them.
+#: Limits of Gauss-Newton: number of steps, steps that compute the covariance, last step in deviations.
 _STEPS, _UPDATES, _SMALL_STEP = 15, (0, 2), 1e-4
 #: Blocks of a turn whose weights on the gyroscope's noise are constant.
 _BLOCKS = 8
@@ -35,10 +35,10 @@ _MISFIT = 0.05
 
 @frozen_alone
 class GyroNoise(ReadOnlyArrays):
-    """Noise of the three axes: models, further deviation of each rest's mean, shape (3,), and the rests.
+    """Noise of the three axes: models, and further deviation `tau` of each rest's mean, shape (3,).
 
     `rest_spans` has shape (m, 2); `samples` is the length of the log. `horizontal` is the deviation of both
-    components of the earth's horizontal rate, in rad/s, with its `headings`; it is ignored without them.
+    components of the earth's horizontal rate, in rad/s; it is ignored without `headings`.
     """
 
     models: tuple[NoiseModel, ...]
@@ -53,22 +53,11 @@ class GyroNoise(ReadOnlyArrays):
 class TurnsFit(ReadOnlyArrays):
     """Scale and misalignment of a gyroscope: w = C (raw - b - G f).
 
-    Attributes
-    ----------
-    C, covariance
-        Shape (3, 3), in rad/s per raw unit; covariance of C by rows, shape (9, 9), widened if p < 0.05.
-    by_directions
-        Derivatives of C by rows in the unit vectors at the rests, shape (9, 3m).
-    quantile
-        Half-width of a 95 % interval in deviations.
-    residual, before
-        Angle between the carried and the measured direction with C and with the start, shape (t, 2), in rad.
-    p
-        p-value of each turn's studentised residual when it was judged, shape (t,).
-    used
-        Which turns the fit used, shape (t,).
-    chi2, dof, p_fit, widening
-        Of the turns used; the factor by which deviations were widened.
+    `covariance` of C by rows, shape (9, 9), is multiplied by `widening`² if p_fit < 0.05. `by_directions`,
+    shape (9, 3m), are the derivatives of C in the unit vectors at the rests. `quantile` is the half-width of
+    a 95 % interval in deviations. `residual` and `before` are the angles in rad between the carried and the
+    measured direction with C and with the start, shape (t, 2). `p`, shape (t,), is the p-value of each turn's
+    studentised residual when it was judged. `chi2` and `dof` are of the `used` turns.
     """
 
     C: FloatArray
@@ -96,8 +85,8 @@ class TurnsFit(ReadOnlyArrays):
 class _Carried(ReadOnlyArrays):
     """Gravity carried along the turns.
 
-    Residuals (t, 2), their derivatives in C (2t, 9), rotations over the turn (t, 3, 3) and to its end
-    (t, n, 3, 3), tangents (t, 2, 3) and their products with the carried direction (t, 2, 3).
+    Residuals (t, 2), their derivatives in C (2t, 9), rotations over the turn (t, 3, 3) and to its end (t, n,
+    3, 3), tangents (t, 2, 3) and their products with the carried direction (t, 2, 3).
     """
 
     residual: FloatArray
@@ -111,19 +100,8 @@ class _Carried(ReadOnlyArrays):
 def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> TurnsFit:
     """Fit C to the turns, and exclude wrong turns one after the other.
 
-    Parameters
-    ----------
-    data
-        The turns.
-    noise
-        The gyroscope's noise.
-    directions
-        Covariance of the unit vectors at the rests, by rest, shape (3m, 3m); see `direction_covariance`.
-
-    Raises
-    ------
-    DataError
-        If no scale or orientation of the gyroscope explains the turns.
+    `directions` is the result of `direction_covariance`. A DataError is raised if no scale or orientation of
+    the gyroscope explains the turns.
     """
     start = start_of(data)
     used = np.ones(len(data.rests), dtype=np.bool_)
@@ -171,16 +149,9 @@ def direction_covariance(
 ) -> FloatArray:
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
-    The noise of the means moves a direction itself, and through C and b; both are treated jointly.
-
-    Parameters
-    ----------
-    fit
-        The accelerometer.
-    means, covariances
-        Its raw means, shape (m, 3), and their covariance, shape (3, m, m).
-    slopes
-        Derivatives of C in its lower triangle, shape (3, 3, 6); another frame's add its rotation.
+    The noise of the raw `means`, shape (m, 3), with `covariances`, shape (3, m, m), moves a direction itself,
+    and through C and b; both are treated jointly. `slopes`, shape (3, 3, 6), are derivatives of C in its
+    lower triangle; another frame's add its rotation.
     """
     m = len(means)
     up = fit.up
@@ -201,7 +172,6 @@ def direction_covariance(
 
 
 def _carry(data: TurnData, C: FloatArray) -> _Carried:
-    """Carry gravity along each turn; see `_Carried`."""
     t, n, _ = data.rates.shape
     steps = rotations(-data.tau0 * data.rates @ C.T)
     to_end = np.empty((n, t, 3, 3))

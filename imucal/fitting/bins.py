@@ -1,7 +1,6 @@
 """Bins: the data from which the likelihood of one axis can be evaluated again without the samples.
 
-`pack` stores them in a few kilobytes, for archives of thousands of logs. It rounds them to single precision:
-the rounding errors are far below the statistical errors. The regressors are subtracted first, with
+`pack` stores them in a few kilobytes, in single precision. It subtracts the regressors first, with
 coefficients that are stored exactly: otherwise the rounding of a strong trend would exceed the noise.
 """
 
@@ -27,16 +26,13 @@ class Bins(ReadOnlyArrays):
 
     The samples form k unbroken blocks of lengths `n`, shape (k,). The b bins of all blocks follow each other;
     `start`, shape (k,), is the index of each block's first bin. A bin begins with the ordinate `first`, shape
-    (b,), and ends where the next bin of its block begins; the last one ends at the ordinate n - 1. It has
-    `size` degrees of freedom and a `power`, the sum of its squared ordinates in units of `scale`², shape (b,)
-    each.
+    (b,), and ends where the next bin of its block begins. It has `size` degrees of freedom and a `power`, the
+    sum of its squared ordinates in units of `scale`², shape (b,) each.
 
     `names` are the regressors: ``R`` first, then the shapes that the fit of this axis took out. `cross`,
-    shape (r, b), are sums of ordinate times regressor's ordinate, in units of `scale`. `gram`, shape
-    (r, r, b), are sums of products of regressors' ordinates. `scale` is U per scaled unit, a power of two and
-    so exact. `tau0` is the sampling period in s. `widening`, at least 1, is the factor by which heavy tails
-    widen the interval of N. `version` is the layout's version. The arrays take about 8 (3 + r + r²) b bytes:
-    24 kB for 10⁵ samples (b = 590) and one ramp.
+    shape (r, b), are sums of ordinate times regressor's ordinate, in units of `scale`. `gram`, shape (r, r,
+    b), are sums of products of regressors' ordinates. `scale` is U per scaled unit, a power of two and so
+    exact. `tau0` is in s. `widening`, at least 1, is the factor by which heavy tails widen the interval of N.
     """
 
     n: IntArray
@@ -76,10 +72,9 @@ _HEAD = struct.Struct("<BBHHIIddd")
 
 
 def pack(bins: Bins) -> bytes:
-    """Return bins as bytes: 7 kB for 10⁵ samples.
+    """Return bins as bytes: 7 kB for 10⁵ samples, more with regressors other than the ramp.
 
-    Each product that involves a regressor other than the ramp adds as much. Results of `imucal.pool` change
-    by less than 1e-6 of the width of an interval.
+    Results of `imucal.pool` change by less than 1e-6 of the width of an interval.
     """
     reference = _reference(bins)
     power, cross = _less(bins.power, bins.cross, bins.gram, reference)
@@ -148,7 +143,6 @@ def _planes(values: FloatArray | IntArray, kind: str) -> bytes:
 
 
 def _numbers(stream: io.BytesIO, kind: str, count: int) -> NDArray[Any]:
-    """Return the next `count` numbers of `_planes`."""
     width = np.dtype(kind).itemsize
     planes = np.frombuffer(stream.read(width * count), np.uint8).reshape(width, count)
     return np.ascontiguousarray(planes.T).reshape(-1).view(kind)

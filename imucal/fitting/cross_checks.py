@@ -1,18 +1,16 @@
 """Checks of a fit by other views of the same samples: another fit, the spectrum.
 
 `second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve. If the
-model is right, both estimate the same numbers, and the variance of their difference is the difference of
-their variances, because the maximum-likelihood fit is efficient. If the model is wrong, they weigh
-frequencies differently and disagree. Both must describe the same noise: `fit_of_curve` subtracts the shapes
-that the first fit took out, such as cycles, steps and the temperature. It also corrects the curve for the
-output filter and lines, and leaves out averaging times that these dominate.
+model is right, the variance of the difference of both estimates is the difference of their variances, because
+the maximum-likelihood fit is efficient. If the model is wrong, they weigh frequencies differently and
+disagree. Both must describe the same noise: `fit_of_curve` subtracts the shapes that the first fit took out
+and corrects the curve for the output filter and lines.
 
 `ambiguity_findings` reports a wrong spectrum that the Allan curve hides: different spectra can have the same
-curve. With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to
-(D(tau) - D(2 tau)/4)/tau^2, and the second part equals the first with S(f/2)/2 in place of S(f). So the
-curve depends only on S(f) - S(f/2)/2. A function Phi(f) = 2 Phi(2f) whose integral over an octave is zero
-does not change the curve at any tau: 1/f times a ripple with a period of one octave. Only the spectrum can
-reveal it; a fit of a curve alone reports that no spectrum was checked.
+curve. With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to (D(tau) -
+D(2 tau)/4)/tau^2, and the second part equals the first with S(f/2)/2 in place of S(f). So the curve depends
+only on S(f) - S(f/2)/2. A function Phi(f) = 2 Phi(2f) whose integral over an octave is zero does not change
+the curve at any tau.
 
 Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7); Greenhall
 (1998), "Spectral ambiguity of Allan variance", IEEE Trans. Instrum. Meas. 47, 623.
@@ -48,9 +46,8 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
 
     Coefficients that both fits estimate are compared on a logarithmic scale. If one fit only bounds a term,
     the two disagree if the other's interval is above the bound. If there is an output filter, Q and N are not
-    compared: the likelihood models the filter, the curve still contains it. The variance of a difference is
-    at least a quarter of the second fit's, and at least (1/300)²: differences below 1 % are never reported.
-    If segments of the record differ, both variances grow by the first fit's widening.
+    compared: the curve still contains the filter. If segments of the record differ, both variances grow by
+    the first fit's widening.
     """
     findings = []
     filtered = any(finding.code == "output-filter" for finding in mle.findings)
@@ -104,8 +101,7 @@ _MIN_POINTS = 4
 def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
     """Return the GMWM fit of `first`'s model to the curve of the noise that `first` described.
 
-    The curve is corrected for shapes, lines and output filter that `first` took out. A DataError is raised if
-    too few averaging times show the noise, or if the curve can't be fitted.
+    A DataError is raised if too few averaging times show the noise, or if the curve can't be fitted.
     """
     from imucal.fitting.moments import fit_gmwm
 
@@ -145,8 +141,8 @@ def without_disturbances(
 _LOWEST = 8
 #: Score of all bins together, standard normal, from which the spectrum contradicts the model.
 _CONTRADICTED = 5.0
-#: A bin is far from the model by this many standard deviations and this factor; fewer far bins than the last
-#: number are a line, which the screening reports.
+#: A bin is far from the model by this many standard deviations and this factor; fewer far bins are a line,
+#: which the screening reports.
 _HIDDEN, _NOTABLE, _MIN_BINS = 3.0, 1.3, 3
 #: Difference of log densities that the estimates' own errors can explain.
 _TOLERANCE = 0.05
@@ -166,9 +162,8 @@ def unseen_spectrum() -> Finding:
 def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple[Finding, ...]:
     """Return a finding if a fit describes the Allan curve but not the spectrum of the samples.
 
-    The check uses the frequencies of the averaging times in the fit, without the lowest 8 bins. All bins
-    together must differ by 5 standard deviations, and 3 bins by 3 standard deviations and 30 % each. Fits of
-    the spectrum, and fits that do not describe the curve either, have their own findings.
+    The check uses the frequencies of the averaging times in the fit, without the lowest bins. Fits of the
+    spectrum, and fits that do not describe the curve either, have their own findings.
 
     Source: Wilson & Hilferty (1931), PNAS 17, 684 (standard-normal scores).
     """

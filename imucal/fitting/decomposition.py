@@ -1,7 +1,4 @@
-"""decompose: what each term of a fitted model did during a record, with standard errors.
-
-`imucal.fitting.wiener` computes the components.
-"""
+"""decompose: the contribution of each term of a fitted model to a record, with standard errors."""
 
 import numpy as np
 
@@ -15,31 +12,29 @@ from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
-#: Rates of samples and model that differ by more belong to two records.
+#: Largest relative difference of the rates of samples and model.
 _SAME_RATE = 0.01
-#: Most places on the clock's grid for each sample: beyond, the record is mostly a gap.
+#: Largest number of places on the clock's grid per sample.
 _SPARSE = 20
 
 
 @frozen_alone
 class Decomposition(ReadOnlyArrays):
-    """A record as the sum of what its model is made of, on the clock's even grid of n places.
+    """A record as the sum of the terms of its model, on the clock's even grid of n places.
 
     Attributes
     ----------
     series
         The samples as they were given.
-    model
-        What they were decomposed by.
     start_s
-        Time of the first place, where the first good sample is, since the series' first sample, in s.
+        Time of the first place, the first good sample, since the series' first sample, in s.
     samples
-        On the grid, shape (n,), in U; NaN where a sample is missing or was taken for a spike.
+        On the grid, shape (n,), in U; NaN for missing samples and spikes.
     components
-        The parts: their values and `residual` add up to `samples`.
+        Their values and `residual` add up to `samples`.
     bias
-        The sum of the components, with the standard error of the sum, which is smaller than theirs:
-        what is given to one is taken from another.
+        The sum of the components. Its standard error is smaller than theirs, because their errors are
+        anticorrelated.
     """
 
     series: AxisSeries
@@ -64,7 +59,7 @@ class Decomposition(ReadOnlyArrays):
 
     @property
     def residual(self) -> FloatArray:
-        """White and quantization noise: samples less bias, shape (n,), in U; NaN where there is none."""
+        """White and quantization noise: samples less bias, shape (n,), in U; NaN without a sample."""
         return np.asarray(self.samples - self.bias.value)
 
 
@@ -76,7 +71,7 @@ class Decomposition(ReadOnlyArrays):
 def decompose(
     series: AxisSeries, fit: NoiseFit | NoiseModel, *, clean: bool = True, progress: Progress | None = None
 ) -> Decomposition:
-    """Return what the bias of a record did: the smoothed components of its noise model.
+    """Return the smoothed components of a record's noise model: how its bias moved.
 
     Each component is its mean given the model and all samples, before and after. The standard errors assume
     that the model is true. White noise N and quantization noise Q are in the residual. A ramp R is estimated
@@ -92,7 +87,7 @@ def decompose(
     clean
         Treat spikes as missing samples.
     progress
-        Called with the number of samples done and of all.
+        Called with the numbers of samples done and in all.
 
     Returns
     -------
@@ -134,7 +129,7 @@ def decompose(
 
 
 def _good(series: AxisSeries, *, clean: bool) -> AxisSeries:
-    """Return the finite samples, without spikes where `clean`; refuse what is mostly gaps."""
+    """Return the finite samples, without spikes if `clean`; raise a DataError if most are missing."""
     good = series.finite()
     if clean and good.n:
         good = good.keeping(~find_spikes(good.samples)[0])

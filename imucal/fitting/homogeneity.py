@@ -10,9 +10,9 @@ of the samples' steps in neighbouring short windows differ as much as in distant
 the variance changes with time.
 
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
-DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett
-(1937), Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Annals of Mathematical
-Statistics 12, 367 (the ratio of the mean square successive difference to the variance).
+DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett (1937),
+Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Annals of Mathematical Statistics
+12, 367 (the ratio of the mean square successive difference to the variance).
 """
 
 import math
@@ -43,7 +43,7 @@ _PERIODIC = 0.5
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
 NEGLIGIBLE = 0.02
-#: Units of time: largest time in s, size in s, and name; hours beyond.
+#: Units of time: upper limit and size in s, and name; hours beyond.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
 SURE = 0.1
@@ -57,9 +57,8 @@ _NOTABLE_SPREAD = 0.05
 class VarianceChange:
     """A change of the noise's variance over time.
 
-    `score` is the score of von Neumann's ratio, standard normal if the variance is constant. `low` and `high`
-    are the 10 % and 90 % quantiles of the windows' noise, relative to their median. `period_s` is the period
-    of the change, in s, or None.
+    `score` of von Neumann's ratio is standard normal if the variance is constant. `low` and `high` are the 10
+    % and 90 % quantiles of the windows' noise, relative to their median. `period_s` is None if not periodic.
     """
 
     score: float
@@ -124,8 +123,7 @@ def homogeneity(
 ) -> TermHomogeneity:
     """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments.
 
-    `logs` and `weight`, their inverse variances, have shape (s,); `spans`, shape (s, 2), are the segments'
-    start and end.
+    `logs` and `weight`, their inverse variances, have shape (s,); `spans`, shape (s, 2), are start and end.
     """
     dof = logs.size - 1
     p_value = float(scipy.special.chdtrc(dof, max(statistic, 0.0)))
@@ -177,7 +175,7 @@ def symbol_of(key: str) -> str:
 
 
 def cochran_q(logs: FloatArray, weight: FloatArray) -> float:
-    """Return Cochran's Q of logs with these weights: their weighted squares about the weighted mean."""
+    """Return Cochran's Q: the weighted squares of logs about their weighted mean."""
     return float(np.sum(weight * np.square(logs - np.average(logs, weights=weight))))
 
 
@@ -197,8 +195,7 @@ def widened(
 ) -> tuple[Estimate, ...]:
     """Return the estimates with intervals widened for differing segments and a misfit.
 
-    A slow term whose interval then reaches down to zero is bounded. `misfits` maps symbols to factors if the
-    model does not describe the record.
+    A slow term whose interval then reaches down to zero is bounded. `misfits` maps symbols to factors.
     """
     return tuple(_wider(estimate, _factor(estimate.symbol, segments, misfits)) for estimate in estimates)
 
@@ -221,7 +218,7 @@ def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float]
 def nonstationary_finding(
     segments: Segments | None, change: VarianceChange | None, axis: str
 ) -> tuple[Finding, ...]:
-    """Return a finding on the terms that change: by how much, and when they are large and small."""
+    """Return a finding on the terms that change."""
     changing = segments.changing if segments else ()
     sentences = []
     if segments and changing:
@@ -264,7 +261,6 @@ def _span(span: tuple[float, float]) -> str:
 
 
 def _unit(time_s: float) -> tuple[float, str]:
-    """Return the unit of time for a number of seconds, in s, and its name."""
     return next(((size, name) for most, size, name in _UNITS if time_s < most), (3600.0, "h"))
 
 

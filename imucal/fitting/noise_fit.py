@@ -49,14 +49,14 @@ def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
 
 @frozen
 class TermHomogeneity:
-    """How much a term changes between segments; `key` and `symbol` are those of its estimate.
+    """How much a term changes between segments.
 
-    The `statistic` Q is chi-squared with `dof` degrees of freedom if the term is the same in all segments;
-    `p_value` is the probability of a Q at least as large. `spread` is the relative standard deviation of the
-    coefficient between segments in excess of chance. `factor` is the Birge ratio sqrt(Q/dof), 1 if chance
-    explains Q. `highest_s` and `lowest_s` are start and end, in s from the first sample, of the segments with
-    the largest and the smallest coefficient. `shift` is the time, in s, and the factor of a single lasting
-    change, or None. The report's JSON contains it only in the text of the finding.
+    `statistic` is chi-squared with `dof` degrees of freedom if the term is the same in all segments, and
+    `p_value` its tail probability. `spread` is the relative standard deviation of the coefficient between
+    segments in excess of chance. `factor` is the Birge ratio sqrt(statistic/dof), 1 if chance explains it.
+    `highest_s` and `lowest_s` are start and end, in s from the first sample, of the segments with the extreme
+    coefficients. `shift` is the time, in s, and the factor of a single lasting change; the report's JSON
+    contains it only in the text of the finding.
     """
 
     key: str
@@ -84,10 +84,9 @@ class Trace(ReadOnlyArrays):
 class Segments(ReadOnlyArrays):
     """The noise of a record in segments.
 
-    `start_s` and `end_s`, shape (s,), are their times in s from the first sample. `white` is N in each, None
-    if the fit has no N. `floor` is the model's Allan deviation in each at `floor_tau_s`, in s: the time of
-    the lowest deviation, or a quarter of a segment. They are None and NaN if the fit has no slow noise.
-    `terms` has one entry per tested term.
+    `start_s` and `end_s`, shape (s,), are in s from the first sample. `white` is N, None if the fit has none.
+    `floor` is the model's Allan deviation at `floor_tau_s`, the time of the lowest deviation or a quarter of
+    a segment; None and NaN without slow noise. `terms` has one entry per tested term.
     """
 
     start_s: FloatArray
@@ -102,7 +101,7 @@ class Segments(ReadOnlyArrays):
 
     @property
     def changing(self) -> tuple[TermHomogeneity, ...]:
-        """The terms that change by more than chance, the most significant first."""
+        """Terms that change by more than chance, the most significant first."""
         return tuple(sorted((t for t in self.terms if t.factor > 1), key=lambda t: -t.factor))
 
     def widening(self, symbol: str) -> float:
@@ -138,22 +137,21 @@ class InUnits:
 class Estimate:
     """One term's coefficient.
 
-    Its `key` is ``N`` … ``R`` or ``GM``; several Gauss-Markov terms are ``GM1``, ``GM2``, by rising T. Its
-    `symbol` is ``N`` … ``R`` or ``GM``. Its `status` is ``estimated``, or ``bounded`` if the data do not show
-    the term. `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits; for a bounded
-    term None, 0 and the upper bound at the level. `correlation_time` is T of a Gauss-Markov term, in s, None
-    for others. `alternatives` are symbols of terms that may replace this one: the record can't distinguish
-    them.
+    `key` is the `symbol`, such as ``K``; several Gauss-Markov terms are ``GM1``, ``GM2``, by rising T.
+    `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits. If the data do not show
+    the term, `status` is ``bounded``, `value` None, `low` 0 and `high` the upper bound at the level.
+    `correlation_time` is T of a Gauss-Markov term, in s. `alternatives` are symbols of terms that the record
+    can't distinguish from this one.
 
     `drawn` is the coefficient in the fit's model, in SI, or None if the model has no such term. A bounded
     term is in the model if the model without it would be less likely. An estimate with a value but without
-    `drawn` describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times,
-    and adds nothing to them. The `NoiseFit` sets `drawn` and `sensor`.
+    `drawn` describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times.
+    The `NoiseFit` sets `drawn` and `sensor`.
 
-    `horizon_s` is the longest time for which the coefficient is valid, in s, or infinite: a walk that may be
-    a Gauss-Markov term is valid up to the lower limit of that term's T. `widening` is the factor by which the
-    interval is wider than the likelihood's, because segments differ or the model does not fit. `origin`
-    describes a number that is not an estimate of one record, such as a bound over many units.
+    `horizon_s` is the longest time for which the coefficient is valid, in s: a walk that may be a
+    Gauss-Markov term is valid up to the lower limit of its T. `widening` is the factor by which the interval
+    is wider than the likelihood's, because segments differ or the model does not fit. `origin` describes a
+    number that is not an estimate of one record, such as a bound over many units.
     """
 
     key: str
@@ -172,16 +170,16 @@ class Estimate:
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
-        """Return the estimate of a term that the data do not show, with the upper bound `high`."""
+        """Return the estimate of a term that the data do not show."""
         return cls(key=key, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
 
     def in_units(self, unit: str | None = None) -> "InUnits":
-        """Return the coefficient and its limits in another unit, by default the data sheets' unit.
+        """Return the coefficient and its limits in another unit.
 
         Parameters
         ----------
         unit
-            Any unit of this term, such as ``deg/sqrt(h)``, ``mdps/rtHz`` or ``ug/sqrt(Hz)``.
+            A unit of this term, such as ``deg/sqrt(h)`` or ``ug/sqrt(Hz)``; by default the data sheets' unit.
 
         Raises
         ------
@@ -217,7 +215,7 @@ class Estimate:
 
 @frozen
 class Line:
-    """A spectral line that the fit left out: frequency in Hz, amplitude (of the sine) in U."""
+    """A spectral line that the fit left out: frequency in Hz, amplitude of the sine in U."""
 
     frequency_hz: float
     amplitude: float
@@ -235,11 +233,9 @@ class Response:
 class Goodness:
     """How well the model describes the fitted data.
 
-    `statistic` is a standard-normal score of the misfit: above 3 the model does not describe the axis.
-    `p_value` is the probability of such a misfit if the model is right; `chi2_per_bin`, the mean squared
-    standardised residual, is 1 then. `band_hz` are the lowest and highest frequency used, in Hz, None
-    for a fit of the curve; `tau_s` the shortest and longest averaging time, in s, None for a fit of the
-    spectrum. `lines` are the spectral lines left out.
+    `statistic` is a standard-normal score of the misfit, and `p_value` its tail probability. `chi2_per_bin`,
+    the mean squared standardised residual, is 1 if the model is right. `band_hz`, for a fit of the spectrum,
+    and `tau_s`, for a fit of the curve, are the lowest and highest values used. `lines` were left out.
     """
 
     statistic: float
@@ -252,7 +248,7 @@ class Goodness:
 
 @frozen
 class Candidate:
-    """A candidate model: its structure text and how much worse its criterion is."""
+    """A candidate model: its structure, and how much worse its criterion is."""
 
     structure: str
     delta: float
@@ -267,22 +263,15 @@ class NoiseFit(Displayed):
     method
         ``mle``, ``gmwm`` or ``slope``.
     sensor
-        The measured quantity; None if unknown (a curve made by another tool).
+        None if unknown (a curve made by another tool).
     rate_hz
         Sampling rate: the model is exact for the process sampled at it.
-    level
-        Confidence level of every interval.
-    model
-        The terms found, with their values.
     estimates
         One for each term of the model, and for N, B and K always.
     parameters, covariance
-        Names, shape (p,), such as ``N``, ``GM1.sigma``, ``GM1.T``; covariance, shape (p, p), of the
-        coefficients in SI (of the estimated ones only).
-    goodness
-        How well the model describes the data.
-    curve
-        The Allan curve of the samples.
+        Names, shape (p,), such as ``N``, ``GM1.sigma``, ``GM1.T``; covariance of the estimated coefficients
+        in
+        SI, shape (p, p).
     used
         Indices of the points of `curve` within the part of the data that the fit used, shape (j,).
     response
@@ -291,19 +280,17 @@ class NoiseFit(Displayed):
         Models within reach of the best, the chosen one (delta 0) first.
     criterion
         ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
-    findings
-        Findings of the fit.
     noise_share
         The model's noise as a share of each of the curve's Allan variances, which an output filter or lines
         also shape, shape (k,); None if neither was found.
     taken_out
-        Regressors that were taken out of the samples with the fit -> their coefficients in U; the names
-        are those of `imucal.fitting.spectral.ordinates`.
+        Regressors that were removed from the samples -> coefficients in U; the names are those of
+        `imucal.fitting.spectral.ordinates`.
     segments
         Changes of the terms within the record; None if not tested.
     bins
-        The fitted binned spectrum, from which `imucal.pool` fits records together; for ``mle`` only, None
-        if the fit was read back without it.
+        The fitted binned spectrum for `imucal.pool`; for ``mle`` only, None if the fit was read back without
+        it.
     """
 
     method: str

@@ -1,8 +1,7 @@
 """Spikes and rounding, which make the noise of a log look larger than the sensor's.
 
-A spike distorts an Allan variance at every averaging time, so robust averages per averaging time do not
-help; cleaning the samples does. Spikes are found by their distance from a baseline, which follows the slow
-parts, and are replaced by baseline plus noise.
+A spike distorts an Allan variance at every averaging time, so the samples are cleaned. Spikes are found by
+their distance from a baseline, which follows the slow parts, and are replaced by baseline plus noise.
 """
 
 from collections.abc import Iterator
@@ -43,8 +42,7 @@ _NOTABLE = 0.02
 def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     """Return the series with its spikes replaced, and findings about them and about heavy tails.
 
-    Without spikes the same object is returned. Noise that replaces spikes has a fixed seed, so that the same
-    log gives the same result.
+    Without spikes the same object is returned. The replacing noise has a fixed seed.
     """
     spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
@@ -82,9 +80,9 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
 
     If there are clearly no spikes, baseline and deviation are `samples` and 0. The baseline joins the medians
     of blocks of 100 samples by straight lines. A spike is more than 5 standard deviations (1.4826 median
-    absolute deviations) from it, and beyond the distance that a hundred Gaussian records of this length reach
-    once. There must also be more samples at this distance than in the tail of the Student's t with the same
-    number beyond 3 deviations. O(n).
+    absolute deviations) from it, and beyond the distance that one in a hundred Gaussian records of this
+    length reaches. More samples must be this far than in the tail of the Student's t with the same number
+    beyond 3 deviations. O(n).
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -136,21 +134,17 @@ def _end_of_tail(distance: FloatArray, reach: float) -> float:
 
 
 def _median_of_t(freedom: FloatArray | float) -> FloatArray:
-    """Return the median distance from zero of Student's t."""
     return np.asarray(scipy.special.stdtrit(freedom, 0.75))
 
 
 def step_size(samples: FloatArray) -> float | None:
-    """Return the step between the values of the samples, or None if they aren't on a grid.
-
-    Constant or empty samples have no step.
-    """
+    """Return the step between the values of the samples, or None if they aren't on a grid."""
     values = np.unique(samples[:200_000])
     if not 2 < values.size <= samples[:200_000].size / 4:
         return None
     gaps = np.diff(values)
     step = float(gaps.min())
-    # Single-precision stamps of a grid: the steps are equal to some 1e-7 of the values.
+    # The values may be rounded to single precision.
     rounding = 4 * float(np.abs(values).max()) * 2.0**-23
     off_grid = np.abs(gaps / step - np.round(gaps / step)) * step
     return step if bool(np.all(off_grid <= max(rounding, 1e-6 * step))) else None
@@ -159,8 +153,8 @@ def step_size(samples: FloatArray) -> float | None:
 def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     """Return a finding on the share of rounding in `N`, if it is large.
 
-    Rounding to steps of LSB adds white noise of variance LSB²/12, so
-    N_sensor² = N² - LSB² tau0 / 12, as long as the noise before rounding spans half a step.
+    Rounding to steps of LSB adds white noise of variance LSB²/12, so N_sensor² = N² - LSB² tau0 / 12, if the
+    noise before rounding spans half a step.
 
     Source: Sheppard's correction; Widrow & Kollar (2008), "Quantization noise", ch. 4.
     """
@@ -187,7 +181,6 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
 
 
 def _baseline(samples: FloatArray) -> FloatArray:
-    """Return straight lines between the medians of blocks, shape (n,)."""
     baseline = np.empty(samples.size)
     for part, line in _baseline_parts(samples):
         baseline[part] = line
@@ -195,7 +188,6 @@ def _baseline(samples: FloatArray) -> FloatArray:
 
 
 def _distance(samples: FloatArray) -> FloatArray:
-    """Return the distances of the samples from the baseline, shape (n,)."""
     distance = np.empty(samples.size)
     for part, line in _baseline_parts(samples):
         np.abs(samples[part] - line, out=distance[part])
@@ -203,7 +195,7 @@ def _distance(samples: FloatArray) -> FloatArray:
 
 
 def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield the baseline in parts that fit in the cache."""
+    """Yield straight lines between the medians of blocks, in parts that fit in the cache."""
     n = samples.size
     block = min(_BLOCK, n)
     medians = _medians(samples, block)
@@ -221,10 +213,7 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
 
 
 def _medians(samples: FloatArray, block: int) -> FloatArray:
-    """Return the medians of blocks of `block` samples, without the remainder at the end.
-
-    Four times as fast as NumPy's median, which checks for NaN.
-    """
+    """Return the medians of whole blocks; four times as fast as NumPy's median, which checks for NaN."""
     count, half = samples.size // block, block // 2
     medians = np.empty(count)
     for first in range(0, count, _BLOCKS):
@@ -250,9 +239,9 @@ def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
 def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
-    The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis
-    k; that of its steps is k/2. Excess within four standard errors counts as none. Only steps between
-    `neighbours` count, shape (n-1,); all by default.
+    The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; that
+    of its steps is k/2. Excess within four standard errors counts as none. Only steps between `neighbours`
+    count, shape (n-1,); all by default.
     """
     if samples.size < 2:
         return 1.0

@@ -22,11 +22,11 @@ METHODS: dict[str, tuple[str, str]] = {
     "slope": ("imucal.fitting.moments", "fit_slope"),
 }
 
-#: Criterion of the choice between models -> price of one parameter for a number of samples, in units of
-#: twice the log-likelihood, or of the weighted sum of squares. The price of chance is the same at any rate: a
-#: spurious parameter gains 12 in one of two thousand records. Source: Wilks (1938), Annals of
-#: Mathematical Statistics 9 (chance); Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979),
-#: JRSS B 41 (hq); Akaike (1974), IEEE TAC 19 (aic).
+#: Criterion of the choice between models -> price of one parameter for a number of samples, in units of twice
+#: the log-likelihood, or of the weighted sum of squares. The price of chance is the same at any rate: a
+#: spurious parameter gains 12 in one of two thousand records. Source: Wilks (1938), Annals of Mathematical
+#: Statistics 9 (chance); Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979), JRSS B 41 (hq);
+#: Akaike (1974), IEEE TAC 19 (aic).
 CRITERIA: dict[str, Callable[[float], float]] = {
     "chance": lambda _: 12.0,
     "bic": lambda count: float(np.log(count)),
@@ -43,11 +43,7 @@ WEIGHTS = ("full", "eta3")
 
 @frozen
 class FitSettings:
-    """The settings of a fit, explained at `imucal.fit`.
-
-    An unknown setting, a `model` that is not a sum of terms, or a `method` that can't fit one of the terms
-    raises a ValueError.
-    """
+    """The settings of a fit, explained at `imucal.fit`; wrong ones raise a ValueError."""
 
     model: str = "auto"
     method: str = "mle"

@@ -5,8 +5,8 @@ variances S_c that add up to S. The mean of a component given all samples is the
 the variance of its error is S_c - S_c² / S at each ordinate. This is exact for white noise, quantization,
 random walk, ramp and level; for the other terms it is as accurate as the likelihood.
 
-Missing samples are completed by their mean given the others. Their errors, filtered in the same way, add to
-the standard errors. If they are many, conjugate gradients give the mean and random draws of the errors.
+Missing samples are replaced by their mean given the others. Their filtered errors add to the standard errors.
+If they are many, conjugate gradients give the mean and random draws of the errors.
 
 Source: Wiener (1949), "Extrapolation, interpolation, and smoothing of stationary time series"; draws:
 Papandreou & Yuille (2010), NIPS 23.
@@ -36,9 +36,9 @@ BIAS = "bias"
 _NOISE = frozenset({"Q", "N"})
 #: Samples in all draws of the errors of missing samples, and limits of the number of draws.
 _DRAWN, _DRAWS = 2_000_000, (12, 200)
-#: Conjugate gradients stop at an error of this fraction of the standard error; largest number of their steps.
+#: Conjugate gradients stop at this fraction of the standard error, or fail after this number of steps.
 _CLOSE, _STEPS = 1e-3, 5000
-#: Called with the number of samples done and of all.
+#: Called with the numbers of samples done and in all.
 Progress: TypeAlias = Callable[[int, int], None]
 
 
@@ -46,8 +46,8 @@ Progress: TypeAlias = Callable[[int, int], None]
 class Component(ReadOnlyArrays):
     """One part of the samples, given all samples, on a grid of n places.
 
-    Its `key` is ``level``, ``B``, ``GM`` (``GM1``, ``GM2``), ``K`` or ``R``; or ``bias``, their sum.
-    `value` is the conditional mean at each place and `error` its standard error, in U, shape (n,) each.
+    Its `key` is ``level``, ``B``, ``GM`` (``GM1``, ``GM2``), ``K`` or ``R``; or ``bias``, their sum. `value`
+    is the conditional mean and `error` its standard error, in U, shape (n,) each.
     """
 
     key: str
@@ -65,7 +65,7 @@ def smooth(
 ) -> tuple[Component, ...]:
     """Return the components given the `seen` samples, shape (n,): ``level``, the terms, ``R``, ``bias``.
 
-    The first and the last sample must be seen. `progress` is called after each filter.
+    The first and the last sample must be seen.
     """
     n = samples.size
     filters, law = _filters(model, n, tau0)
@@ -96,8 +96,8 @@ def smooth(
 class _Law:
     """Distribution of the ordinates of all samples: variance 1 / `weight`, flat prior on level and slope.
 
-    The slope multiplies the ordinates of a `ramp`. Its estimate is the sum of `slope` times the ordinates,
-    with variance `slope_variance`; all are zero if the model has no ramp. Arrays have shape (n,).
+    The slope multiplies the ordinates of a `ramp`. Its estimate is `slope` @ ordinates, with variance
+    `slope_variance`; all are zero if the model has no ramp. Arrays have shape (n,).
     """
 
     weight: FloatArray
@@ -159,7 +159,6 @@ class _Filter:
         return cls(gain=gain, variance=np.asarray(variance), rises=rises)
 
     def mean(self, ordinates: FloatArray, law: _Law) -> FloatArray:
-        """Return the component's mean given the ordinates of all samples, shape (n,)."""
         filtered = self.gain * ordinates
         if law.slope_variance:
             filtered += (law.slope @ ordinates) * (self.rises - self.gain) * law.ramp
@@ -167,7 +166,6 @@ class _Filter:
 
 
 def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter], _Law]:
-    """Return the filter of each component, and the distribution of the samples."""
     keys = term_keys(term.symbol for term in model.terms)
     spectra = {
         key: _spectrum(term, n, tau0)
@@ -193,13 +191,13 @@ def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter]
 def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     """Return the variances of the ordinates 0 … n-1 of a term, shape (n,).
 
-    Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. Without its part in the first and the
-    last sample, quantization noise has independent ordinates, which its psd gives.
+    Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. Quantization noise has independent
+    ordinates without its part in the first and last sample, which `_Unknown` adds.
     """
     first = np.arange(1, n, dtype=np.int64)
     if isinstance(term, Quantization):
         return np.concatenate([[0.0], term.psd(first / (2 * n * tau0), tau0) / tau0])
-    # In parts that fit in the cache.
+    # Use parts that fit in the cache.
     parts = np.array_split(first, 1 + n // _PART)
     expected = np.concatenate([term.dct_slopes(n, part, np.ones_like(part), tau0)[0] for part in parts])
     if not expected.any():
@@ -209,8 +207,8 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
         raise ArgumentError(msg)
     if isinstance(term, RateRandomWalk):
         return np.concatenate([[0.0], expected])
-    # n times the variance of the mean: half the structure function at a long lag is the variance of a sample.
-    # That of flicker grows with the lag; for the level, its cycles of more than 3 n samples do not matter.
+    # n times the variance of the mean. Half the structure function at a long lag is the variance of a sample.
+    # It grows with the lag for flicker, whose cycles of more than 3 n samples do not matter for the level.
     far = np.array([(3.0 if isinstance(term, PowerLawTerm) else 1e9) * n])
     lags = np.arange(1.0, n)
     own = n * term.structure(far, tau0) / 2 - term.structure(lags, tau0) @ (1 - lags / n)
@@ -223,9 +221,9 @@ class _Unknown:
 
     Quantization noise of q² per sample is a process with independent ordinates, and noise of q² in the first
     and the last sample. `places`, shape (u,), are their indices and `known` the precision of their
-    observation, zero for missing ones. `covariance` is that of their errors, shape (u, u), or None if they
-    are more than `count`, the number of draws. `runs` are used for preconditioning: the indices in `places`
-    of all runs of one length, shape (r, length), and the variances of their sines, shape (length,).
+    observation, zero for missing ones. `covariance`, shape (u, u), of their errors is None if they are more
+    than `count`, the number of draws. `runs` precondition: the indices in `places` of all runs of one length,
+    shape (r, length), and the variances of their sines, shape (length,).
     """
 
     law: _Law
@@ -237,7 +235,6 @@ class _Unknown:
 
     @classmethod
     def of(cls, law: _Law, seen: BoolArray, quantization: float) -> "_Unknown":
-        """Return the unknown samples of a record with the `seen` samples, shape (n,)."""
         n, unknown, precision = seen.size, ~seen, np.zeros(seen.size)
         if quantization:
             unknown[[0, -1]], precision[[0, -1]] = True, 1 / quantization
@@ -310,7 +307,7 @@ class _Unknown:
         raise DataError(f"{msg}use a part of the record with fewer gaps, or add N to the model")
 
     def _nearly(self, right: FloatArray) -> FloatArray:
-        """Return nearly the solution: sines that end with a run are nearly independent of each other."""
+        """Precondition: sines that end with a run are nearly independent of each other."""
         result = np.empty(right.size)
         for places, variance in self.runs:
             waves = scipy.fft.dst(right[places], type=1, norm="ortho") * variance

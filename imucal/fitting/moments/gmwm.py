@@ -1,13 +1,12 @@
 """GMWM: the noise model whose Allan variances are nearest to the measured ones.
 
 The generalised method of wavelet moments on the overlapping Allan variance, with the exact Allan variance of
-every sampled term. The weight ``full`` is the inverse covariance of the curve in closed form: first of the
-largest model, then of the chosen model until it converges. The weight ``eta3`` is the inverse square of the
-widths of the published intervals, which ignores the correlation of averaging times; the confidence intervals
-allow for this correlation.
+every sampled term. The weight ``full`` is the inverse covariance of the curve: first of the largest model,
+then of the chosen model until it converges. The weight ``eta3`` ignores the correlation of averaging times;
+the confidence intervals allow for it.
 
-Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for
-composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.points`.
+Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for composite
+stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.points`.
 """
 
 from dataclasses import replace
@@ -26,7 +25,7 @@ from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
 from imucal.recording import AxisSeries
 
-#: Models within so much of the best criterion are reported.
+#: Models within this distance of the best criterion are reported.
 _REPORTED = 6.0
 
 
@@ -36,11 +35,11 @@ def fit_gmwm(
     settings: FitSettings,
     _temperature: FloatArray | None = None,
 ) -> NoiseFit:
-    """Fit a noise model to Allan variances, overlapping or standard; `series` is None where they are all.
+    """Fit a noise model to Allan variances, overlapping or standard; `series` is None for a curve alone.
 
-    N, B and K are always among the estimates. With full weights, the shortest averaging times are left out
-    where an output filter keeps every model from describing them; a finding says so. A DataError refuses a
-    curve that has too few averaging times for the model, or is not of Allan variances.
+    N, B and K are always among the estimates. With full weights, the shortest averaging times are left out if
+    an output filter keeps every model from describing them. A curve with too few averaging times for the
+    model, or of other variances, raises a DataError.
     """
     points = avar_points(series, curve)
     if (structure := settings.structure) is not None:
@@ -90,7 +89,7 @@ def _eta3_widths(points: AvarPoints) -> FloatArray:
 def _with_edf(
     curve: AllanCurve, points: AvarPoints, solution: Solution, covariance: FloatArray
 ) -> AllanCurve:
-    """Return the curve with the model's degrees of freedom, where it came without."""
+    """Return the curve with the model's degrees of freedom if it has none."""
     if np.any(np.isfinite(curve.edf)):
         return curve
     edf = 2 * solution.avar(points) ** 2 / np.diag(covariance)

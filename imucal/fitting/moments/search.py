@@ -1,8 +1,7 @@
 """The model whose Allan variances are nearest to the measured ones, and the limits of its terms.
 
-The minimum of a weighted sum of squares. A model is linear in its variances, so for given times the minimum
-is a non-negative least-squares problem with one solution. Times are searched on a grid that covers the curve
-and refined from its best places, so the result is the same in each run.
+The fit minimises a weighted sum of squares. For given times it is a non-negative least-squares problem with
+one solution. Times are searched on a grid and refined from its best places, so each run has the same result.
 
 Choice of terms. If the model is right, the sum of squares J with the inverse covariance as weight is
 chi-squared with (points - parameters) degrees of freedom. Models are compared by J + parameters * price, with
@@ -41,22 +40,22 @@ from imucal.solvers import non_negative, root
 
 #: Times per decade of the grid; places of the grid from which the times are refined.
 _PER_DECADE, _STARTS = 3, 3
-#: Tolerances of the sum of squares, for results and for the search of a model.
+#: Tolerances of the sum of squares, for results and for the choice of a model.
 _FINE, ROUGH = 1e-12, 1e-3
-#: Step of the logarithm of a time for the slope of a curve.
+#: Step of a log time for a numerical derivative.
 _STEP = 1e-4
-#: A misfit above this, of all averaging times, starts a search without the shortest ones. Such a fit replaces
-#: the first one if its misfit is smaller by the factor, and leaves out at most this number of octaves.
+#: A misfit above the first starts a search without the shortest averaging times. Such a fit replaces the
+#: first one if its misfit is smaller by the factor, and leaves out at most this number of octaves.
 _FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
-#: Largest number of updates of the weight; three are enough in practice.
+#: Largest number of updates of the weight; three are usually enough.
 _UPDATES = 5
 
 
 def whitening(covariance: FloatArray) -> FloatArray:
     """Return W, shape (k, k), whose product W'W is the inverse of a covariance of shape (k, k).
 
-    The covariance has a relative error of 1e-3, because its lags are summed on a grid. So 1e-6 of each
-    variance is added to keep the factorisation stable. A covariance without an inverse raises a DataError.
+    The covariance has a relative error of 1e-3, because its lags are summed on a grid. Adding 1e-6 of each
+    variance keeps the factorisation stable. A covariance without an inverse raises a DataError.
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
@@ -77,7 +76,7 @@ def whitening(covariance: FloatArray) -> FloatArray:
 
 @frozen_alone
 class Solution:
-    """A model at its minimum, and the weighted sum of squares there.
+    """A model at its minimum; `objective` is the weighted sum of squares there.
 
     The terms have unit variance and times in samples, in the order of `TERMS`; times of one kind rise.
     `variances`, shape (p,), are per sample.
@@ -135,8 +134,8 @@ def minimum(
 ) -> Solution:
     """Return the minimum over the variances and times of terms.
 
-    `weight` is the W of `whitening`, shape (k, k). `near` are the times of a minimum that is not far; without
-    them, times are searched on a grid. `tolerance` is the relative change of the sum of squares at the end.
+    `weight` is the W of `whitening`. `near` are times close to those of the minimum; without them, times are
+    searched on a grid. `tolerance` is the relative change of the sum of squares at the end.
     """
     symbols = in_order(symbols)
     target = weight @ points.avar
@@ -159,7 +158,6 @@ def minimum(
 
 
 def _starts(points: AvarPoints, weight: FloatArray, symbols: Sequence[str]) -> list[FloatArray]:
-    """Return the best times of the grid, the best first."""
     grid, target = time_grid(points), weight @ points.avar
     fixed = weight @ columns(points.m, unit_terms([s for s in symbols if not is_timed(s)]))
     kinds = [(symbol, len(list(own))) for symbol, own in groupby(filter(is_timed, symbols))]
@@ -178,7 +176,6 @@ def _refined(
     points: AvarPoints,
     tolerance: float,
 ) -> FloatArray:
-    """Return the times of the least sum of squares that is found from any of the starts."""
     grid = time_grid(points)
     low, high = float(np.log(grid[0])) - 1, float(np.log(grid[-1])) + 1
     found = [
@@ -207,7 +204,7 @@ def all_terms(points: AvarPoints, max_gm: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fit: the solution, its weight, its misfit, and the models next to it by how much worse they are."""
+    """A fit: solution, weight, misfit, and the other models by how much worse they are."""
 
     solution: Solution
     weight: FloatArray
@@ -218,8 +215,8 @@ class CurveFit:
 def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> CurveFit:
     """Return the chosen or given model at its minimum, with the weight of the model itself.
 
-    All models of a search have the weight of the largest model. With this weight a model that lacks a small
-    term can win; with its own weight it has a misfit. Then the previous, larger model is taken.
+    A search compares models with the weight of the largest one. A model that lacks a small term can win with
+    this weight, but has a misfit with its own. Then the previous, larger model is taken.
     """
     full = settings.weights == "full"
     if settings.structure is not None:
@@ -250,7 +247,7 @@ def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> Cur
 def _smaller(
     points: AvarPoints, weight: FloatArray, symbols: tuple[str, ...], price: float
 ) -> Iterator[list[Solution]]:
-    """Yield each model of the backward elimination, first in a list with those it was preferred to."""
+    """Yield the models of each step of the backward elimination, the preferred one first."""
     tried = [minimum(points, weight, symbols, tolerance=ROUGH)]
     while True:
         yield tried
@@ -303,7 +300,7 @@ def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tu
 
 
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:
-    """Return how well a model describes the points, whose covariance is given.
+    """Return how well a model describes points with the given covariance.
 
     An Allan variance with few degrees of freedom is far from normal, but its cube root is nearly normal
     (Wilson & Hilferty 1931). The statistic is the sum of squares of these, with the given correlations.
@@ -352,10 +349,7 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
 def term_limits(
     points: AvarPoints, solution: Solution, weight: FloatArray, place: int, quantile: float
 ) -> tuple[float, float]:
-    """Return the limits of the variance of the term at `place`, with the times as they are.
-
-    For each trial variance the others are fitted again.
-    """
+    """Return the limits of the variance of the term at `place`, with fixed times and refitted other terms."""
     if solution.parameters > points.size:
         return 0.0, float("inf")
     design, target = weight @ columns(points.m, solution.terms), weight @ points.avar
@@ -430,7 +424,7 @@ def curve_estimates(
 def _estimate(
     points: AvarPoints, key: str, term: NoiseTerm, variances: tuple[float, float, float], factor: float
 ) -> Estimate:
-    """Return the estimate of a term in SI, by its variance and limits; a time is known to a `factor`."""
+    """Return the estimate of a term in SI from its variance and limits; a time is known to a `factor`."""
     value, low, high = (points.coefficient(term.symbol, variance) for variance in variances)
     if not low > 0:
         return Estimate.bounded(key, term.symbol, high)

@@ -4,9 +4,9 @@ A response multiplies the spectrum of the noise:
 
     |H|² = (1 - lam/4)^z / (1 + a_1 x + … + a_j x^j),   x = lam / top,  lam = 4 sin²(theta/2).
 
-It is exact for every all-pole filter of order j (z = 0: one-pole, cascades, resonances) and, by the bilinear
-transform, for every Butterworth filter (z = j). Other smooth low-pass filters are close to one of these below
-their corner. The gain at zero frequency is 1, so that N keeps its meaning.
+It is exact for every all-pole filter of order j (z = 0) and, by the bilinear transform, for every Butterworth
+filter (z = j). Other smooth low-pass filters are close to one of these below their corner. The gain at zero
+frequency is 1, so that N keeps its meaning.
 """
 
 from dataclasses import replace
@@ -41,11 +41,10 @@ class Band:
     """The part of the spectrum to fit, up to a `fraction` of Nyquist, and the response there.
 
     `order` has the poles and zeros of the simplest sound response. The response to fit has `poles` and
-    `zeros`, one order more, or 0 if it is flat, and the coefficients `response`, shape (poles,).
-
-    Gauss-Markov terms have correlation times of at least `shortest` samples. `masked` is the correlation
-    time, in samples, of a term that could explain the spectrum instead of the filter, or 0.
-    The bins of a `hump` are excluded. `statistic` is the misfit score.
+    `zeros`, one order more, or 0 if it is flat, and the coefficients `response`, shape (poles,). Gauss-Markov
+    terms have correlation times of at least `shortest` samples. `masked` is the correlation time, in samples,
+    of a term that could explain the spectrum instead of the filter, or 0. The bins of a `hump` are excluded.
+    `statistic` is the misfit score.
     """
 
     fraction: float
@@ -90,7 +89,6 @@ def corner_of(band: Band) -> float | None:
 
 
 def _fitted_response(fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray, float | None]:
-    """Return the results of `_response` for the response of a fit."""
     models = fitted.models
     response = fitted.theta[0, models.response :][: int(models.poles[0])]
     return _response(band, response, int(models.zeros[0]))
@@ -161,7 +159,6 @@ def _two_readings(
         time_s = 1 / (2 * np.pi * response.cutoff_hz)
     less = "far less than"
     if band.fraction == 1.0:
-        # Compare the density at the highest frequencies with the white noise's.
         seen = fitted.spectrum[0, -HIGHEST:].mean()
         below = float(np.sqrt(seen / np.exp(fitted.theta[0, COLUMN["N"]])))
         less = f"less than {below:.2g} times"
@@ -182,11 +179,10 @@ def start_response(
 ) -> FloatArray:
     """Return starting parameters, shape (1, p): the given slow terms, and a response from the spectrum.
 
-    The first `width` columns of `low`, shape (1, >= width), contain the slow terms; `room` columns for the
-    response follow. White noise dominates above `lowest`, a fraction of Nyquist.
-
-    There, numerator / S = (1 + sum a_i x^i) / N² is a linear regression in 1/N² and a/N². If its result is
-    not positive, the best Butterworth response replaces it.
+    The first `width` columns of `low` contain the slow terms; `room` columns for the response follow. White
+    noise dominates above `lowest`, a fraction of Nyquist. There, numerator / S = (1 + sum a_i x^i) / N² is a
+    linear regression in 1/N² and a/N². If its result is not positive, the best Butterworth response replaces
+    it.
     """
     poles, zeros = order
     theta = np.concatenate([low[:, :width], np.zeros((1, room))], axis=1)

@@ -1,16 +1,16 @@
 """Search for the part of the spectrum and the response of the output filter that a model describes.
 
-Sensors filter their output. If a fit ignores the filter, every term is wrong. The search combines two
-remedies: a narrower band, and a response that multiplies the spectrum (`band`).
+Sensors filter their output. If a fit ignores the filter, every term is wrong. The search combines a narrower
+band with a response that multiplies the spectrum (`band`).
 
 A description is sound if its misfit is within chance and the next orders of the response gain nothing. The
 search takes the sound description that determines N best, with one order more than necessary, so that the
 remaining error of the response does not bias N.
 
-White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise.
-Every sensor has white noise. So, if a Gauss-Markov term makes up the top of the spectrum, the search is
-repeated with correlation times that are too long to imitate a filter. If this finds a sound
-description, N is the level in front of the filter, and a finding names both readings.
+White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise, but
+every sensor has white noise. So, if a Gauss-Markov term makes up the top of the spectrum, the search is
+repeated with correlation times that are too long to imitate a filter. If this finds a sound description, N is
+the level in front of the filter, and a finding explains both readings.
 
 The bins of a hump, which is caused by vibration or sway, are excluded.
 """
@@ -67,14 +67,12 @@ BANDS = (
 )
 #: Slow terms are first fitted below this fraction of Nyquist, where most filters are flat.
 _LOW = 0.03125
-#: Misfit score below which a description is sound.
-_SOUND = 3.0
-#: The same for the whole band without a response.
-_SOUND_FLAT = 4.0
+#: Misfit score below which a description is sound; the same for the whole band without a response.
+_SOUND, _SOUND_FLAT = 3.0, 4.0
 #: Misfit score of the whole band above which a hump is searched: one in 40 clean records.
 _UNSURE = 2.0
-#: Largest gain by chance of one more order of the response, and of two, in twice the log-likelihood. It is
-#: larger for a flat band: a filter that does not exist makes N wrong by a factor of two.
+#: Largest gain by chance of one and of two more orders of the response, in twice the log-likelihood; larger
+#: for a flat band, because a filter that does not exist makes N wrong by a factor of two.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
 #: Quantization noise and a response bend the same part of the spectrum. If quantization explains at least
 #: this share of the top, a filter needs a larger gain.
@@ -101,7 +99,7 @@ _MIN_BINS = 24
 
 @frozen_alone
 class _Trial:
-    """One description of a band: order, fit, misfit score, and relative standard error of N."""
+    """One description of a band; `deviation` is the relative standard error of N."""
 
     fraction: float
     order: Order
@@ -120,12 +118,10 @@ def find_band(
 ) -> Band:
     """Return the band and response that a rich model describes, which contains all candidates.
 
-    Its correlation times are at least `SHORTEST` samples. Its Q is only fitted without a response, because
-    both bend the top of the spectrum. A `given` structure is preferred if it describes the whole band, with
-    correlation times of any length and mostly white noise at the top.
-
-    If the band is known not to be flat, the band up to `near`, a fraction of Nyquist, is tried first.
-    `rounding` returns the variance of the samples' rounding in scaled units.
+    Q is only fitted without a response, because both bend the top of the spectrum. A `given` structure is
+    preferred if it describes the whole band, with correlation times of any length and mostly white noise at
+    the top. If the band is known not to be flat, the band up to `near`, a fraction of Nyquist, is tried
+    first.
     """
     coarse = _coarse(ordinates)
     plain = tuple(symbol for symbol in rich if symbol != "Q")
@@ -143,10 +139,7 @@ def find_band(
 
 
 def _as_a_filter(found: Band, coarse: Ordinates, plain: Structure, rounding: Rounding) -> Band | None:
-    """Return the filter that explains the spectrum as well as a Gauss-Markov term that hides the noise.
-
-    If there is none, return None.
-    """
+    """Return a filter that explains the spectrum as well as a Gauss-Markov term that hides N, or None."""
     if not found.masked:
         return None
     behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None)

@@ -41,12 +41,11 @@ _FINE = 4
 class Block:
     """The ordinates of one run of samples, in scaled units.
 
-    `offset` is the place of its first sample on the clock's grid, from the first sample of the record. The
-    `ordinates` X_k, shape (k,), start at k = 1 and fill the `bins`. `variance`, shape (k,), is the part of
-    the expected X_k² from missing samples, `loss`, shape (b,), the share of each bin's information lost to
-    them, and `drawn`, shape (g,), the missing samples in order, drawn given the others; None if none is
-    missing. `kept`, shape (k,), is a mask of the ordinates in use, None for all. `temperature`, shape
-    (bins.n,), has a value at each place of the block, or is None.
+    `offset` is the place of its first sample on the clock's grid. The `ordinates` X_k, shape (k,), start at k
+    = 1 and fill the `bins`. `variance`, shape (k,), is the part of the expected X_k² from missing samples,
+    `loss`, shape (b,), the share of each bin's information lost to them, and `drawn`, shape (g,), the missing
+    samples in order, drawn given the others; None if none is missing. `kept`, shape (k,), is a mask of the
+    ordinates in use, None for all. `temperature` has shape (bins.n,).
     """
 
     offset: int
@@ -85,7 +84,7 @@ class Block:
 class SeriesBlocks:
     """All blocks of a record, in order of time; `scale` is U per scaled unit, a power of two.
 
-    `lines` are the spectral lines left out of the longest block; `findings` are about gaps and lines.
+    `lines` are the spectral lines left out of the longest block.
     """
 
     blocks: tuple[Block, ...]

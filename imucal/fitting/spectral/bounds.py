@@ -1,13 +1,12 @@
 """Estimates whose intervals allow for the choice of the model.
 
 A term that may be zero has a bound instead of a value. Intervals that ignore the choice of the model do not
-cover: if a weak term is dropped, its neighbour absorbs its power with a narrow interval. So each model
-whose criterion is near the best is completed with the terms that every fit reports, at zero if the data
-prefer that. A term's interval extends from its lowest to its highest limit in these models. The weight of a
-model decreases with its distance from the best.
+cover: if a weak term is dropped, its neighbour absorbs its power with a narrow interval. So each model whose
+criterion is near the best is completed with the terms that every fit reports. A term's interval is the hull
+of its intervals in these models. The weight of a model decreases with its distance from the best.
 
 Leeb & Pötscher (2005), Econometric Theory 21, p. 21, "Model selection and inference: facts and fiction",
-show why a remedy is needed; `tests/benchmarks/coverage_auto.py` measures the coverage of this one.
+explain the problem; `tests/benchmarks/coverage_auto.py` measures the coverage of this remedy.
 """
 
 from collections.abc import Iterable, Iterator
@@ -61,8 +60,8 @@ def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
 def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> list[Estimate]:
     """Return terms of which one must be dropped to make the other estimates meaningful.
 
-    These are bounded terms with a correlation time: their time is arbitrary and widens other intervals. If
-    there are none, these are terms that can replace one another: each may be zero, but not all at once.
+    These are bounded terms with a correlation time: it is arbitrary and widens other intervals. If there are
+    none, these are terms that can replace one another: each may be zero, but not all at once.
     """
     gone = [e for e in estimates if e.status == "bounded"]
     timed = [e for e in gone if has_time(e.symbol)]
@@ -91,7 +90,7 @@ def numbered(
 
 
 def drop_terms(problem: Problem, fitted: Fits, keys: list[str]) -> Fits:
-    """Return the fit without some of its terms, started at its other parameters."""
+    """Return the fit without some of its terms."""
     columns = [at for key, at in fitted.variances().items() if key in keys]
     return maximize(problem.ordinates, fitted.models.without(columns, ramp="R" in keys), fitted.theta)
 
@@ -129,7 +128,7 @@ _INDISTINGUISHABLE = 4.0
 #: Share of the record; a Gauss-Markov term with a longer correlation time is reported as K.
 _WALK = 1 / 20
 #: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
-#: Gauss-Markov term of some seconds next to a walk resembles flicker; B was detected in 21 of 24 records.
+#: Gauss-Markov term of some seconds next to a walk resembles flicker.
 _LOWERED = frozenset({"K"})
 #: Largest number of models that are completed.
 _MAX_COMPLETED = 16
@@ -137,10 +136,7 @@ _MAX_COMPLETED = 16
 
 @frozen_alone
 class Alternative:
-    """The estimates of a model near the best, by their keys.
-
-    `weight` is 1 near the best model and 0 far from it; it scales the width of the intervals.
-    """
+    """Estimates of a model near the best, by key; `weight` (1 near the best, 0 far) scales the intervals."""
 
     weight: float
     terms: dict[str, Estimate]
@@ -207,7 +203,7 @@ def _first_detected(own: Estimate, models: list[Alternative]) -> Estimate:
 
 
 def _alternative(problem: Problem, distance: float, model: Fits) -> Alternative:
-    """Return the opinion of a model at a `distance` from the best; its slowest term may replace K."""
+    """Return the estimates of a model at a `distance` from the best; its slowest term may replace K."""
     weight = min((_NO_WEIGHT - distance) / (_NO_WEIGHT - _FULL_WEIGHT), 1.0)
     reach = weight * quantile(problem.level)
     terms = {
@@ -220,17 +216,16 @@ def _alternative(problem: Problem, distance: float, model: Fits) -> Alternative:
 
 
 def _time_of(found: Estimate) -> float:
-    """Return the correlation time of a Gauss-Markov term, in s; 0 of other terms."""
+    """Return the correlation time of a Gauss-Markov term, in s; 0 for other terms."""
     time = found.correlation_time
     return time.value if time and found.symbol == GaussMarkov.symbol else 0.0
 
 
 def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
-    """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term at short times.
+    """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term, valid up to the lower limit of T.
 
     Sigma and T are uncertain separately, their walk is not: its limits are `reach` standard errors of half
-    the difference of log sigma² and log T; the upper limit is at least `high`. The walk is valid for times up
-    to the lower limit of T.
+    the difference of log sigma² and log T; the upper limit is at least `high`.
     """
     columns = dict(model.columns())
     sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
@@ -277,10 +272,7 @@ def _richer(
 
 
 def _span(key: str, values: dict[str, Estimate], models: list[Alternative]) -> list[tuple[float, Estimate]]:
-    """Return the weight and the estimate of a term in each model.
-
-    For terms other than N, B and K only models with the same such terms count.
-    """
+    """Return the weight and estimate of a term in each model; beyond N, B and K only in similar models."""
     if key in ALWAYS:
         return [(model.weight, model.terms[key]) for model in models]
     others = values.keys() - set(ALWAYS)
@@ -302,8 +294,8 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
     """Return for each term the alternatives that the data can't exclude.
 
-    Every model near the best likelihood contains one of the two, and neither is in all of these models. Near
-    is judged by Akaike's criterion: the data must distinguish the two, not the simplicity of a model.
+    Every model near the best contains one of the two, and neither is in all of these models. The distance is
+    Akaike's criterion, not the stricter one of the choice: the data must distinguish the two.
     """
     fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)]
@@ -319,7 +311,6 @@ def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
     """Return an estimate with the limits of all models, unchanged if no near model has its term.
 
     A model of weight 1 with the term at zero bounds it; so does any model if the term is not in `_LOWERED`.
-    For terms in `_LOWERED` a smaller weight lowers the lower limit.
     """
     if not span:
         return own
@@ -348,7 +339,7 @@ def _may_be_zero(found: Estimate) -> bool:
 
 
 def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fits]]:
-    """Yield the distances and distinct completions of the near models, the best first."""
+    """Yield distances and distinct completions of the near models, the best first."""
     distances = choice.criterion - choice.criterion[0]
     seen = set()
     for index in np.flatnonzero(distances < _NO_WEIGHT)[:_MAX_COMPLETED].tolist():

@@ -2,11 +2,9 @@
 
 A spectrum is the sum of a fixed part, the tested part, and free parts, so that their changes are not
 attributed to the tested part. Each group of bins (a record or a segment) has its own scale of every part
-except the fixed one. Under the null hypothesis the scale of the tested part is equal in all groups, and twice
-the drop of the log-likelihood is chi-squared with one degree of freedom less than groups.
-
-Fisher scoring of the scales is a small system for each group. With a common tested scale, the other scales
-are eliminated group by group, and the sums over the groups are one more equation.
+except the fixed one. If the scale of the tested part is equal in all groups, twice the drop of the
+log-likelihood is chi-squared with one degree of freedom less than groups. Fisher scoring with a common tested
+scale eliminates the other scales group by group.
 
 Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bartlett (1937), Proc. R. Soc. A
 160, 268.
@@ -30,8 +28,8 @@ _SHARE = 0.1
 _STEP, _STEPS = 1.5, 100
 #: Gain of the log-likelihood that ends the search.
 _CLOSE = 1e-5
-#: Ends of the scan of the second of two scales: the first in its deviations, and the number of ends, which
-#: grow by a factor of 1.5. Number of grid points between the ends; scoring steps of scale 1 at each.
+#: Scan of scale 2: the first end in its deviations, the number of ends, which grow by a factor of 1.5, the
+#: number of grid points between the ends, and scoring steps of scale 1 at each.
 _FIRST_REACH, _WIDER, _GRID, _SCORINGS = 1.2, 12, 32, 3
 _TINY = 1e-12
 
@@ -102,10 +100,9 @@ class Parts:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a weighted sum of the two scales of one test in each group, and its limits, shape (g,) each.
 
-        `logs`, shape (g, 2), is the maximum, and `weights` has the shape (2,), `reach` the shape (g,).
-        The limits are the extremes over all scales at which twice the drop of the log-likelihood is below the
-        square of `reach`, because an expansion about the maximum is wrong where one scale is near zero.
-        Scan scale 2. For each value maximise over scale 1. Keep the points whose drop is below `reach`².
+        `logs`, shape (g, 2), is the maximum; `weights` has shape (2,). The limits are the extremes over all
+        scales at which twice the drop of the log-likelihood is below the square of `reach`, shape (g,): an
+        expansion about the maximum is wrong if one scale is near zero.
         """
         best = self.at(logs[np.newaxis])
         tested, others = np.moveaxis(best.logs[0], -1, 0)
@@ -146,9 +143,9 @@ class Parts:
 class Scales:
     """The likelihood at some scales of each group in each test.
 
-    At `logs`, shape (t, g, q), with the tested scale first, `objective` is -log L of each group less a
-    constant, shape (t, g). `gradient`, shape (t, g, q), is its gradient in the logs, and `matrix`, shape
-    (t, g, q, q), the expected information.
+    `logs`, shape (t, g, q), have the tested scale first. `objective`, shape (t, g), is -log L of each group
+    less a constant, `gradient` its gradient in the logs, and `matrix`, shape (t, g, q, q), the expected
+    information.
     """
 
     logs: FloatArray

@@ -1,7 +1,7 @@
 """Search for disturbances at low frequencies: temperature, warm-up, steps and cycles.
 
-A fit would mistake them for random walk or flicker. The search adds one shape at a time to the regressors
-of a rich noise model: the one that gains most, if the gain exceeds its price and a margin.
+A fit would mistake them for random walk or flicker. The search adds one shape at a time to the regressors of
+a rich noise model: the one that gains most, if the gain exceeds its price and a margin.
 """
 
 import math
@@ -47,8 +47,7 @@ _PRICE_CYCLE = 16.0
 _DOUBT = -0.5
 #: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
-#: Gain on the rich model from which a warm-up or slow cycle with N and B explains a record as well as a
-#: walk. Of 60 simulated records with a weak walk 8 reach either gain, with flicker alone 5.
+#: Gain on the rich model from which a warm-up or slow cycle with N and B explains a record as well as a walk.
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
 #: Ratio of the spectra with and without walk below which the record shows no walk.
 _NO_WALK = 2.0
@@ -71,12 +70,11 @@ ExactPlace = Callable[[float, Sequence[float], float], int]
 
 @frozen
 class Disturbance:
-    """A shape in the samples that is not noise.
+    """A shape in the samples that is not noise: ``temperature``, ``warm-up``, ``step`` or ``cycle``.
 
-    Its `kind` is ``temperature``, ``warm-up``, ``step`` or ``cycle``. `names` are its regressors, and `size`
-    their coefficients in scaled units, () if not fitted yet. `price` is the gain in twice the log-likelihood
-    that it needs in addition to a margin: per parameter the logarithm of the record's length; for a step or a
-    cycle it follows from the false alarm rate.
+    `names` are its regressors, and `size` their coefficients in scaled units, () if not fitted yet. `price`
+    is the gain in twice the log-likelihood that it needs in addition to a margin: per parameter the logarithm
+    of the record's length; for a step or a cycle it follows from the false alarm rate.
     """
 
     kind: str
@@ -139,8 +137,8 @@ def _taken_out(
 ) -> tuple[Disturbance, Fits]:
     """Return a shape and the fit with it and the regressors `names`.
 
-    The spectrum without a warm-up contains the warm-up's power, so its time constant is searched again
-    with the spectrum of the fit with it.
+    The spectrum without a warm-up contains the warm-up's power, so its time constant is searched again with
+    the spectrum of the fit with it.
     """
     base = _fits(low, [(*names, *one.names)])
     if one.kind != "warm-up":
@@ -151,7 +149,6 @@ def _taken_out(
 
 
 def _sized(found: Sequence[Disturbance], fits: Fits, row: int = 0) -> tuple[Disturbance, ...]:
-    """Return shapes with their coefficients in one of the fits."""
     beta = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
     return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
@@ -192,7 +189,6 @@ def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -
 
 
 def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
-    """Return the gain and shape of the best warm-up on a grid, its time constant refined."""
     lowest, best, gain = whitened.lowest(), 1.0, 0.0
     for factors in (_WARM_UPS * length, _NEAR_WARM_UPS):
         times = best * factors
@@ -207,8 +203,8 @@ def _rival(
 ) -> tuple[Disturbance, ...]:
     """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ().
 
-    A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little with it.
-    The shape with N and B alone is compared with the rich model instead.
+    A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little with it. The
+    shape with N and B alone is compared with the rich model instead.
     """
     theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
     theta[:, [COLUMN["K"], SHAPED]] = _ABSENT

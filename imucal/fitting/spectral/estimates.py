@@ -4,8 +4,8 @@ At a limit, twice the drop of the log-likelihood, maximised over all other param
 normal quantile, or of Student's quantile if few degrees of freedom determine a variance. An interval that
 contains zero is [0, U].
 
-Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82; few degrees
-of freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
+Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82; few degrees of
+freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
 
-#: Column number of the ramp, which is a regressor and not a parameter of the spectrum.
+#: Column number of the ramp, a regressor.
 RAMP = -1
 
 #: Accuracy of a limit, as a share of the reach.
@@ -55,8 +55,8 @@ def profile_limits(
     """Return the lower and upper limits of parameter `columns[i]` of fit i, shape (k,) each.
 
     Limits are in log units, except for the ramp (column `RAMP`). The lower limit is -inf if the parameter may
-    vanish, the upper inf if it may exceed its bound. `fits` has one row for each profiled parameter. `reach`,
-    shape (k,), is the root of twice the drop at the limits: a quantile of the level.
+    vanish, the upper inf if it may exceed its bound. `reach`, shape (k,), is the root of twice the drop at
+    the limits: a quantile of the level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
@@ -67,8 +67,8 @@ def profile_limits(
 class _ProfileSearch:
     """The root of z(u) = ± quantile for many parameters at once.
 
-    z is the signed root of twice the drop; it is almost linear in u, which is the deviation for a
-    variance, the logarithm for a time, and the slope itself for a ramp.
+    z is the signed root of twice the drop; it is almost linear in u, which is the deviation for a variance,
+    the logarithm for a time, and the slope itself for a ramp.
     """
 
     def __init__(self, ordinates: Ordinates, fits: Fits, columns: IntArray) -> None:
@@ -91,7 +91,6 @@ class _ProfileSearch:
         return np.where(self.variance, np.exp(0.5 * np.minimum(log, 600.0)), log)
 
     def _width(self, fits: Fits, low: FloatArray) -> FloatArray:
-        """Return a first guess of the standard error of u."""
         width = np.sqrt(fits.beta_covariance[:, 0, 0])
         for i in np.flatnonzero(~self.ramp).tolist():
             column = int(self.columns[i])
@@ -166,7 +165,7 @@ class _ProfileSearch:
 
 @frozen_alone
 class Problem:
-    """The `ordinates` to fit, the confidence `level` of the limits, and the sampling period `tau0` in s.
+    """The data, the confidence `level` of the limits, and the sampling period `tau0` in s.
 
     `widening` maps symbols to factors by which their intervals are wider than those of the likelihood.
     """
@@ -181,7 +180,7 @@ class Problem:
         return self.ordinates.scale / TERMS[symbol].per_sample(self.tau0)
 
     def limits(self, fitted: Fits, columns: list[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the limits of some parameters of a fit, shape (k,) each; see `profile_limits`."""
+        """Return the limits of some parameters of a fit; see `profile_limits`."""
         places = np.array(columns)
         reach = np.full(places.size, quantile(self.level))
         variances = (places >= 0) & (places < fitted.models.variances)

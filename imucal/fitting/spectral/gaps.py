@@ -1,16 +1,15 @@
 """Completion of missing samples by expectation-maximisation, without a model.
 
-For a smooth spectrum S, the missing samples given the observed ones are normal, and their precision is the
-missing block of C' diag(1/S) C (C the DCT). Conjugate gradients give their mean, a random draw their
-covariance, and
+For a smooth spectrum S, the precision of the missing samples given the observed ones is the missing block of
+C' diag(1/S) C (C the DCT). Conjugate gradients give their mean, a random draw their covariance, and
 
     E[X_k² | observed] = (mean X_k)² + var X_k
 
 replaces X_k². The variance's share of it is information lost to the gaps. The variance is averaged over
 neighbouring frequencies, because the scatter of one draw resembles a misfit.
 
-Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23;
-lost information: Louis (1982), JRSS B 44.
+Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23; lost
+information: Louis (1982), JRSS B 44.
 """
 
 from collections.abc import Callable
@@ -22,8 +21,7 @@ import numpy as np
 from imucal.allan.dct import DctBins, dct2, idct2
 from imucal.arrays import BoolArray, FloatArray, IntArray
 
-#: Largest expected change of the spectrum in a next round. Each change is the previous one times the share of
-#: information lost to the gaps.
+#: Largest expected change of the spectrum in a next round: the previous change times the lost information.
 _MOVED = 3e-4
 #: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle of seconds has
 #: information on some frequencies only, and more rounds make lines of the others.
@@ -35,7 +33,6 @@ _STEPS = 40
 _CLOSE = 1e-3
 #: Largest number of missing samples, and of sines per sample, for direct sums: above, transforms are faster.
 _FEW, _DIRECT = 1000, 30
-#: Seed of the random draws, fixed so that fits are reproducible.
 _SEED = 20_24
 
 
@@ -44,9 +41,8 @@ def complete(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return expected ordinates, their variances, the lost information, and a draw of the missing samples.
 
-    `samples`, shape (n,), are overwritten; only `seen` ones, shape (n,), count. The results are ordinates and
-    variances, shapes (n-1,); the share of each bin's information lost to the gaps, shape (b,); and the
-    missing samples in order, their expectation and an error drawn with it, shape (g,).
+    `samples`, shape (n,), are overwritten; only `seen` ones count. Ordinates and variances have shape (n-1,).
+    The lost share of each bin's information has shape (b,), the drawn missing samples shape (g,).
     """
     n = samples.size
     gaps = np.flatnonzero(~seen)
@@ -55,7 +51,7 @@ def complete(
     samples -= mean
     groups = _groups(bins)
     pairs = _Pairs.of(gaps, n, groups)
-    # Ordinates 0 … n-1; long arrays are overwritten or deleted early to save memory.
+    # Long arrays are overwritten or deleted early to save memory.
     mean_of, count = dct2(samples), np.diff(groups, append=n - 1)
     variance, spectrum = np.zeros(groups.size), np.zeros(groups.size)
     longest = int(np.diff(np.flatnonzero(seen), prepend=-1, append=n).max()) - 1
@@ -81,8 +77,7 @@ def complete(
         error *= np.sqrt(gaps.size / (drawn @ error))
         variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
-    # From neighbouring groups too: if a group's own power set its weight, groups of large power would count
-    # for more, and the level would be too high.
+    # Smooth: if a group's own power set its weight, the level would be too high.
     share = variance / (_smooth(_means(mean_of[1:], groups), groups, count) + variance)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
     return mean_of[1:], np.repeat(variance, count), np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
@@ -91,8 +86,8 @@ def complete(
 def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
     """Return the means of a variance over neighbouring groups, shape of `groups`.
 
-    The scatter of a single random draw would add to the scatter of the ordinates. In a group alone, a draw
-    below its expectation could reduce the spectrum in each round, down to zero.
+    The scatter of a single draw would add to the scatter of the ordinates, and a low draw in a group alone
+    could reduce the spectrum in each round, down to zero.
     """
     middle, place = groups + 0.5 * count, np.arange(groups.size)
     first = np.minimum(np.searchsorted(middle, middle / _NEAR), np.maximum(place - _NEIGHBOURS, 0))
@@ -183,7 +178,6 @@ def _cosine_sums(lag: IntArray, weight: FloatArray, groups: IntArray, n: int) ->
 
 
 def _padded(values: FloatArray, gaps: IntArray, n: int) -> FloatArray:
-    """Return values at missing places and 0 elsewhere, shape (n,)."""
     padded = np.zeros(n)
     padded[gaps] = values
     return padded
@@ -206,7 +200,6 @@ def _means(ordinates: FloatArray, groups: IntArray) -> FloatArray:
 
 
 def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
-    """Return the half-open index range of each group."""
     return list(pairwise([*groups.tolist(), n]))
 
 

@@ -1,17 +1,15 @@
 """Fit of a given model to stored bins of one record or of several jointly.
 
-A likelihood ratio tests whether records of one sensor have the same coefficient: one for all records
-against one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). The other terms are free in each
-record, so that a change of one term is not attributed to another. Correlation times and the output filter
-come from the joint fit.
+A likelihood ratio tests whether records of one sensor have the same coefficient: one for all records against
+one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). The other terms are free in each record,
+so that a change of one term is not attributed to another. Correlation times and the output filter come from
+the joint fit.
 
-Squared coefficients may be negative. A fit keeps variances positive, so its estimate of an absent term is
-positive on average. But the spectrum is linear in the variances, and weighted least squares are unbiased if
-the weights do not follow low ordinates. The weights come from a spectrum with each weak term at one standard
-deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed., section 2.5). The standard deviation
-of an estimate grows with the coefficient and is given as a function of it. Weighting many logs by deviations
-at their own estimates would favour low estimates: for terms of two to four deviations the mean would be half
-to one deviation of a log too low, for any number of logs.
+Squared coefficients may be negative: estimates that are kept positive are too large on average if a term is
+absent. Weighted least squares are unbiased if the weights do not follow low ordinates, so the weights come
+from a spectrum with each weak term at one standard deviation (McCullagh & Nelder 1989, Generalized Linear
+Models, 2nd ed., section 2.5). The standard deviation is given as a function of the coefficient. Weighting
+many logs by deviations at their own estimates would favour low estimates.
 """
 
 import math
@@ -45,10 +43,10 @@ from imucal.noise.model import NoiseModel
 class BinFit:
     """A model fitted to the bins of some records, up to the end of the band, in one scale.
 
-    `problem` joins all records. `band` is the part of the spectrum used and the output filter's response in
-    it. `whole` is the fit of the given terms and of N, B and K, at zero if the data prefer that. `model` and
-    `estimates` are the reported ones: terms whose interval contains 0 are bounded and not in the model.
-    `misfits` maps symbols to the factors by which a misfit widens their limits; empty if the model fits.
+    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K, at zero if the data
+    prefer that. `model` and `estimates` are the reported ones: terms whose interval contains 0 are bounded
+    and not in the model. `misfits` maps symbols to the factors by which a misfit widens their limits; empty
+    if the model fits.
     """
 
     records: tuple[Ordinates, ...]
@@ -124,10 +122,9 @@ _RAISED = 8.0
 class RecordTest:
     """The test of one term over r records.
 
-    `statistic` is twice the drop of the log-likelihood with one coefficient for all records. If the records
-    share it, the statistic is chi-squared with r - 1 degrees of freedom; `p_value` is the probability of a
-    larger one. `values` are the records' coefficients in SI, shape (r,), 0 if the data prefer that.
-    `log_deviations` are the standard errors of their logarithms, shape (r,), inf if undetermined.
+    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared with
+    r - 1 degrees of freedom if they share it. `values` are the records' coefficients in SI, shape (r,), 0 if
+    the data prefer that. `log_deviations` are the standard errors of their logarithms, inf if undetermined.
     """
 
     key: str
@@ -203,7 +200,7 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
 _CLOSE, _ROUNDS = 1e-9, 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
-#: A deviation's growth is computed between zero and the estimate, at least this many deviations.
+#: A deviation's growth is computed between zero and the estimate, or this many deviations if it is smaller.
 _FAR = 4.0
 #: Least size of the other terms in this computation, in their deviations.
 _FLOOR = 0.5
@@ -211,9 +208,9 @@ _FLOOR = 0.5
 
 @frozen
 class SquaredCoefficient:
-    """The estimate of a squared coefficient in SI², which may be negative, and its deviation.
+    """The estimate of a squared coefficient in SI², which may be negative.
 
-    Its standard deviation is ``deviation + growth * square``: `deviation` if the coefficient is zero.
+    Its standard deviation is ``deviation + growth * square`` for a true value `square`.
     """
 
     value: float
@@ -278,8 +275,8 @@ def _deviation_laws(
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
     `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. The weights follow
-    `spectrum`. The true spectrum is assumed with one term at a chosen value and the others at their most
-    likely values given it, because the estimates are correlated.
+    `spectrum`. The true spectrum has one term at a chosen value and the others at their most likely values
+    given it, because the estimates are correlated.
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2
@@ -315,6 +312,6 @@ def _inverse(slopes: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _deviations(slopes: FloatArray, size: FloatArray, spectrum: FloatArray) -> FloatArray:
-    """Return standard deviations from the expected information, shape of the slopes' rows."""
+    """Return standard deviations from the expected information, one per row of `slopes`."""
     inverse = _inverse(slopes, 0.5 * size / spectrum**2)
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)))

@@ -17,17 +17,17 @@ from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen
 
-#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum
-#: must reach `_SUM`, and the ratio of its density to the noise must reach `_TIMES`.
+#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum must
+#: reach `_SUM`, and the ratio of its density to the noise must reach `_TIMES`.
 _EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
 #: At least this many ordinates must be below the hump, and this share of all above it.
 _BELOW, _ABOVE = 16.0, 0.05
 #: White noise must be this share of the density in the `_NEXT` bins on both sides: otherwise a filter is more
 #: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
-#: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white
-#: noise behind a filter. Its cells of `_CELL` octaves contain at least `_COUNT` ordinates and may differ by
-#: `_EVEN` in addition to chance.
+#: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white noise
+#: behind a filter. Its cells of `_CELL` octaves contain at least `_COUNT` ordinates and may differ by `_EVEN`
+#: in addition to chance.
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
 #: The interval is widened by this factor: the bins next to the run may belong to it and be low by chance.
 _GUARD = 1.2
@@ -55,7 +55,7 @@ class Hump:
 def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
     """Return the hump in the spectrum of noise with a `structure` of power laws; None if there is none.
 
-    Whether the structure describes the rest of the spectrum is for the caller to check.
+    The caller checks whether the structure describes the rest of the spectrum.
     """
     order = np.argsort(ordinates.fraction, kind="stable")
     fraction, size = ordinates.fraction[order], ordinates.size[order]
@@ -95,7 +95,7 @@ def find_hump(ordinates: Ordinates, structure: Structure) -> Hump | None:
 
 
 def is_plateau(fraction: FloatArray, size: FloatArray, density: FloatArray, ratio: FloatArray) -> bool:
-    """Return whether a run of bins is a plateau and not a hump.
+    """Whether a run of bins is a plateau and not a hump.
 
     `ratio` is the density of the run relative to the noise; the other arrays also contain the bins below it.
     """

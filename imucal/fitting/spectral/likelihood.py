@@ -1,14 +1,12 @@
 """The likelihood of many models at once, on binned DCT ordinates.
 
-A debiased Whittle likelihood: the ordinates X_k of the DCT-II are modelled as independent normal
-with variance S_k, the exact expectation of X_k² for the sampled, finite series:
+A debiased Whittle likelihood: the ordinates X_k of the DCT-II are modelled as independent normal with
+variance S_k, the exact expectation of X_k² for the sampled, finite series:
 
     -log L = 1/2 sum_k [log S_k + (X_k - c_k beta)² / S_k]
 
 It is exact for white noise plus random walk plus ramp. beta (ramp, temperature …) is the generalised
-least-squares solution. The response of the output filter is
-
-    |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
+least-squares solution. `band` defines the response of the output filter.
 
 Source: Sykulski et al. (2019), Biometrika 106, "The debiased Whittle likelihood". The DCT instead of the
 Fourier transform removes the leakage.

@@ -1,8 +1,8 @@
 """Spectral lines: detection, exclusion and likely causes.
 
 An ordinate whose square exceeds the local level by more than chance belongs to a line (a motor, mains, a
-clock). It is left out together with its neighbours. The lowest ordinates are never left out: they contain the
-random walk and the drift.
+clock). It is left out together with its neighbours, except the lowest ordinates, which contain random walk
+and drift.
 """
 
 from collections.abc import Sequence
@@ -124,7 +124,6 @@ def local_level(
 
 
 def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return the sum and the largest of the squared ordinates of each bin, shape (b,) each."""
     total, peaks = np.empty((2, bins.size))
     for here, seen, starts in bins.parts():
         square = np.square(ordinates[seen])
@@ -134,10 +133,7 @@ def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray,
 
 
 def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin.
-
-    Each bin's sum of squares is `total`, its number of ordinates `count`, shape (b,).
-    """
+    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
     mean = np.log(np.maximum(total, 1e-300) / np.maximum(count, 1.0))
     known = np.flatnonzero(count > 0)
     mean = np.interp(np.arange(mean.size), known, mean[known])
@@ -163,7 +159,7 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
 
 
 def _is_line(square: FloatArray, near: IntArray) -> bool:
-    """Return whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
+    """Whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
 
     At low frequencies the bins are as narrow as the neighbourhood. A wandering line is as wide as all found
     ordinates; a resonance is wider, and at an edge the noise on one side is as high.
@@ -181,7 +177,6 @@ def _is_line(square: FloatArray, near: IntArray) -> bool:
 
 
 def _exceeds(square: FloatArray, top: int, others: FloatArray) -> bool:
-    """Return whether an ordinate exceeds the median of others by more than chance."""
     limit = _limit(np.array([_MEDIAN_EFFICIENCY * others.size]), _CHANCE / square.size)
     return bool(square[top] > limit[0] * np.median(others) / _MEDIAN)
 
@@ -203,8 +198,8 @@ def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
 def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
     """Return the ordinates minus the sines whose tails are too wide to be left out, and the sines.
 
-    Each sine is fitted by least squares to the ordinates around it, where the noise is nearly white. A line
-    that is not a steady sine is not subtracted.
+    Each sine is fitted by least squares to the ordinates around it. A line that is not a steady sine is not
+    subtracted.
     """
     found: list[Sine] = []
     for _ in range(_MAX_SINES):
@@ -228,7 +223,6 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
 
 
 def _fitted_sine(ordinates: FloatArray, n: int, top: int) -> Sine:
-    """Return the least-squares sine of the ordinates around index `top`."""
     first = max(top - _ABOUT, 0)
     seen = ordinates[first : top + _ABOUT + 1]
     theta = np.asarray(np.pi / n * np.arange(first + 1, first + 1 + seen.size), dtype=np.float64)
@@ -268,7 +262,7 @@ _MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
 
 
 def likely_cause(frequency_hz: float, *, rate_hz: float, resolution_hz: float) -> str:
-    """Return a short text about the likely cause of a tone in samples of a given rate.
+    """Return the likely cause of a tone.
 
     Frequencies above half the rate appear folded: |f - k rate|. A cause must match within the resolution.
     """

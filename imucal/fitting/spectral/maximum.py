@@ -1,13 +1,13 @@
 """Maximum of the likelihood of many models at once: blind starting values, then damped Fisher scoring.
 
-Every set of terms is a mixture from a dictionary: the four power laws, and the spectra of the other
-terms on a grid of correlation times. Multiplicative updates minimise the Itakura-Saito divergence, which is
-the negative log-likelihood. They find the weights of all sets at once, without a guess or random numbers.
-Fisher scoring, damped as by Levenberg and Marquardt, starts at the best mixtures.
+Every set of terms is a mixture from a dictionary: the four power laws, and the spectra of the other terms on
+a grid of correlation times. Multiplicative updates minimise the Itakura-Saito divergence, the negative
+log-likelihood, for all sets at once. Fisher scoring, damped as by Levenberg and Marquardt, starts at the best
+mixtures.
 
-Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with the
-beta-divergence" (the majorisation-minimisation update, exponent 1/2, and the majorisation-equalisation
-update, exponent 1, which needs half as many rounds).
+Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with the beta-divergence" (the
+majorisation-minimisation update, exponent 1/2, and the majorisation-equalisation update, exponent 1, which
+needs half as many rounds).
 """
 
 from dataclasses import fields
@@ -40,8 +40,8 @@ _JOIN = 8.0
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
     """Return the mask of the models that are far behind the best and do not catch up, shape (c,).
 
-    `value` is the objective after `steps` steps, and `gain` the gain of the last one. On simulated and real
-    logs, no model that ends within 12.5 of the best is given up.
+    `gain` is the gain of the last of `steps` steps. On simulated and real logs, no model that ends within
+    12.5 of the best is given up.
     """
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
@@ -81,10 +81,9 @@ def maximize(
 ) -> Fits:
     """Maximise the likelihood of each model from its row of `start`, shape (c, p).
 
-    `free`, shape (c, p), is the mask of the parameters to move, by default all parameters of a model. `ramp`
-    is a fixed ramp, see `evaluate`. The search ends if a step gains less log-likelihood than `tolerance`. If
-    a `handicap`, shape (c,), is given, it is added to the objectives, and models far behind the best are
-    given up early.
+    `free`, shape (c, p), masks the parameters to move, by default all. `ramp` is a fixed ramp, see
+    `evaluate`. The search ends if a step gains less log-likelihood than `tolerance`. A `handicap`, shape
+    (c,), is added to the objectives, and models far behind the best are given up early.
     """
     low, high = bounds(ordinates, models)
     moving = models.free if free is None else free & models.free
@@ -128,7 +127,6 @@ def _step(
     *,
     limits: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Return the parameters of some rows after a damped scoring step inside the bounds."""
     low, high = limits
     theta, score = state.theta[rows], state.score[rows]
     at_bound = (theta <= low) & (score > 0) | (theta >= high) & (score < 0)
@@ -146,8 +144,8 @@ def _step(
 def misfit(ordinates: Ordinates, found: Fits) -> Goodness:
     """Return the misfit of one model to the ordinates that it was fitted to.
 
-    The sum of X²/S over a group is chi-squared with n degrees of freedom: it has mean n and variance 2n, and
-    the squared standardised residual has mean 1 and variance 2 + 12/n.
+    The sum of X²/S over a group is chi-squared with n degrees of freedom: the squared standardised residual
+    has mean 1 and variance 2 + 12/n.
     """
     _, size, residual = _residuals(ordinates, found)
     square = float(np.mean(residual**2))
@@ -175,7 +173,7 @@ def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
 
 
 def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return groups of bins: the first bin, the degrees of freedom and the residual of each."""
+    """Return the first bin, the degrees of freedom and the residual of groups of bins."""
     ratio = ordinates.rest(found.beta[0]) / found.spectrum[0]
     group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
     first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
@@ -196,7 +194,7 @@ _TINY = 1e-140
 
 
 def time_grid(ordinates: Ordinates, shortest: float) -> FloatArray:
-    """Return correlation times in samples, log-spaced over what the record can show."""
+    """Return correlation times in samples, log-spaced over the record."""
     highest = float(ordinates.fraction.max())
     low = max(shortest, 2.0) / highest**0.5
     high = max(ordinates.samples / 6, 2 * low)
@@ -215,8 +213,7 @@ def find_starts(
 
     The results are the model of each start, shape (s,), and its parameters, shape (s, p). A model with more
     than two terms of one kind has a single start with evenly spread times. `quick` selects mixtures after a
-    quarter of the rounds, enough if only the best of many models matters. Mixtures describe the noise before
-    the output filter if its `response` is given.
+    quarter of the rounds. With a `response`, mixtures describe the noise before the output filter.
     """
     times = time_grid(ordinates, models.shortest)
     plans = [_plan(tuple(row), models.slots[SHAPED:]) for row in models.has[:, SHAPED:].tolist()]
@@ -261,7 +258,6 @@ def _plan(has: tuple[bool, ...], slots: tuple[str, ...]) -> IntArray:
 
 
 def _combinations(count: int) -> list[tuple[int, ...]]:
-    """Return sets of places in the grid of one kind."""
     if count > 2:
         return [tuple(np.linspace(0, _GRID - 1, count).round().astype(int).tolist())]
     return list(combinations(range(_GRID), count))
@@ -324,7 +320,6 @@ def _spectra(ordinates: Ordinates, kind: type[NoiseTerm], times: FloatArray) -> 
 def _mix(
     ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray, rounds: int, exponent: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the weights after some rounds of multiplicative updates, and -log L."""
     plenty = np.ascontiguousarray((dictionary * ordinates.size).T)
     transposed = np.ascontiguousarray(dictionary.T)
     for _ in range(rounds):

@@ -1,12 +1,12 @@
 """Maximum likelihood on the spectrum of the samples: the default method.
 
-The fit includes an output filter, and excludes lines and frequencies above its band; the Allan curve
-contains them all. With the response H of the Allan variance, the share of noise in the curve is
+The fit includes an output filter, and excludes lines and frequencies above its band; the Allan curve contains
+them all. With the response H of the Allan variance, the share of noise in the curve is
 
     sum H S_model / (sum H S_seen + lines).
 
-S_seen is the model behind its filter, and above the band the measured spectrum. Errors of the sums over
-bins cancel in the ratio.
+S_seen is the model behind its filter, and above the band the measured spectrum. Errors of the sums over bins
+cancel in the ratio.
 """
 
 from dataclasses import replace
@@ -73,20 +73,15 @@ def fit_mle(
     if series is None:
         msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
         raise ValueError(msg)
-    # Transform the samples, find what is not noise, and select the part of the spectrum to fit.
     view = spectral_view(series, settings, temperature)
     widening = {"N": heavy_tails(series.samples)}
     problem = Problem(ordinates=view.ordinates, level=settings.level, tau0=series.tau0, widening=widening)
-    # Maximise the likelihood of every candidate, and sort the candidates by their criterion.
     choice = _choice(problem, view.band, settings)
-    # Take the limits from the profile of the likelihood, over all models near the best.
     fitted, own, estimates = _estimates(problem, choice, view, settings)
-    # Compare the spectrum with the model: a misfit makes intervals too narrow.
+    # A misfit makes intervals too narrow.
     found = misfit(view.ordinates, fitted)
     misfits = misfits_of(problem, fitted, found)
-    # Name the output filter by its fitted response.
     response = response_of(fitted, view.band, series.rate_hz)
-    # Take the covariance from the information at the maximum.
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
 
@@ -105,7 +100,7 @@ def fit_mle(
         )
         return segments, find_variance_change(series)
 
-    # Fit the segments of the record: terms that change make intervals too narrow.
+    # Terms that change over the record make intervals too narrow.
     (segments, change), not_compared = try_side_work(
         over_time,
         (None, None),
@@ -113,7 +108,6 @@ def fit_mle(
         code="nonstationary",
         axis=series.name,
     )
-    # Widen the intervals by both, and number terms of the same kind.
     covariance = widened_covariance(names, covariance, segments, misfits)
     estimates, names = numbered(_or_filter(widened(estimates, segments, misfits), view.band), names)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
@@ -178,7 +172,7 @@ def _estimates(
 
 
 def _or_filter(estimates: tuple[Estimate, ...], band: Band) -> tuple[Estimate, ...]:
-    """Return the estimates; behind a filter that may be a Gauss-Markov term, N has that alternative."""
+    """Add Gauss-Markov noise to N's alternatives, if it may explain the spectrum instead of a filter."""
     if not band.masked:
         return estimates
     markov = GaussMarkov.symbol
@@ -186,7 +180,6 @@ def _or_filter(estimates: tuple[Estimate, ...], band: Band) -> tuple[Estimate, .
 
 
 def _choice(problem: Problem, band: Band, settings: FitSettings) -> RankedModels:
-    """Return the fit of the given structure, or the fits of all candidates by their criterion."""
     return choose(
         problem.ordinates,
         _structures(settings.structure, settings.max_gm, white=band.poles > 0 or band.hump is not None),

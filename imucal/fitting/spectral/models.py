@@ -35,10 +35,9 @@ COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 class Models:
     """The terms, regressors and response orders of c models.
 
-    `slots` are the symbols of the s slots, and `has`, shape (c, s), is the mask of those in each model.
-    `poles` and `zeros`, shape (c,), are the orders of the response's denominator and numerator; a row has
-    `room_poles` columns for the response. `regressors`, shape (c, r), is the mask of the regressors `names`
-    in each model. Correlation times are at least `shortest` samples.
+    `has`, shape (c, s), masks the symbols `slots` in each model, `regressors`, shape (c, r), the regressors
+    `names`. `poles` and `zeros`, shape (c,), are the orders of the response; a row has `room_poles` columns
+    for it. Correlation times are at least `shortest` samples.
     """
 
     slots: tuple[str, ...]
@@ -116,8 +115,7 @@ class Models:
     def columns(self, theta: FloatArray) -> list[tuple[str, int]]:
         """Return name and column of each parameter of the first model except R, such as ("GM1.T", 5).
 
-        A single Gauss-Markov term is called ``GM``; several are called ``GM1``, ``GM2`` …, sorted by rising
-        time in `theta`, shape (p,).
+        Several Gauss-Markov terms are ``GM1``, ``GM2`` …, sorted by rising time in `theta`, shape (p,).
         """
         slots = np.flatnonzero(self.has[0]).tolist()
         time = {at: at + len(self.slots) - SHAPED for at in slots if at >= SHAPED}
@@ -150,9 +148,8 @@ def models_of(
 ) -> Models:
     """Return one model for each structure, with all of the regressors `names`.
 
-    The ramp ``R`` is only in structures that contain it. `poles` and `zeros` of the output filter's response
-    are equal for all models or given for each. `room_poles` is the number of columns for the response, by
-    default the largest of `poles`.
+    The ramp ``R`` is only in structures that contain it. `poles` and `zeros` are equal for all models or
+    given for each. `room_poles` is by default the largest of `poles`.
     """
     count = len(structures)
     most = {symbol: max((own.count(symbol) for own in structures), default=0) for symbol in TERMS}
@@ -173,10 +170,7 @@ def models_of(
 
 
 def all_structures(max_gm: int, *, method: str = "mle", quantization: bool = True) -> list[Structure]:
-    """Return every sum of the terms that a method fits, except the ramp alone.
-
-    Repeatable terms are in it up to `max_gm` times.
-    """
+    """Return every sum of the terms that a method fits, except the ramp alone."""
     choices = [
         [(symbol,) * count for count in (range(max_gm + 1) if TERMS[symbol].repeatable else (1, 0))]
         for symbol in _fitted(method)

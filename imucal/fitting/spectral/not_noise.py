@@ -38,8 +38,7 @@ _ONE_SHIFT = 0.02
 def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tuple[Finding, ...]:
     """Return findings about disturbances of an axis at rest; () if it is too short for a noise model.
 
-    Samples are finite, gaps are allowed; `temperature`, shape (n,), is in degrees Celsius at the samples, or
-    None. These are the first steps of `fit_mle` and take about a quarter of its time.
+    Samples are finite, gaps are allowed; `temperature`, shape (n,), is in degrees Celsius at the samples.
     """
     try:
         blocks = make_blocks(series, temperature)
@@ -138,7 +137,6 @@ def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], f
 
 
 def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
-    """Return the finding about an output filter or a vibration that shapes the spectrum."""
     nyquist, corner = series.rate_hz / 2, corner_of(band)
     if band.hump:
         return (hump_finding(band.hump, rate_hz=series.rate_hz, axis=series.name, fitted=False),)
@@ -161,10 +159,7 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
 def disturbance_findings(
     found: Sequence[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
 ) -> tuple[Finding, ...]:
-    """Return a finding for each kind that was found; `scale` is U per scaled unit.
-
-    If they are `fitted` with the noise, the finding explains it.
-    """
+    """Return a finding for each kind; `scale` is U per scaled unit, `fitted` if the fit removes them."""
     kinds = {kind: [one for one in found if one.kind == kind] for kind in _WORDS}
     return tuple(_WORDS[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
 
@@ -197,7 +192,7 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
 
 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
-    """Name the jumps in order of time; the longest part without one is worth keeping.
+    """Report the jumps in order of time; the longest part without one is worth keeping.
 
     Jumps in one direction shortly after each other are reported as one gradual shift.
     """

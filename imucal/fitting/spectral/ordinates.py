@@ -27,7 +27,7 @@ from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = tuple(PowerLaw)
-#: First column of the other terms in a row of parameters, which starts with the variances of the power laws.
+#: First column after the variances of the power laws in a row of parameters.
 SHAPED = len(LAWS)
 #: Starting values use at most the number of bins of this many blocks.
 _FEW_BLOCKS = 2
@@ -44,9 +44,9 @@ class Ordinates:
     mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k for a single ordinate k
     and 0 for several. `basis`, shape (4, b), is the expected square for a unit variance of each of `LAWS`.
 
-    The regressors `names` are removed by generalised least squares; ``R`` is the ramp. `cross`, shape (r, b),
-    are sums of ordinate times regressor's ordinate, and `gram`, shape (r, r, b), sums of products of
-    regressors' ordinates. `top` is lam at the upper end of the band, the unit of a response's coefficients.
+    For the regressors `names`, `cross`, shape (r, b), are sums of ordinate times regressor's ordinate, and
+    `gram`, shape (r, r, b), sums of products of regressors' ordinates. `top` is lam at the upper end of the
+    band, the unit of a response's coefficients.
     """
 
     scale: float
@@ -139,8 +139,8 @@ def _basis(bins: DctBins) -> FloatArray:
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
     """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins.
 
-    A new block starts where the frequency decreases. If there are many blocks, bins of similar frequency are
-    merged again, so that their number does not grow with the number of blocks.
+    If there are many blocks, bins of similar frequency are merged again, so that their number does not grow
+    with the number of blocks.
     """
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
@@ -182,8 +182,8 @@ def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
 def exponential_ordinates(n: int, count: int, time: float, offset: int) -> FloatArray:
     """Return the ordinates k = 1 … count of exp(-(offset + t)/time), t = 0 … n-1.
 
-    With phi = exp(-1/time): sqrt(2/n) (1 - phi) cos(theta/2) (1 - (-1)^k phi^n) / den, and
-    den = (1 - phi)² + 4 phi sin²(theta/2).
+    With phi = exp(-1/time): sqrt(2/n) (1 - phi) cos(theta/2) (1 - (-1)^k phi^n) / den, and den = (1 - phi)² +
+    4 phi sin²(theta/2).
     """
     k = np.arange(1, count + 1, dtype=np.float64)
     half = np.pi / (2 * n) * k
@@ -203,7 +203,7 @@ def regressor_ordinates(
 ) -> FloatArray:
     """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on.
 
-    `temperature`, shape (n,), is given at these samples. Ordinate 0, the constant, is left out.
+    `temperature`, shape (n,), is given at these samples.
     """
     kind, value = _parsed(name)
     if kind == "temperature":
@@ -264,8 +264,8 @@ def cycle_ordinates(
 ) -> FloatArray:
     """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
 
-    With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel:
-    sqrt(2/n)/2 sum over a = omega ± theta of D(a) cos(n a/2 + phase). The arguments are broadcast together.
+    With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel: sqrt(2/n)/2 sum over a = omega ± theta of D(a)
+    cos(n a/2 + phase). The arguments are broadcast together.
     """
     total: FloatArray | float = 0.0
     for angle in (omega + theta, omega - theta):

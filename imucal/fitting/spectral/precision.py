@@ -1,9 +1,8 @@
 """Precision of each coefficient that a record of a given length allows: the numerical Cramér-Rao bound.
 
-The squared DCT ordinates of a record are independent with the expectation S(theta), so the
-information on variance parameters is half the sum of d ln S d ln S' over all ordinates. With bins this sum
-has a few hundred terms for a record of any length. The information on the ramp, a mean, is the sum of its
-squared ordinates over S.
+The squared DCT ordinates of a record are independent with the expectation S(theta), so the information on
+variance parameters is half the sum of d ln S d ln S' over all ordinates. The information on the ramp, a mean,
+is the sum of its squared ordinates over S.
 
 Source: Whittle (1953); the limits for N, K, B and R alone are in the tests.
 """
@@ -32,8 +31,8 @@ def relative_deviations(
 ) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
-    The fit has every term of the model and the `added` power laws, whose coefficients are zero. The
-    result is infinite for a term with coefficient 0, and for a record with fewer samples than parameters.
+    The fit has every term of the model and the `added` power laws, whose coefficients are zero. The result is
+    infinite for a term with coefficient 0, and for a record with fewer samples than parameters.
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
@@ -66,10 +65,7 @@ def relative_deviations(
 
 
 def _deviations(scaled: FloatArray, length: FloatArray) -> list[float]:
-    """Return the square roots of the diagonal of (scaled scaled')^-1, inf if rows are collinear.
-
-    `length` contains the norm of each row.
-    """
+    """Return the square roots of the diagonal of (scaled scaled')^-1, inf if rows are collinear."""
     if not scaled.size:
         return []
     # The QR factor of the rows has the square root of the information's condition, not its square.

@@ -1,10 +1,8 @@
 """The fitted model in each segment of a record, to test which terms change.
 
-Segments have equal duration. They use the whole record's scale, lines, drift, completed gaps, correlation
-times and output filter.
-
-A term is tested with free white noise, so that a change of the white noise is not attributed to the term.
-White noise is tested with a free common factor of all slower terms.
+Segments have equal duration and the whole record's scale, lines, drift, completed gaps, correlation times and
+output filter. A term is tested with free white noise, so that a change of the white noise is not attributed
+to the term. White noise is tested with a free common factor of all slower terms.
 """
 
 import math
@@ -45,8 +43,8 @@ _REACH = 3
 class SegmentOrdinates:
     """The ordinates of all segments, one after the other, without regressors.
 
-    Each segment has the index of its `first` bin, and its start and end in s from the first sample; shape
-    (s,) each.
+    `first` is the index of each segment's first bin, `start_s` and `end_s` are from the first sample; shape
+    (s,).
     """
 
     ordinates: Ordinates
@@ -67,7 +65,7 @@ def segment_ordinates(
     """Return the ordinates of each segment of finite samples, or None if there are too few samples.
 
     Segments with too few samples are left out. `drift` maps regressors to take out to their coefficients in
-    scaled units. `wanted` is the largest number of segments, `band` the fitted part of the spectrum.
+    scaled units. `wanted` is the largest number of segments.
     """
     count = number_of_segments(series.n, wanted)
     if not count:
@@ -131,7 +129,6 @@ def _piece(
 
 
 def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray:
-    """Return samples at their places, with drawn samples in the gaps."""
     filled = np.empty(samples.size + drawn.size)
     gaps = np.ones(filled.size, dtype=bool)
     gaps[at] = False
@@ -174,7 +171,7 @@ def fit_segments(
     """Return the segments of a fit of finite samples, or None if there are too few samples.
 
     `fitted` is the reported model, `model` the same in SI. The averaging time of the floor is its minimum on
-    the series' `curve`. `wanted` and `band` as in `segment_ordinates`.
+    the series' `curve`.
     """
     names, beta = problem.ordinates.names, fitted.beta[0].tolist()
     drift = {name: value for name, value in zip(names, beta, strict=True) if value}
@@ -284,10 +281,10 @@ class _Tests:
         return n, Trace(value=np.exp(value), low=np.exp(low), high=np.exp(high)), tau
 
     def _shape_error(self, row: int, shares: Mapping[str, float], slow: float) -> float:
-        """Return the standard error of the log of the floor's square that scales of its parts leave.
+        """Return the standard error of the log of the floor's square due to the ratios of the slow terms.
 
-        All segments use the whole record's ratios of the slow terms. If a ratio is wrong, the fitted scales
-        are right at other frequencies than the floor's.
+        All segments use the whole record's ratios. If a ratio is wrong, the fitted scales are right at other
+        frequencies than the floor's.
         """
         own = self.fitted.variances()
         keys = [key for key in shares if key in own]

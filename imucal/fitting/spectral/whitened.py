@@ -1,7 +1,7 @@
 """The gain of regressors in the log-likelihood, without a fit of each.
 
-The whitened ordinates select the shapes worth a fit: at a given spectrum, the log-likelihood that a regressor
-gains is half its squared correlation with them, after both are made orthogonal to the fit's regressors.
+At a given spectrum, the log-likelihood that a regressor gains is half its squared correlation with the
+whitened ordinates, after both are made orthogonal to the fit's regressors.
 """
 
 from collections.abc import Sequence
@@ -30,8 +30,8 @@ class Whitened:
     """The lowest ordinates of blocks, divided by the root of their spectrum, minus the fitted regressors.
 
     `weight` is 1/sqrt(S) of each block's ordinates, 0 if they are left out, shapes (k,). `rest` are the
-    whitened ordinates of all blocks, shape (K,), and `base` an orthonormal basis of the whitened regressors,
-    (K, r).
+    whitened ordinates of all blocks, shape (K,), and `base`, (K, r), an orthonormal basis of the whitened
+    regressors.
     """
 
     blocks: tuple[Block, ...]
@@ -88,7 +88,6 @@ class Whitened:
 
     def cycles(self, omega: FloatArray) -> FloatArray:
         """Return the gain of a cycle of each angular frequency, rad/sample, shape of `omega`."""
-        # Cosine and sine of each frequency, shapes (2, w, k).
         shapes, quarter = [], np.array([0.0, -np.pi / 2])[:, np.newaxis, np.newaxis]
         for block, own in zip(self.blocks, self.weight, strict=True):
             theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
@@ -110,7 +109,7 @@ class Whitened:
 
         Places nearer than `apart` to one of `taken` are left out. The choice is the effective number of
         independent places: in pure noise the best gain exceeds u with a probability of about this number
-        times exp(-u/2), if that is small.
+        times exp(-u/2).
         """
         first, choice, best = 0, 0.0, (0.0, 0.0)
         near = [(place - apart, place + apart) for place in taken]
@@ -133,8 +132,8 @@ def _best_step(
     """Return place and gain of the best step inside one block, and the number of places to choose among.
 
     A step's ordinates are sines of its place, so sine transforms give the products of all places at once. The
-    number is the expected count of zero crossings of the root of the gain in pure noise, by Rice (1945),
-    Bell Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
+    number is the expected count of zero crossings of the root of the gain in pure noise, by Rice (1945), Bell
+    Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
     """
     n, count = block.bins.n, weight.size
     places = max(_PLACES, 2 * count)
