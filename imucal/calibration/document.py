@@ -1,6 +1,6 @@
 """`calibration.json`: the whole result in SI units, and the part that exports read back.
 
-The layout is pinned by ``schema/calibration-1.schema.json``.
+``schema/calibration-1.schema.json`` defines the layout.
 """
 
 import json
@@ -88,24 +88,10 @@ def schema() -> JsonObject:
 class Intrinsics(ReadOnlyArrays):
     """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
 
-    Attributes
-    ----------
-    source, topics, kind
-        Name of the log, its topics and its format.
-    frame
-        A key of `FRAMES`.
-    C_a, b_a, diagonal_C, diagonal_b
-        Accelerometer, and its best fit without misalignment; shapes (3, 3) and (3,).
-    C_g, b_g, G
-        Gyroscope; None without one. C_g is None if no turn could be used.
-    gravity
-        In m/s².
-    means
-        Raw means of the rests that were used, shape (m, 3).
-    weak
-        Parameters that the log does not determine, or only weakly.
-    warnings
-        Codes of the warnings and errors of the calibration.
+    `kind` is the format of the log. `diagonal_C` and `diagonal_b` are the accelerometer's best fit without
+    misalignment. The gyroscope's C_g, b_g and G are None without one; C_g is None if no turn could be used.
+    `means`, shape (m, 3), are raw means of the used rests. `weak` are parameters that the log does not
+    determine, or only weakly. `warnings` are codes of warnings and errors.
     """
 
     source: str

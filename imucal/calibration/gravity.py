@@ -28,10 +28,7 @@ class Gravity:
 
 @frozen
 class EarthRate:
-    """The earth's rotation about the vertical with its deviation, and the deviation of each horizontal axis.
-
-    All in rad/s.
-    """
+    """The earth's rotation about the vertical, in rad/s, its deviation, and that of each horizontal axis."""
 
     vertical: float
     vertical_sigma: float
@@ -67,7 +64,7 @@ def earth_rate(latitude: float | None) -> EarthRate:
     """Return the earth's rotation at a latitude in degrees; without one, only its deviation."""
     if latitude is None:
         share = EARTH_RATE / math.sqrt(2)
-        # The horizontal part has its size at the equator: a smaller one would not cover there.
+        # A smaller horizontal part than at the equator would not cover there.
         return EarthRate(vertical=0.0, vertical_sigma=share, horizontal_sigma=share)
     phi = math.radians(latitude)
     horizontal = EARTH_RATE * math.cos(phi) / math.sqrt(2)

@@ -16,24 +16,10 @@ def mean_covariance(
     """Return the covariance of span means minus the mean over the whole log, shape (m, m), in U².
 
     The generalised variance V(n) of the sum of n samples gives the covariance of two sums up to terms that
-    cancel in any contrast. The mean over the log is subtracted, so every entry is a contrast. The result is
-    valid for white noise, flicker, random walk and every other term with a `sum_variance`.
-
-    Parameters
-    ----------
-    model
-        Noise of one axis.
-    spans
-        First sample and end of each span, on the clock's grid, shape (m, 2).
-    rate_hz
-        Sampling rate, in Hz.
-    samples
-        Length of the log in samples; by default the log starts with the first span and ends with the last.
-
-    Raises
-    ------
-    ValueError
-        If a span is empty or lies outside the log.
+    cancel in any contrast; minus the mean over the log, every entry is a contrast. `spans`, shape (m, 2), are
+    first sample and end of each on the clock's grid. `samples` is the length of the log; by default the log
+    starts with the first span and ends with the last. Spans that are empty or outside the log raise a
+    ValueError.
     """
     spans = np.asarray(spans, dtype=np.int64).reshape(-1, 2)
     log = (int(spans[:, 0].min()), int(spans[:, 1].max())) if samples is None else (0, samples)

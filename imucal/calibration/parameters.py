@@ -42,7 +42,7 @@ class Parameter:
 
 
 def is_si(M: FloatArray) -> bool:
-    """Return whether a matrix is near 1, as of a sensor in SI units."""
+    """Whether a matrix is near 1, as of a sensor in SI units."""
     scales = np.linalg.norm(M, axis=1)
     return bool(np.all((scales < _SI) & (scales > 1 / _SI)))
 
@@ -99,10 +99,7 @@ def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str,
 def _seen(
     M: FloatArray, entries: list[tuple[int, int]], unit: str
 ) -> tuple[FloatArray, FloatArray, list[str]]:
-    """Return scale errors in % and misalignments M_ij / M_ii in deg, and units.
-
-    Also their derivatives in C by rows, shape (q, 9).
-    """
+    """Return scale errors in % and misalignments M_ij / M_ii in deg, derivatives in C by rows, and units."""
     si = is_si(M)
     values, rows, units = [], [], []
     # dM = -M dC M

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Row", "frame_of", "headline", "html_of", "readable", "remarks", "rows", "table", "text_of"]
 
-#: Unit of a parameter -> unit that people read, and its factor.
+#: Unit of a parameter -> unit in the table, and its factor.
 _UNITS = {
     "m/s^2": ("mm/s²", 1e3),
     "rad/s": ("deg/s", math.degrees(1.0)),
@@ -65,7 +65,7 @@ def rows(found: Calibration) -> tuple[tuple[str, tuple[Row, ...]], ...]:
 
 
 def readable(value: float, unit: str) -> tuple[float, str]:
-    """Return a value of a parameter in the unit that people read."""
+    """Return a value of a parameter in the unit of the table."""
     name, factor = _UNITS.get(unit, (unit, 1.0))
     return value * factor, name
 

@@ -19,7 +19,7 @@ _OWN = re.compile("|".join(map(re.escape, (FILE_NAME, NOISE_NAME, PAGE_NAME, *PI
 
 
 def is_calibration(path: Path) -> bool:
-    """Return whether a path is a calibration.json or its folder."""
+    """Whether a path is a calibration.json or its folder."""
     file = path / FILE_NAME if path.is_dir() else path
     return file.suffix == ".json" and has_schema(file, SCHEMA)
 
@@ -42,16 +42,8 @@ def write_calibration(
 ) -> tuple[Path, ...]:
     """Write the folder `out`; return its files, calibration.json first.
 
-    Parameters
-    ----------
-    found
-        The calibration.
-    out
-        The folder; a calibration that is there is replaced, other files are kept.
-    noise
-        The report that the calibration used; a copy is kept for exports.
-    html
-        Whether to write calibration.html and the three pictures.
+    A calibration that is there is replaced, other files are kept. A copy of the report `noise` is kept for
+    exports. If `html`, calibration.html and the three pictures are written too.
 
     Raises
     ------

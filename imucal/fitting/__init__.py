@@ -38,16 +38,14 @@ def fit(
     series
         The samples, or a curve alone for `gmwm` and `slope`.
     model
-        ``auto`` chooses among all sums of the terms; or the terms, such as ``N + B + K`` or
-        ``N + 2*GM + K``.
+        ``auto`` chooses among all sums of the terms; or terms, such as ``N + B + K`` or ``N + 2*GM + K``.
     method
         ``mle``: maximum likelihood on the samples' spectrum. ``gmwm``: generalised method of wavelet
         moments on the Allan curve. ``slope``: the classical reading of slopes.
     level
         Confidence level of every interval.
     criterion
-        Criterion of the choice between models: ``chance``, the same at any rate, ``bic``, ``hq``
-        (Hannan-Quinn) or ``aic``.
+        Criterion of the choice: ``chance``, the same at any rate, ``bic``, ``hq`` (Hannan-Quinn) or ``aic``.
     weights
         For gmwm: ``full`` covariance of the curve, or ``eta3``, the published diagonal.
     clean

@@ -24,15 +24,15 @@ BINS_VERSION = 1
 class Bins(ReadOnlyArrays):
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 
-    The samples form k unbroken blocks of lengths `n`, shape (k,). The b bins of all blocks follow each other;
-    `start`, shape (k,), is the index of each block's first bin. A bin begins with the ordinate `first`, shape
-    (b,), and ends where the next bin of its block begins. It has `size` degrees of freedom and a `power`, the
-    sum of its squared ordinates in units of `scale`², shape (b,) each.
+    The samples form k unbroken blocks of lengths `n`, shape (k,), whose bins follow each other; `start`,
+    shape (k,), is the index of each block's first bin. A bin begins with the ordinate `first`, shape (b,),
+    and ends where the next bin of its block begins. It has `size` degrees of freedom and `power`, the sum of
+    its squared ordinates in units of `scale`².
 
-    `names` are the regressors: ``R`` first, then the shapes that the fit of this axis took out. `cross`,
-    shape (r, b), are sums of ordinate times regressor's ordinate, in units of `scale`. `gram`, shape (r, r,
-    b), are sums of products of regressors' ordinates. `scale` is U per scaled unit, a power of two and so
-    exact. `tau0` is in s. `widening`, at least 1, is the factor by which heavy tails widen the interval of N.
+    `names` are the regressors: ``R``, then the shapes that the fit took out. `cross`, shape (r, b), are sums
+    of ordinate times regressor's ordinate, and `gram`, shape (r, r, b), of regressors' products. `scale` is U
+    per scaled unit, a power of two and so exact. `widening` is the factor by which heavy tails widen N's
+    interval.
     """
 
     n: IntArray
@@ -74,7 +74,7 @@ _HEAD = struct.Struct("<BBHHIIddd")
 def pack(bins: Bins) -> bytes:
     """Return bins as bytes: 7 kB for 10⁵ samples, more with regressors other than the ramp.
 
-    Results of `imucal.pool` change by less than 1e-6 of the width of an interval.
+    Rounding changes results of `imucal.pool` by less than 1e-6 of the width of an interval.
     """
     reference = _reference(bins)
     power, cross = _less(bins.power, bins.cross, bins.gram, reference)

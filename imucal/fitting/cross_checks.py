@@ -2,15 +2,12 @@
 
 `second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve. If the
 model is right, the variance of the difference of both estimates is the difference of their variances, because
-the maximum-likelihood fit is efficient. If the model is wrong, they weigh frequencies differently and
-disagree. Both must describe the same noise: `fit_of_curve` subtracts the shapes that the first fit took out
-and corrects the curve for the output filter and lines.
+the maximum-likelihood fit is efficient. If it is wrong, they weigh frequencies differently and disagree.
 
-`ambiguity_findings` reports a wrong spectrum that the Allan curve hides: different spectra can have the same
-curve. With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to (D(tau) -
-D(2 tau)/4)/tau^2, and the second part equals the first with S(f/2)/2 in place of S(f). So the curve depends
-only on S(f) - S(f/2)/2. A function Phi(f) = 2 Phi(2f) whose integral over an octave is zero does not change
-the curve at any tau.
+`ambiguity_findings` reports a wrong spectrum that the Allan curve hides. With D(tau) = integral of S(f)
+sin^2(pi f tau)/f^2 df the Allan variance is proportional to (D(tau) - D(2 tau)/4)/tau^2, and the second part
+equals the first with S(f/2)/2 in place of S(f). So the curve depends only on S(f) - S(f/2)/2. A function
+Phi(f) = 2 Phi(2f) whose integral over an octave is zero does not change it.
 
 Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7); Greenhall
 (1998), "Spectral ambiguity of Allan variance", IEEE Trans. Instrum. Meas. 47, 623.
@@ -44,10 +41,8 @@ _MIN_VARIANCE_RATIO = 0.25
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     """Return a finding for each term on which two fits of one axis disagree.
 
-    Coefficients that both fits estimate are compared on a logarithmic scale. If one fit only bounds a term,
-    the two disagree if the other's interval is above the bound. If there is an output filter, Q and N are not
-    compared: the curve still contains the filter. If segments of the record differ, both variances grow by
-    the first fit's widening.
+    Two estimates are compared on a logarithmic scale, a bound and an estimate by their limits. Q and N are
+    not compared behind an output filter, which the curve still contains.
     """
     findings = []
     filtered = any(finding.code == "output-filter" for finding in mle.findings)
@@ -162,8 +157,7 @@ def unseen_spectrum() -> Finding:
 def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple[Finding, ...]:
     """Return a finding if a fit describes the Allan curve but not the spectrum of the samples.
 
-    The check uses the frequencies of the averaging times in the fit, without the lowest bins. Fits of the
-    spectrum, and fits that do not describe the curve either, have their own findings.
+    Fits of the spectrum, and fits that do not describe the curve either, have their own findings.
 
     Source: Wilson & Hilferty (1931), PNAS 17, 684 (standard-normal scores).
     """

@@ -2,12 +2,11 @@
 
 The likelihood's interval assumes one stationary process, but users read it as a prediction of the next
 record. If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
-sqrt(Q/dof), as if each segment's error were larger by this factor. A misfit of the spectrum also widens
-intervals. The larger factor counts, because changing noise is one cause of a misfit.
+sqrt(Q/dof). A misfit of the spectrum also widens it; the larger factor counts, because changing noise is one
+cause of a misfit.
 
-Noise may change faster than the segments show. For stationary noise of any tails and filter, the mean squares
-of the samples' steps in neighbouring short windows differ as much as in distant ones. If they differ less,
-the variance changes with time.
+Noise may change faster than the segments show. For stationary noise, the mean squares of the samples' steps
+in neighbouring short windows differ as much as in distant ones. If they differ less, the variance changes.
 
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett (1937),
@@ -57,8 +56,8 @@ _NOTABLE_SPREAD = 0.05
 class VarianceChange:
     """A change of the noise's variance over time.
 
-    `score` of von Neumann's ratio is standard normal if the variance is constant. `low` and `high` are the 10
-    % and 90 % quantiles of the windows' noise, relative to their median. `period_s` is None if not periodic.
+    `score` is of von Neumann's ratio. `low` and `high` are the 10 % and 90 % quantiles of the windows' noise,
+    relative to their median. `period_s` is None if not periodic.
     """
 
     score: float
@@ -68,10 +67,7 @@ class VarianceChange:
 
 
 def find_variance_change(series: AxisSeries) -> VarianceChange | None:
-    """Return the change of the variance of an axis's steps, or None if it is small or due to chance.
-
-    Steps across gaps count too. O(n).
-    """
+    """Return the change of the variance of an axis's steps, or None if it is small or due to chance; O(n)."""
     count = min(_MAX_WINDOWS, (series.n - 1) // _MIN_WINDOW_SAMPLES)
     if count < _MIN_WINDOWS:
         return None
@@ -147,8 +143,7 @@ def homogeneity(
 def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[float, float] | None:
     """Return time, in s, and factor of a coefficient's single change; None if it changes otherwise.
 
-    The segment of the change contains both levels, which determines the time inside it. All segments before
-    it, and all after it, must agree within chance.
+    The segment of the change contains both levels; all before it, and all after it, must agree within chance.
     """
     whole, best = cochran_q(logs, weight), (math.inf, 0)
     for at in range(1, logs.size - 1):
@@ -182,8 +177,8 @@ def cochran_q(logs: FloatArray, weight: FloatArray) -> float:
 def bartlett_correction(information: FloatArray) -> float:
     """Return the mean of the likelihood ratio's test of equal variances, divided by its degrees of freedom.
 
-    `information`, shape (s,), on the log of each variance is half its degrees of freedom. At least one degree
-    of freedom is assumed, because the correction is an expansion.
+    `information`, shape (s,), on the log of each variance is half its degrees of freedom. At least one is
+    assumed, because the correction is an expansion.
     """
     freedom = np.maximum(2 * information, 1.0)
     part = float(np.sum(1 / freedom)) - 1 / float(freedom.sum())

@@ -51,12 +51,11 @@ def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
 class TermHomogeneity:
     """How much a term changes between segments.
 
-    `statistic` is chi-squared with `dof` degrees of freedom if the term is the same in all segments, and
-    `p_value` its tail probability. `spread` is the relative standard deviation of the coefficient between
-    segments in excess of chance. `factor` is the Birge ratio sqrt(statistic/dof), 1 if chance explains it.
-    `highest_s` and `lowest_s` are start and end, in s from the first sample, of the segments with the extreme
-    coefficients. `shift` is the time, in s, and the factor of a single lasting change; the report's JSON
-    contains it only in the text of the finding.
+    `statistic` is chi-squared with `dof` degrees of freedom if the term is the same in all segments. `spread`
+    is the relative standard deviation of the coefficient in excess of chance. `factor` is the Birge ratio
+    sqrt(statistic/dof), 1 if chance explains it. `highest_s` and `lowest_s` are start and end, in s from the
+    first sample, of the segments with the extreme coefficients. `shift` is the time, in s, and the factor of
+    a single lasting change; the report's JSON contains it only in the text of the finding.
     """
 
     key: str
@@ -139,19 +138,18 @@ class Estimate:
 
     `key` is the `symbol`, such as ``K``; several Gauss-Markov terms are ``GM1``, ``GM2``, by rising T.
     `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits. If the data do not show
-    the term, `status` is ``bounded``, `value` None, `low` 0 and `high` the upper bound at the level.
-    `correlation_time` is T of a Gauss-Markov term, in s. `alternatives` are symbols of terms that the record
-    can't distinguish from this one.
+    the term, `status` is ``bounded``, `value` None, `low` 0 and `high` the upper bound. `alternatives` are
+    symbols of terms that the record can't distinguish from this one.
 
-    `drawn` is the coefficient in the fit's model, in SI, or None if the model has no such term. A bounded
-    term is in the model if the model without it would be less likely. An estimate with a value but without
-    `drawn` describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times.
-    The `NoiseFit` sets `drawn` and `sensor`.
+    `drawn` is the coefficient in the fit's model, None if the model has no such term. A bounded term is in
+    the model if the model without it would be less likely. An estimate with a value but without `drawn`
+    describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times. The
+    `NoiseFit` sets `drawn` and `sensor`.
 
-    `horizon_s` is the longest time for which the coefficient is valid, in s: a walk that may be a
-    Gauss-Markov term is valid up to the lower limit of its T. `widening` is the factor by which the interval
-    is wider than the likelihood's, because segments differ or the model does not fit. `origin` describes a
-    number that is not an estimate of one record, such as a bound over many units.
+    `horizon_s` is the longest time for which the coefficient is valid: a walk that may be a Gauss-Markov term
+    is valid up to the lower limit of its T. `widening` is the factor by which the interval is wider than the
+    likelihood's, because segments differ or the model does not fit. `origin` describes a number that is not
+    an estimate of one record, such as a bound over many units.
     """
 
     key: str
@@ -233,9 +231,9 @@ class Response:
 class Goodness:
     """How well the model describes the fitted data.
 
-    `statistic` is a standard-normal score of the misfit, and `p_value` its tail probability. `chi2_per_bin`,
-    the mean squared standardised residual, is 1 if the model is right. `band_hz`, for a fit of the spectrum,
-    and `tau_s`, for a fit of the curve, are the lowest and highest values used. `lines` were left out.
+    `statistic` is a standard-normal score of the misfit; `chi2_per_bin`, the mean squared standardised
+    residual, is 1 if the model is right. `band_hz`, for a fit of the spectrum, and `tau_s`, for a fit of the
+    curve, are the lowest and highest values used. `lines` were left out.
     """
 
     statistic: float
@@ -269,28 +267,23 @@ class NoiseFit(Displayed):
     estimates
         One for each term of the model, and for N, B and K always.
     parameters, covariance
-        Names, shape (p,), such as ``N``, ``GM1.sigma``, ``GM1.T``; covariance of the estimated coefficients
-        in
-        SI, shape (p, p).
+        Names such as ``N``, ``GM1.sigma``, ``GM1.T``; covariance of the coefficients in SI, shape (p, p).
     used
         Indices of the points of `curve` within the part of the data that the fit used, shape (j,).
-    response
-        The sensor's output filter, if one was found.
     candidates
         Models within reach of the best, the chosen one (delta 0) first.
     criterion
         ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
     noise_share
-        The model's noise as a share of each of the curve's Allan variances, which an output filter or lines
-        also shape, shape (k,); None if neither was found.
+        The model's share of each of the curve's Allan variances, which an output filter or lines also shape,
+        shape (k,); None if neither was found.
     taken_out
         Regressors that were removed from the samples -> coefficients in U; the names are those of
         `imucal.fitting.spectral.ordinates`.
     segments
         Changes of the terms within the record; None if not tested.
     bins
-        The fitted binned spectrum for `imucal.pool`; for ``mle`` only, None if the fit was read back without
-        it.
+        The fitted binned spectrum for `imucal.pool`; None if not ``mle`` or read back without it.
     """
 
     method: str

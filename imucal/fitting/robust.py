@@ -76,13 +76,13 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
 
 
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
-    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
+    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it; O(n).
 
     If there are clearly no spikes, baseline and deviation are `samples` and 0. The baseline joins the medians
     of blocks of 100 samples by straight lines. A spike is more than 5 standard deviations (1.4826 median
     absolute deviations) from it, and beyond the distance that one in a hundred Gaussian records of this
     length reaches. More samples must be this far than in the tail of the Student's t with the same number
-    beyond 3 deviations. O(n).
+    beyond 3 deviations.
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -114,8 +114,7 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
 def _end_of_tail(distance: FloatArray, reach: float) -> float:
     """Return the end of the noise's own tail, at least `reach`; `distance`, shape (n,), in deviations.
 
-    Beyond it there are more samples than 1.5 times a Student's t has, by more than chance. The t has at least
-    3 degrees of freedom.
+    Beyond it there are more samples than 1.5 times a Student's t has, by more than chance.
     """
     n, count = distance.size, int(np.count_nonzero(distance > _BODY))
     normal = 2 * n * float(scipy.special.ndtr(-_BODY))
@@ -239,9 +238,8 @@ def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
 def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
-    The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; that
-    of its steps is k/2. Excess within four standard errors counts as none. Only steps between `neighbours`
-    count, shape (n-1,); all by default.
+    The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; the
+    excess kurtosis of its steps is k/2. Only steps between `neighbours` count, shape (n-1,); all by default.
     """
     if samples.size < 2:
         return 1.0

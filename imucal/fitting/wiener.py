@@ -1,9 +1,9 @@
 """Wiener filter of a noise model: its components, given all samples.
 
 In the basis of the likelihood, the DCT-II, the terms of a model are independent at each ordinate, with
-variances S_c that add up to S. The mean of a component given all samples is the Wiener filter S_c / S, and
-the variance of its error is S_c - S_c² / S at each ordinate. This is exact for white noise, quantization,
-random walk, ramp and level; for the other terms it is as accurate as the likelihood.
+variances S_c that add up to S. The mean of a component given all samples is S_c / S times the ordinate, and
+the variance of its error is S_c - S_c² / S. This is exact for white noise, quantization, random walk, ramp
+and level, and for the other terms as accurate as the likelihood.
 
 Missing samples are replaced by their mean given the others. Their filtered errors add to the standard errors.
 If they are many, conjugate gradients give the mean and random draws of the errors.
@@ -220,10 +220,10 @@ class _Unknown:
     """The samples to estimate: missing ones, and the first and the last one if they have extra noise.
 
     Quantization noise of q² per sample is a process with independent ordinates, and noise of q² in the first
-    and the last sample. `places`, shape (u,), are their indices and `known` the precision of their
-    observation, zero for missing ones. `covariance`, shape (u, u), of their errors is None if they are more
-    than `count`, the number of draws. `runs` precondition: the indices in `places` of all runs of one length,
-    shape (r, length), and the variances of their sines, shape (length,).
+    and the last sample. `places`, shape (u,), are indices and `known` the precision of their observation,
+    zero for missing ones. `covariance` of their errors is None if they are more than `count`, the number of
+    draws. `runs` precondition: the indices in `places` of all runs of one length, shape (r, length), and the
+    variances of their sines, shape (length,).
     """
 
     law: _Law

@@ -5,15 +5,15 @@ For a process y sampled at tau0 and averaging factor m,
     avar(m) = 2 * integral from 0 to 1/(2 tau0) of S(f) 2 sin^4(pi f m tau0) / (m sin(pi f tau0))^2 df
             = sum over k = 1 … 2m-1 of w_k (r_0 - r_k) / m^2,   w_k = (2m - k) - 4 max(m - k, 0)
 
-with the two-sided psd S of the *samples* and their autocovariance r. For a rate in continuous time,
-averaged over tau = m tau0, the first equation becomes
+with the two-sided psd S of the *samples* and their autocovariance r. For a rate in continuous time, averaged
+over tau = m tau0, the first equation becomes
 
     avar(tau) = 2 * integral from 0 to infinity of S(f) 2 sin^4(pi f tau) / (pi f tau)^2 df.
 
-Source: Guerrier, Molinari, Stebler: Allan variance, lemmas 4.1 and 4.2; IEEE Std 952-1997, eq. (C.4).
+The integral is computed octave by octave, towards 0 (and infinity) until the rest is a geometric tail. If
+sin^4 has many periods in an octave, it is integrated as cosines, at a cost that does not grow with m.
 
-The integral is computed octave by octave, towards 0 (and infinity) until the rest is a geometric tail.
-If sin^4 has many periods in an octave, it is integrated as cosines, at a cost that does not grow with m.
+Source: Guerrier, Molinari, Stebler: Allan variance, lemmas 4.1 and 4.2; IEEE Std 952-1997, eq. (C.4).
 """
 
 import math
@@ -182,18 +182,18 @@ def avar_from_psd(
     Parameters
     ----------
     psd
-        Two-sided density in U²/Hz (half of a one-sided one). Either a function of frequencies in Hz, shape
-        (k,), called only with positive ones; or two arrays, increasing frequencies and the density there.
-        The arrays are interpolated linearly on logarithmic axes and constant outside. Towards 0 the psd
-        must grow less steeply than 1/f³.
+        Two-sided density in U²/Hz (half of a one-sided one). Either a function of positive frequencies in Hz,
+        shape (k,); or increasing frequencies and the density there, interpolated linearly on logarithmic axes
+        and
+        constant outside. Towards 0 the psd must grow less steeply than 1/f³.
     m
         Averaging factors, whole numbers from 1, any shape.
     tau0
         Sampling period in s.
     sampled
-        True if the psd describes the samples; it is used up to 1/(2 tau0). False if it describes a rate in
-        continuous time, averaged over m tau0; it is then used at all frequencies and must grow less
-        steeply than f.
+        True if the psd describes the samples, up to 1/(2 tau0). False if it describes a rate in continuous
+        time,
+        averaged over m tau0; it is then used at all frequencies and must grow less steeply than f.
     breaks
         Frequencies in Hz where the psd jumps, or has a peak narrower than a hundredth of its frequency.
         Without them such features could be missed.

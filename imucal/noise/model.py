@@ -32,15 +32,7 @@ class NoiseModel:
     def parse(cls, text: str, sensor: Sensor = Sensor.GYROSCOPE) -> "NoiseModel":
         """Return the model of a text such as ``N=1e-3 + K=3e-6 + GM(sigma=1e-4, T=50)``.
 
-        A number may have a unit as in data sheets: ``N=0.3deg/sqrt(h) + B=5 °/h``. Without a unit it is
-        in SI.
-
-        Parameters
-        ----------
-        text
-            The model.
-        sensor
-            The sensor whose units are accepted.
+        A number is in SI, or has a unit of the `sensor` as in data sheets: ``N=0.3deg/sqrt(h) + B=5 °/h``.
 
         Raises
         ------
@@ -95,8 +87,8 @@ class NoiseModel:
 def parse_structure(text: str) -> tuple[str, ...]:
     """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
 
-    Common abbreviations are accepted: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or a duplicate
-    of a term other than GM, is a ValueError.
+    Common abbreviations are accepted: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or a duplicate of
+    a term other than GM, is a ValueError.
     """
     symbols: list[str] = []
     for part in text.split("+"):

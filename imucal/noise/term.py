@@ -1,7 +1,4 @@
-"""The base class of noise terms: formulas, names, units, drawing style and supported fit methods.
-
-Also the formulas per unit variance and sample that need care with rounding.
-"""
+"""The base class of noise terms, and formulas per unit variance and sample that need care with rounding."""
 
 import math
 import re
@@ -46,11 +43,10 @@ class Description:
 class NoiseTerm(ABC):
     """One term of a noise model. A new term needs only a subclass and its line in `TERMS`.
 
-    The dataclass fields are the parameters. The first is the coefficient, to which the noise is
-    proportional. Their names appear in a model's text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for
-    several. A fit can estimate a coefficient alone or with a time ``T`` in s. Three methods define the
-    noise: `structure`, `psd` and `simulate`. The others follow from them; override them if there is a
-    closed form.
+    The dataclass fields are the parameters, the coefficient first, to which the noise is proportional. Their
+    names appear in a model's text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for several. A fit can
+    estimate a coefficient alone or with a time ``T`` in s. Three methods define the noise: `structure`, `psd`
+    and `simulate`. The others follow from them; override them if there is a closed form.
 
     Class attributes
     ----------------
@@ -64,8 +60,6 @@ class NoiseTerm(ABC):
         Names in `imucal.units.DATASHEET_UNITS` of the units used in data sheets.
     divisors
         Divisor of the sample unit in a unit of the coefficient -> its factor in SI.
-    stroke, description
-        Line style and description for pictures and page.
     slope
         Slope of the Allan deviation on logarithmic axes; None if it is not constant.
     read_at
@@ -185,8 +179,8 @@ class NoiseTerm(ABC):
     def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
         """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
 
-        V(n) = -sum over k < n of (n - k) D(k), up to a multiple of n², which cancels in
-        avar(m) = (4 V(m) - V(2m)) / (2 m²). This version sums every lag, O(largest n), at whole n.
+        V(n) = -sum over k < n of (n - k) D(k), up to a multiple of n², which cancels in avar(m) = (4 V(m) -
+        V(2m)) / (2 m²). This version sums every lag, O(largest n), at whole n.
         """
         n = np.abs(np.asarray(n, dtype=np.float64))
         k = np.arange(1.0, float(n.max(initial=1.0)))
@@ -206,9 +200,9 @@ class NoiseTerm(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return the term's contribution to squared DCT-II ordinates of `n` samples, and its slopes.
 
-        Bins are given by their `first` ordinate and `count`, shape (b,). The first result is the mean of
-        E[X_k²] over each bin, shape (b,). The second is its derivative in the logarithm of each parameter,
-        shape (p, b). This version uses the psd, the limit for long records.
+        Bins are given by their `first` ordinate and `count`, shape (b,). The mean of E[X_k²] over each bin
+        has shape (b,), its derivative in the logarithm of each parameter shape (p, b). This version uses the
+        psd, the limit for long records.
         """
         frequency = (first + (count - 1) / 2) / (2 * n * tau0)
         expectation = self.psd(frequency, tau0) / tau0
@@ -228,8 +222,7 @@ class NoiseTerm(ABC):
         `log_time`, shape (c, 1), contains logs of the times in samples; terms without a time ignore it. For
         each bin, shape (b,), `lam` is the mean of 4 sin²(theta_k / 2) and `length` the number of samples of
         its series. `sign` is (-1)^k for a bin of one ordinate, 0 for wider bins. The mean of E[X_k²] and its
-        derivative in the log of the time have shapes (c, b). This version evaluates term by term; override
-        it if that is too slow.
+        derivative in the log of the time have shapes (c, b). Override this version if it is too slow.
         """
         omega = 2 * np.arcsin(np.sqrt(np.minimum(lam, 4.0)) / 2)
         # A wide bin is evaluated at its middle, a single one at its ordinate.
@@ -298,7 +291,7 @@ def gauss_markov_sum(n: FloatArray, a: float) -> FloatArray:
 
     For a slow process the result omits a multiple of n², which would cost all digits. If the closed form
     loses digits, series in a and in a n replace it. Allan variances have a relative error of about 1e-11, up
-    to averages over 1e5 times the correlation time (tested against the sum of autocovariances).
+    to averages over 1e5 times the correlation time.
     """
     x, scale = a * n, 2 * math.exp(-a) / math.expm1(-a) ** 2
     if a >= _SLOW:
@@ -311,8 +304,8 @@ def gauss_markov_sum(n: FloatArray, a: float) -> FloatArray:
 def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     """Return flicker with the exact structure function (4/pi) O_k, by circulant embedding.
 
-    The first differences are stationary; their circulant autocovariance has a non-negative
-    spectrum, so the draw is exact. Source: Davies & Harte (1987).
+    The circulant autocovariance of the first differences has a non-negative spectrum, so the draw is exact.
+    Source: Davies & Harte (1987).
     """
     if n == 0:
         return np.zeros(0)

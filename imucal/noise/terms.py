@@ -212,11 +212,11 @@ class GaussMarkov(NoiseTerm):
     def bank(cls, B: float, t_min: float, t_max: float, per_decade: float = 2.0) -> tuple["GaussMarkov", ...]:
         """Return terms whose sum approximates flicker of bias instability `B`, in U, for filters without it.
 
-        The correlation times are spaced evenly on a logarithmic scale by a ratio r. Each term has the
-        variance B² ln(r)/pi. The sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min),
-        except within a factor of about 3 of these limits. For samples at tau0, t_min = tau0 / 2 is enough
-        up to the Nyquist frequency. The ripple is 5.5 % at 1 term `per_decade`, 0.65 % at 1.5, 0.08 % at 2.
-        Times that do not increase, and a `B` or `per_decade` that is not positive, are a ValueError.
+        The correlation times are spaced by a constant ratio r. Each term has the variance B² ln(r)/pi. The
+        sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except within a factor of
+        about 3 of these limits. For samples at tau0, t_min = tau0 / 2 is enough up to the Nyquist frequency.
+        The ripple is 5.5 % at 1 term `per_decade`, 0.65 % at 1.5, 0.08 % at 2. Times that do not increase,
+        and a `B` or `per_decade` that is not positive, are a ValueError.
 
         Source: Keshner (1982), "1/f noise", Proc. IEEE 70, 212; the variance follows from the integral of
         sigma² 2T / (1 + (wT)²) over ln T.

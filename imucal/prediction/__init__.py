@@ -1,8 +1,4 @@
-"""Predictions from fitted models.
-
-From fits this package computes the variances of angle, velocity and position with limits, and the two numbers
-for a filter. It also checks whether one half of a record predicts the other.
-"""
+"""Predictions from fitted models: drift with limits, two numbers for a filter, and a check by halves."""
 
 from imucal.prediction.drift import Drift, DriftOf, DriftPoint, drift
 from imucal.prediction.filter_numbers import FilterNumbers, filter_numbers

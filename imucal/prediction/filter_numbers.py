@@ -1,11 +1,10 @@
 """Two numbers for a filter: white noise and a random walk that cover the fitted spectrum.
 
-Most filters have two parameters: white noise N and the bias's random walk K. For any linear
-weights H, fixed or varying in time, the variance of a filter's error is the integral of |H|² S over
-frequency. If N_f² + K_f² / omega² is at least the true spectrum S wherever H is not zero, the variance that
-the filter predicts is at least the true one. N and K of a fit omit its flicker and Gauss-Markov terms; the
-least pair that covers the whole spectrum includes them. The rule is valid for noise with stationary
-increments, a filter that starts without knowledge of the bias, and uncorrelated axes.
+For any linear weights H, fixed or varying in time, the variance of a filter's error is the integral of
+|H|² S over frequency. If N_f² + K_f² / omega² is at least the true spectrum S wherever H is not zero, the
+variance that the filter predicts is at least the true one. N and K of a fit omit its flicker and Gauss-Markov
+terms; the least pair that covers the whole spectrum includes them. The rule is valid for noise with
+stationary increments, a filter that starts without knowledge of the bias, and uncorrelated axes.
 
 Source: Langel, Garcia Crespillo & Joerger (2021), "Overbounding the effect of uncertain Gauss-Markov noise in
 Kalman filtering", NAVIGATION 68, 259 (the idea; abstract); the rule is measured in
@@ -66,7 +65,7 @@ class FilterNumbers:
     white, walk
         N_f in U/sqrt(Hz) and K_f in U/s/sqrt(Hz), or the density that drives a Gauss-Markov bias.
     correlation_time_s
-        T of a first-order Gauss-Markov bias, in s; None for a walk.
+        T of a first-order Gauss-Markov bias; None for a walk.
     horizon_s, step_s
         How long the filter may coast, and how often it is aided at most.
     level
@@ -108,8 +107,8 @@ def filter_numbers(
     """Return the least white noise and walk that cover the spectra of some axes.
 
     The least pair is the covering pair whose Allan variance is nearest to the fits', in the mean logarithm
-    from the step to the horizon. For a fit without a likelihood (``slope``, or of an `AllanCurve`) the
-    upper limits of its Allan curve are covered.
+    from the step to the horizon. For a fit without a likelihood (``slope``, or of an `AllanCurve`) the upper
+    limits of its Allan curve are covered.
 
     Parameters
     ----------
@@ -178,7 +177,7 @@ def filter_numbers(
 
 
 def _has_no_likelihood(fit: NoiseFit) -> bool:
-    """Return whether a fit is by slopes, or of a curve without samples but with known limits."""
+    """Whether a fit is by slopes, or of a curve without samples but with known limits."""
     given = fit.curve.computed == "given" and bool(np.isfinite(fit.curve.edf).all())
     return fit.method == "slope" or given
 
@@ -192,7 +191,7 @@ def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:
 
 
 def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S) -> tuple[float, ...]:
-    """Return possible correlation times of a Gauss-Markov bias, in s, from the fits' terms, longest first.
+    """Return possible correlation times of a Gauss-Markov bias, in s, longest first.
 
     The first is at least 10 horizons and the record, so that the bias is a walk for the filter.
     """
@@ -255,7 +254,6 @@ def _of_curves(
 
 
 def _avar(t: FloatArray, rate_hz: float) -> Quantity:
-    """Return the function of a term's Allan variance at the averaging times nearest to t."""
     m = np.maximum(np.round(t * rate_hz), 1.0)
     return lambda term: term.avar(m, 1 / rate_hz)
 
@@ -269,7 +267,6 @@ def _ramp(fit: NoiseFit, caution: Caution) -> float:
 def _ratios(
     fits: Sequence[NoiseFit], predicted: Callable[[FloatArray], FloatArray], step_s: float, join: Join
 ) -> tuple[tuple[float, float], ...]:
-    """Return predicted over modelled deviation at the times `PRICED_S`."""
     t = np.array([time for time in PRICED_S if time >= step_s])
     model = join([modelled(fit, _avar(t, fit.rate_hz)) for fit in fits], axis=0)
     known = model > 0

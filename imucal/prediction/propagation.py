@@ -1,12 +1,12 @@
 """Values and limits of quantities that are linear in the squared coefficients of a fit.
 
-Examples are a psd, an Allan variance and the variance of an angle after a minute of coasting. Each is a sum
-over the terms. Its limits follow from the limits of the coefficients by the method of variance estimates
-recovery (MOVER): the distances of each term's share to its own limits are added as a quadratic form with
-the fit's correlations.
+Examples are a psd, an Allan variance and the variance of an angle after coasting. Each is a sum over the
+terms. Its limits follow from the limits of the coefficients by the method of variance estimates recovery
+(MOVER): the distances of each term's share to its own limits are added as a quadratic form with the fit's
+correlations.
 
-Source: Zou & Donner (2008), "Construction of confidence limits about effect measures: a general
-approach", Statistics in Medicine 27, 1693.
+Source: Zou & Donner (2008), "Construction of confidence limits about effect measures: a general approach",
+Statistics in Medicine 27, 1693.
 """
 
 import math
@@ -32,7 +32,7 @@ _BLOCKS, _MAX_BLOCKS = 120, 1 << 18
 _TRIED = 50
 #: Limits of a correlation time are clipped to this share and its inverse; below, the term is white noise.
 _SHORTEST_TIME = 1 / 30
-#: How often the sensor's output is integrated to give each error.
+#: Number of integrals of the sensor's output that give each error.
 ANGLE, POSITION, TILT = 1, 2, 3
 
 
@@ -67,7 +67,7 @@ _Excursion: TypeAlias = tuple[str, FloatArray]
 
 
 def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
-    """Return a quantity of the fitted model, shape as `of` returns it; terms not in the model count as 0."""
+    """Return a quantity of the fitted model, shape as `of` returns it."""
     parts = list(shares(fit, of).values())
     return np.sum(parts, axis=0) if parts else 0.0 * of(TERMS["N"].of(0.0))
 
@@ -101,8 +101,8 @@ def coasting_variance(
     gravity. Times that are not positive raise a ValueError.
 
     The error is a sum of samples with weights w of sum zero. Its variance is -w/2' D w with the mean square
-    differences D, whose second sums V(n) are `sum_variance` of the term; blocks of samples shorten the sum.
-    Accurate to 1e-3 if a block is a hundredth of the rest and of the coast.
+    differences D, whose second sums V(n) are `sum_variance` of the term. Blocks of samples shorten the sum,
+    with a relative error of 1e-3.
     """
     times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
     if not (np.all(times > 0) and rest_s > 0):

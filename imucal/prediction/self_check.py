@@ -1,11 +1,11 @@
 """Check whether one half of a record predicts the other.
 
 A fit that describes a whole record may still predict badly, because the noise changes within hours or the
-bias follows no term. So the coefficients of the fitted terms are estimated from one half of the record. The
-Allan variance that they predict is compared with the other half's, at times for which filters coast.
+bias follows no term. So the coefficients of the fitted terms are estimated from one half of the record, and
+the Allan variance that they predict is compared with the other half's.
 
-Both are sums over a spectrum. The binned psd P_b of c_b ordinates of a half, averaged to blocks, is
-S_b chi²(c_b) / c_b, where S_b is linear in the squared coefficients: weighted least squares with the fit's
+Both are sums over a spectrum. The binned psd P_b of c_b ordinates of a half, averaged to blocks, is S_b
+chi²(c_b) / c_b, where S_b is linear in the squared coefficients: weighted least squares with the fit's
 spectrum estimate them without bias, and their covariance. The Allan variance at t is the sum of w_b P_b with
 
     w_b = 4/(pi t) (I(pi t f_high) - I(pi t f_low)),   I(x) = Si(2x) - Si(4x)/2 - sin⁴x / x,
@@ -53,11 +53,10 @@ _OF_LINE = 3
 
 @frozen
 class Prediction:
-    """The prediction of one half of a record from the other, at one averaging time `time_s`.
+    """The prediction of one half of a record from the other, at one averaging time.
 
-    `half`, 1 or 2, is the observed half; the other predicts. `predicted` and `observed` are Allan deviations
-    in U. `score` is the standard-normal score of observed over predicted variance, above 0 if the observed
-    one is larger.
+    `half`, 1 or 2, is the observed half. `predicted` and `observed` are Allan deviations in U. `score` is the
+    standard-normal score of observed over predicted variance.
     """
 
     half: int
@@ -72,7 +71,7 @@ def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...
 
     Samples are finite, with gaps allowed, after subtracting the shapes that their `fit` by maximum likelihood
     took out. Terms, correlation times and lines come from the fit; the squared coefficients of its terms and
-    of N, B and K are estimated from each half. Takes about 4 ms for 1e6 samples.
+    of N, B and K are estimated from each half.
     """
     highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
     if fit.response is not None:
@@ -104,7 +103,7 @@ def self_check(
     """Return a warning if one half of a record predicts the other badly.
 
     Samples are finite, spikes replaced, gaps allowed; their `fit` is by maximum likelihood. `temperature`,
-    shape (n,), is in degrees Celsius at the samples, or None.
+    shape (n,), is in degrees Celsius at the samples.
     """
     if fit.taken_out:
         series = without_disturbances(series, fit, temperature)

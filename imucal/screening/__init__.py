@@ -49,8 +49,8 @@ _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_satu
 def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return findings about a recording's values and about motion during it; worst first.
 
-    The samples are read once, in blocks. NaN, gaps and runs of fewer than 16 samples are left out. Up to
-    `workers` axes are read at a time; the findings do not depend on it.
+    The samples are read once, in blocks, up to `workers` axes at a time. NaN, gaps and runs of fewer than 16
+    samples are left out.
     """
 
     def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
@@ -75,7 +75,6 @@ def screen_units(recording: Recording) -> tuple[Finding, ...]:
 
 
 def _checked(alive: Sequence[Profile]) -> Iterator[Finding]:
-    """Yield the findings of each check on the axes with data, in the order of the tables."""
     for log_check in _LOG_CHECKS:
         yield from _judged(log_check, alive)
     moved = _moved(alive)

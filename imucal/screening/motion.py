@@ -42,7 +42,7 @@ _COLOURED = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """A disturbance of some axes, from start to end in s; `factor` is its peak level over their noise."""
+    """A disturbance of some axes; `factor` is its peak level over their noise."""
 
     start_s: float
     end_s: float
@@ -55,10 +55,7 @@ class Disturbance:
 
 
 def check_shaken(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error if an accelerometer without gravity moves: linear acceleration of a moving device.
-
-    It may move all the time, without a quiet part for comparison.
-    """
+    """Return an error if an accelerometer without gravity moves: linear acceleration of a moving device."""
     if not (found := shaken(profiles)):
         return ()
     axis, deviation = found
@@ -73,7 +70,7 @@ def check_shaken(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error if two axes of the gyroscope are shaken all the time.
 
-    This check uses absolute limits because there is no quiet part for comparison.
+    The limits are absolute because there is no quiet part for comparison.
     """
     shaken = [(p, rms) for p in profiles if p.series.sensor is Sensor.GYROSCOPE and (rms := _tremor(p))]
     if len(shaken) < 2:
@@ -105,9 +102,8 @@ def _tremor(profile: Profile) -> float:
 def density_at_rest(profile: Profile) -> FloatArray | None:
     """Return the two-sided density, in U²/Hz, of stretches without gaps and disturbances.
 
-    Shape (k,), at equal spacing from 0 to the Nyquist frequency, from Hann windows that overlap by half.
-    None if fewer than four stretches of 256 samples fit. O(n log n), with at most 256 stretches for a log
-    of any length.
+    Shape (k,), at equal spacing from 0 to the Nyquist frequency, from Hann windows that overlap by half. None
+    if fewer than four stretches of 256 samples fit. O(n log n), with at most 256 stretches.
 
     Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15(2).
     """
@@ -158,14 +154,12 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
-    """Return the finding for disturbances near the start and the end."""
     sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
     return Finding(level, "motion", text, "Leave this part out.", keep_s=keep)
 
 
 def _touched(middle: list[Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
-    """Return the finding for disturbances in between."""
     text = f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}."
     advice = "Record again undisturbed, or keep an undisturbed part."
     return Finding(level, "touch", text, advice, keep_s=keep)
@@ -275,10 +269,7 @@ def _longest_rest(disturbances: list[Disturbance], duration: float) -> tuple[flo
 def rests_between(
     disturbed: Sequence[tuple[float, float]], duration: float, *, clear_s: float
 ) -> list[tuple[float, float]]:
-    """Return start and end of each rest, in s, `clear_s` away from disturbances; some may be empty.
-
-    Disturbances may overlap.
-    """
+    """Return start and end of each rest, in s, `clear_s` away from disturbances; some may be empty."""
     rests, begin = [], 0.0
     for start, end in sorted(disturbed):
         rests.append((begin, start - clear_s))

@@ -1,8 +1,4 @@
-"""Checks of values: missing, stuck, clipped, coarse, repeated, or copied from another axis.
-
-Also checks that gravity, gyroscope noise, steps, sampling rate and temperature are plausible for an IMU in
-SI units.
-"""
+"""Checks of values: missing, stuck, clipped, coarse, repeated, copied, or implausible in SI units."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -83,7 +79,6 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
     text = f"{series.name} is stuck at one value for {time(total)} in all, first at {first:.1f} s."
     advice = "Check the driver and the cable; leave these parts out."
-    # The part to keep: the longest run of windows that are not frozen.
     edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())
     begin, end = int(edges[longest]), int(edges[longest + 1]) - 2
@@ -159,13 +154,10 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _held(group: list[Profile]) -> float:
-    """Return the share of samples that repeat the previous one on all axes; 0 if chance explains it."""
     return _together(group, lambda _, samples: np.diff(samples) == 0)
 
 
 def _interpolated(group: list[Profile]) -> float:
-    """Return the share of samples midway between their neighbours on all axes; 0 if chance explains it."""
-
     def midway(p: Profile, samples: FloatArray) -> BoolArray:
         # A text log rounds each of three samples by up to half a step.
         rounding = max(2.01 * (p.lsb or 0.0), 8 * float(np.spacing(np.abs(samples).max())))
@@ -187,11 +179,7 @@ def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], Bool
 
 
 def check_lsb(profile: Profile) -> tuple[Finding, ...]:
-    """Return a finding if the noise is below half an LSB.
-
-    Rounding adds LSB²/12 to the variance of well-dithered noise (Sheppard's correction); it is
-    subtracted before the comparison.
-    """
+    """Return a finding if the noise minus rounding's LSB²/12 (Sheppard's correction) is below half an LSB."""
     lsb, series = profile.lsb, profile.series
     if lsb is None or not profile.noise**2 < lsb**2 * (_COARSE**2 + 1 / 12):
         return ()
@@ -255,10 +243,7 @@ def gravity(profiles: Sequence[Profile]) -> float | None:
 
 
 def shaken(profiles: Sequence[Profile]) -> tuple[str, float] | None:
-    """Return the axis with the largest deviation if an accelerometer moves and has no gravity.
-
-    The deviation is in m/s². None for an accelerometer at rest, with gravity, or without all three axes.
-    """
+    """Return the axis with the largest deviation, in m/s², if an accelerometer moves and has no gravity."""
     accel = _of(Sensor.ACCELEROMETER, profiles)
     if len(accel) < 3 or float(np.linalg.norm([p.windows.mean.mean() for p in accel])) > _WEIGHTLESS:
         return None
@@ -281,7 +266,7 @@ def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def swapped(profiles: Sequence[Profile]) -> bool:
-    """Return whether gravity is in the gyroscope and not in the accelerometer."""
+    """Whether gravity is in the gyroscope and not in the accelerometer."""
     gyro, accel = (gravity(_of(sensor, profiles)) for sensor in Sensor)
     if gyro is None or accel is None:
         return False
@@ -333,7 +318,6 @@ def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, 
 
 
 def _are_counts(profiles: Sequence[Profile]) -> bool:
-    """Return whether all axes have steps of exactly 1."""
     return bool(profiles) and all(p.lsb == 1 and float(p.series.samples[0]).is_integer() for p in profiles)
 
 
@@ -376,8 +360,8 @@ _FASTEST_MEMS = 40e3
 def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error for each rate that suggests time stamps in another unit, or a wrong given rate.
 
-    All densities and times in the result scale with the rate. A rate too high for MEMS sensors but possible
-    for bench instruments is a warning: 100 kHz may also be 100 Hz with time stamps in the wrong unit.
+    A rate too high for MEMS sensors but possible for bench instruments is a warning: 100 kHz may also be 100
+    Hz with time stamps in the wrong unit.
     """
     found = []
     advice = "Check the unit of the time stamps (s, ms, us, ns), or give the sampling rate in Hz."

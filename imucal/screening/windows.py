@@ -1,8 +1,8 @@
 """The windows of an axis, and which of them are disturbed: computed once for all checks.
 
-An axis is divided into short windows. Most checks use this small table instead of the samples. A window
-is disturbed if it is louder than the quiet ones, or has another mean. All limits come from the axis's
-own quiet windows, so that a touch does not hide itself by raising the limit.
+Most checks use this small table instead of the samples. A window is disturbed if it is louder than the quiet
+ones, or has another mean. All limits come from the axis's own quiet windows, so that a touch does not hide
+itself by raising the limit.
 """
 
 import math
@@ -34,9 +34,9 @@ class Windows(ReadOnlyArrays):
     """Statistics of each window of an axis; all arrays have shape (k,), in order of time.
 
     A window has `width` samples and spans `length_s` if none is missing. It begins at sample index `start`,
-    at `time_s` after the first sample of the axis. `mean`, `low` and `high` (the extremes) are in U,
-    `variance` in U². `step_variance` is half the mean square of successive differences, in U²: the variance
-    of white noise. `repeats` counts samples equal to the previous one.
+    at `time_s` after the first sample of the axis. `low` and `high` are the extremes. `step_variance` is half
+    the mean square of successive differences: the variance of white noise. `repeats` counts samples equal to
+    the previous one.
     """
 
     width: int
@@ -70,8 +70,8 @@ def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _MIN_SA
     """Return the windows of an axis without NaN; none if it never has `least` samples in a row.
 
     A window never spans a gap longer than a quarter of its length; windows over shorter gaps count as
-    complete. The last window of a stretch ends with it, so that no sample is left out: it may overlap the
-    previous one. O(n), one pass, in blocks.
+    complete. The last window of a stretch ends with it, so it may overlap the previous one. O(n), one pass,
+    in blocks.
     """
     width = max(least, min(round(series.rate_hz * length_s), series.n // _USUAL_WINDOWS))
     starts, places = _starts(series.clock.segments, width)
@@ -172,9 +172,9 @@ def quietest(variance: FloatArray, count: int) -> float:
 def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None) -> NDArray[np.bool_]:
     """Return which windows are disturbed, shape (k,).
 
-    A window is disturbed if its variance, or the jump of its mean from the previous window, exceeds the
-    limit of chance. Both must also exceed the resolution `lsb`, below which values only toggle. The limits
-    are estimated from the `quiet` windows: by default all of them, most of which are at rest.
+    The variance, or the jump of the mean from the previous window, exceeds the limit of chance and the
+    resolution `lsb`, below which values only toggle. The limits are estimated from the `quiet` windows, by
+    default all.
     """
     if windows.size < _MIN_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
@@ -195,10 +195,10 @@ def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None)
 def variance_limit(variances: FloatArray, p_above: float) -> float:
     """Return the variance that a quiet window exceeds with a probability of at most about `p_above`.
 
-    A variance is a sum of weighted chi-squares. Its tail falls as exp(-x/c); c is estimated between
-    the median and the 80 % quantile, for any colour of the noise. If more than a fifth of the windows are in
+    A variance is a sum of weighted chi-squares. Its tail falls as exp(-x/c); c is estimated between the
+    median and the 80 % quantile, for any colour of the noise. If more than a fifth of the windows are in
     motion, they raise c. The limit is therefore at most the limit for two degrees of freedom with the same
-    median. Shape of `variances` (k,), k >= 1.
+    median.
     """
     middle, upper = (float(q) for q in np.quantile(variances, [0.5, 0.8]))
     reach = math.log(0.5 / p_above)
@@ -257,10 +257,10 @@ _TOLERANCE = 0.15
 
 @frozen_alone
 class Profile:
-    """One axis for the checks, without NaN, infinite and impossible samples; `left_out` is their number.
+    """One axis for the checks, without the `left_out` NaN, infinite and impossible samples.
 
-    In suspect `windows`, mean and variance exclude spikes. `disturbed`, shape (k,), marks the windows that
-    are not at rest. `lsb` is the step of the values in U, None if they are not on a lattice. `noise` is the
+    Mean and variance of suspect `windows` exclude spikes. `disturbed`, shape (k,), marks the windows that are
+    not at rest. `lsb` is the step of the values in U, None if they are not on a lattice. `noise` is the
     standard deviation of the white noise per sample, in U.
     """
 
@@ -314,10 +314,7 @@ def excerpt(n: int) -> list[slice]:
 
 
 def resolution(series: AxisSeries) -> float | None:
-    """Return the step between neighbouring values, in U; None if values are not on a lattice.
-
-    A constant axis has none.
-    """
+    """Return the step between neighbouring values, in U; None if values are constant or not on a lattice."""
     values = np.unique(np.concatenate([series.samples[part] for part in excerpt(series.n)]))
     if values.size < 2:
         return None

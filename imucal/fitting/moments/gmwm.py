@@ -1,9 +1,8 @@
 """GMWM: the noise model whose Allan variances are nearest to the measured ones.
 
-The generalised method of wavelet moments on the overlapping Allan variance, with the exact Allan variance of
-every sampled term. The weight ``full`` is the inverse covariance of the curve: first of the largest model,
-then of the chosen model until it converges. The weight ``eta3`` ignores the correlation of averaging times;
-the confidence intervals allow for it.
+The generalised method of wavelet moments on the overlapping Allan variance. The weight ``full`` is the
+inverse covariance of the curve: first of the largest model, then of the chosen model until it converges. The
+weight ``eta3`` ignores the correlation of averaging times; the confidence intervals allow for it.
 
 Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for composite
 stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.points`.
@@ -37,9 +36,8 @@ def fit_gmwm(
 ) -> NoiseFit:
     """Fit a noise model to Allan variances, overlapping or standard; `series` is None for a curve alone.
 
-    N, B and K are always among the estimates. With full weights, the shortest averaging times are left out if
-    an output filter keeps every model from describing them. A curve with too few averaging times for the
-    model, or of other variances, raises a DataError.
+    With full weights, the shortest averaging times are left out if an output filter keeps every model from
+    describing them. A curve with too few averaging times, or of other variances, raises a DataError.
     """
     points = avar_points(series, curve)
     if (structure := settings.structure) is not None:

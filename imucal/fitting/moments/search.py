@@ -1,7 +1,7 @@
 """The model whose Allan variances are nearest to the measured ones, and the limits of its terms.
 
-The fit minimises a weighted sum of squares. For given times it is a non-negative least-squares problem with
-one solution. Times are searched on a grid and refined from its best places, so each run has the same result.
+For given times, the weighted sum of squares is a non-negative least-squares problem with one solution. Times
+are searched on a grid and refined from its best places, so each run has the same result.
 
 Choice of terms. If the model is right, the sum of squares J with the inverse covariance as weight is
 chi-squared with (points - parameters) degrees of freedom. Models are compared by J + parameters * price, with
@@ -44,8 +44,8 @@ _PER_DECADE, _STARTS = 3, 3
 _FINE, ROUGH = 1e-12, 1e-3
 #: Step of a log time for a numerical derivative.
 _STEP = 1e-4
-#: A misfit above the first starts a search without the shortest averaging times. Such a fit replaces the
-#: first one if its misfit is smaller by the factor, and leaves out at most this number of octaves.
+#: Misfit above which the shortest averaging times are dropped, the factor by which this must reduce it, and
+#: the largest number of octaves to drop.
 _FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
 #: Largest number of updates of the weight; three are usually enough.
 _UPDATES = 5
@@ -54,8 +54,8 @@ _UPDATES = 5
 def whitening(covariance: FloatArray) -> FloatArray:
     """Return W, shape (k, k), whose product W'W is the inverse of a covariance of shape (k, k).
 
-    The covariance has a relative error of 1e-3, because its lags are summed on a grid. Adding 1e-6 of each
-    variance keeps the factorisation stable. A covariance without an inverse raises a DataError.
+    Adding 1e-6 of each variance keeps the factorisation stable: the covariance, whose lags are summed on a
+    grid, has a relative error of 1e-3. A covariance without an inverse raises a DataError.
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
@@ -280,8 +280,8 @@ def _converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full:
 def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tuple[AvarPoints, CurveFit]:
     """Return the longest run of points, up to the last, that a model describes, and the fit.
 
-    An output filter bends the curve at its first averaging times only. If no run is described, the run with
-    the least misfit is taken if it is far better than the whole curve.
+    An output filter bends the curve at its first averaging times only. If no run is described, take the one
+    with the least misfit, if it is far better than the whole curve.
     """
     whole = best_fit(points, eta3, settings)
     if settings.weights == "eta3" or not whole.misfit >= _FILTERED:
@@ -302,8 +302,8 @@ def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tu
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:
     """Return how well a model describes points with the given covariance.
 
-    An Allan variance with few degrees of freedom is far from normal, but its cube root is nearly normal
-    (Wilson & Hilferty 1931). The statistic is the sum of squares of these, with the given correlations.
+    The statistic is the sum of squares of cube roots of Allan variances, with the given correlations: they
+    are nearly normal even for few degrees of freedom (Wilson & Hilferty 1931).
     """
     model = solution.avar(points)
     tau = (float(points.m[0] * points.tau0), float(points.m[-1] * points.tau0))

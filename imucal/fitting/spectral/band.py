@@ -41,10 +41,9 @@ class Band:
     """The part of the spectrum to fit, up to a `fraction` of Nyquist, and the response there.
 
     `order` has the poles and zeros of the simplest sound response. The response to fit has `poles` and
-    `zeros`, one order more, or 0 if it is flat, and the coefficients `response`, shape (poles,). Gauss-Markov
-    terms have correlation times of at least `shortest` samples. `masked` is the correlation time, in samples,
-    of a term that could explain the spectrum instead of the filter, or 0. The bins of a `hump` are excluded.
-    `statistic` is the misfit score.
+    `zeros`, one order more, or 0 if it is flat, and the coefficients `response`. Gauss-Markov terms have
+    correlation times of at least `shortest` samples. `masked` is the correlation time, in samples, of a term
+    that could explain the spectrum instead of the filter, or 0. The bins of a `hump` are excluded.
     """
 
     fraction: float
@@ -179,10 +178,9 @@ def start_response(
 ) -> FloatArray:
     """Return starting parameters, shape (1, p): the given slow terms, and a response from the spectrum.
 
-    The first `width` columns of `low` contain the slow terms; `room` columns for the response follow. White
-    noise dominates above `lowest`, a fraction of Nyquist. There, numerator / S = (1 + sum a_i x^i) / N² is a
-    linear regression in 1/N² and a/N². If its result is not positive, the best Butterworth response replaces
-    it.
+    The first `width` columns of `low` contain the slow terms; `room` columns for the response follow. Above
+    `lowest`, a fraction of Nyquist, white noise dominates: numerator / S = (1 + sum a_i x^i) / N² is a linear
+    regression in 1/N² and a/N². If its result is not positive, use the best Butterworth response.
     """
     poles, zeros = order
     theta = np.concatenate([low[:, :width], np.zeros((1, room))], axis=1)

@@ -1,18 +1,14 @@
 """Search for the part of the spectrum and the response of the output filter that a model describes.
 
-Sensors filter their output. If a fit ignores the filter, every term is wrong. The search combines a narrower
-band with a response that multiplies the spectrum (`band`).
-
-A description is sound if its misfit is within chance and the next orders of the response gain nothing. The
-search takes the sound description that determines N best, with one order more than necessary, so that the
-remaining error of the response does not bias N.
+If a fit ignores the sensor's output filter, every term is wrong. The search combines a narrower band with a
+response that multiplies the spectrum (`band`). A description is sound if its misfit is within chance and the
+next orders of the response gain nothing. The search takes the sound description that determines N best, with
+one order more than necessary, so that the remaining error of the response does not bias N.
 
 White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise, but
 every sensor has white noise. So, if a Gauss-Markov term makes up the top of the spectrum, the search is
 repeated with correlation times that are too long to imitate a filter. If this finds a sound description, N is
 the level in front of the filter, and a finding explains both readings.
-
-The bins of a hump, which is caused by vibration or sway, are excluded.
 """
 
 from collections.abc import Callable
@@ -74,13 +70,12 @@ _UNSURE = 2.0
 #: Largest gain by chance of one and of two more orders of the response, in twice the log-likelihood; larger
 #: for a flat band, because a filter that does not exist makes N wrong by a factor of two.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
-#: Quantization noise and a response bend the same part of the spectrum. If quantization explains at least
-#: this share of the top, a filter needs a larger gain.
+#: Share of the top that quantization explains above which a filter needs a larger gain: both bend it.
 _GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
 #: Share of the power at the highest frequencies above which a Gauss-Markov term hides the white noise.
 _MASKING = 0.5
-#: Ratio of a Gauss-Markov term's density to the white noise's above which the white noise is compared with
-#: the rounding; ratio of its variance to the rounding's below which it is not the sensor's.
+#: Density ratio of a Gauss-Markov term to the white noise above which the white noise is compared with the
+#: rounding; variance ratio to the rounding below which it is not the sensor's.
 _ABOVE, _ROUNDED = 4.0, 3.0
 #: A Gauss-Markov term can't imitate the filter if its time is longer by this factor.
 _SLOWER = 10.0
@@ -119,9 +114,8 @@ def find_band(
     """Return the band and response that a rich model describes, which contains all candidates.
 
     Q is only fitted without a response, because both bend the top of the spectrum. A `given` structure is
-    preferred if it describes the whole band, with correlation times of any length and mostly white noise at
-    the top. If the band is known not to be flat, the band up to `near`, a fraction of Nyquist, is tried
-    first.
+    preferred if it describes the whole band, with any correlation times and mostly white noise at the top. A
+    band up to `near`, a fraction of Nyquist, that is known not to be flat is tried first.
     """
     coarse = _coarse(ordinates)
     plain = tuple(symbol for symbol in rich if symbol != "Q")

@@ -43,9 +43,9 @@ class Block:
 
     `offset` is the place of its first sample on the clock's grid. The `ordinates` X_k, shape (k,), start at k
     = 1 and fill the `bins`. `variance`, shape (k,), is the part of the expected X_k² from missing samples,
-    `loss`, shape (b,), the share of each bin's information lost to them, and `drawn`, shape (g,), the missing
-    samples in order, drawn given the others; None if none is missing. `kept`, shape (k,), is a mask of the
-    ordinates in use, None for all. `temperature` has shape (bins.n,).
+    `loss`, shape (b,), each bin's share of information lost to them, and `drawn`, shape (g,), are the missing
+    samples, drawn given the others; None if none is missing. `kept`, shape (k,), masks the ordinates in use,
+    None for all. `temperature` has shape (bins.n,).
     """
 
     offset: int
@@ -94,10 +94,7 @@ class SeriesBlocks:
 
 
 def scale_of(series: AxisSeries) -> float:
-    """Return a power of two near the size of the samples' steps, in U.
-
-    Too few samples, equal samples, and a ramp without noise raise a DataError.
-    """
+    """Return a power of two near the size of the samples' steps, in U; a DataError if they have no noise."""
     samples = series.samples
     if samples.size < _MIN_SAMPLES:
         msg = (
@@ -289,8 +286,8 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
     # Add the transform's rounding error, so that no power is exactly zero.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
-        # A single bin scatters as if it had 1 - loss of its ordinates, an octave as if it had the square of
-        # this share: missing samples mix the powers of all frequencies. Noise terms extend over octaves.
+        # A single bin scatters as if it had 1 - loss of its ordinates, an octave, over which noise terms
+        # extend, as if it had the square: missing samples mix the powers of all frequencies.
         keep = np.square(1 - block.loss)
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
     return Ordinates(
@@ -326,8 +323,7 @@ def ordinates_of(bins: Bins) -> Ordinates:
 def joined(records: Sequence[Ordinates]) -> Ordinates:
     """Return the ordinates of several records as if of one record: their likelihoods multiply.
 
-    They share the ramp, in the first record's scale. Other regressors belong to one record only, such as
-    ``2:step@1000`` of the third record.
+    They share the ramp. Other regressors belong to one record, such as ``2:step@1000`` of the third.
     """
     names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
     parts, first = [], 1

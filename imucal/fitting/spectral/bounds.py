@@ -60,8 +60,8 @@ def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
 def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> list[Estimate]:
     """Return terms of which one must be dropped to make the other estimates meaningful.
 
-    These are bounded terms with a correlation time: it is arbitrary and widens other intervals. If there are
-    none, these are terms that can replace one another: each may be zero, but not all at once.
+    These are bounded terms with an arbitrary correlation time, which widens other intervals; or terms that
+    can replace one another: each may be zero, but not all at once.
     """
     gone = [e for e in estimates if e.status == "bounded"]
     timed = [e for e in gone if has_time(e.symbol)]
@@ -157,9 +157,9 @@ def hull_estimates(
 ) -> tuple[Fits, tuple[Estimate, ...], tuple[Estimate, ...]]:
     """Return the model to draw, its own estimates, and estimates whose intervals cover all near models.
 
-    A term whose interval reaches down to zero is bounded, even if it is in the chosen model. If N, B or K is
-    detected but not in the chosen model, it is added to the drawn model, so that the printed terms add up to
-    the line. The exception is a K that describes a Gauss-Markov term of the model.
+    A term whose interval reaches down to zero is bounded. If N, B or K is detected but not in the chosen
+    model, it is added to the drawn model, so that the printed terms add up to the line. The exception is a K
+    that describes a Gauss-Markov term of the model.
     """
     fitted, own = estimate_or_bound(problem, choice)
     models = [_alternative(problem, distance, model) for distance, model in _completed(problem, choice)]
@@ -244,8 +244,8 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
 def _floor(problem: Problem, bound: Estimate, models: list[Fits]) -> Estimate:
     """Return N from the minima of the near models' spectra, if N may be zero.
 
-    Every record has a noise floor. If a fast Gauss-Markov term at the end of the band can explain it, the
-    models disagree about its name, not its level.
+    Every record has a noise floor. If a fast Gauss-Markov term can explain it, the models disagree about its
+    name, not its level.
     """
     ordinates = problem.ordinates
     levels, freedom = [], []
@@ -294,8 +294,8 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
     """Return for each term the alternatives that the data can't exclude.
 
-    Every model near the best contains one of the two, and neither is in all of these models. The distance is
-    Akaike's criterion, not the stricter one of the choice: the data must distinguish the two.
+    Every model near the best contains one of the two, and neither is in all of them. The distance is Akaike's
+    criterion, not the stricter one of the choice: the data must distinguish the two.
     """
     fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)]

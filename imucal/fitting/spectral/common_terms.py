@@ -3,8 +3,7 @@
 A spectrum is the sum of a fixed part, the tested part, and free parts, so that their changes are not
 attributed to the tested part. Each group of bins (a record or a segment) has its own scale of every part
 except the fixed one. If the scale of the tested part is equal in all groups, twice the drop of the
-log-likelihood is chi-squared with one degree of freedom less than groups. Fisher scoring with a common tested
-scale eliminates the other scales group by group.
+log-likelihood is chi-squared with one degree of freedom less than groups.
 
 Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bartlett (1937), Proc. R. Soc. A
 160, 268.
@@ -100,9 +99,9 @@ class Parts:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a weighted sum of the two scales of one test in each group, and its limits, shape (g,) each.
 
-        `logs`, shape (g, 2), is the maximum; `weights` has shape (2,). The limits are the extremes over all
-        scales at which twice the drop of the log-likelihood is below the square of `reach`, shape (g,): an
-        expansion about the maximum is wrong if one scale is near zero.
+        The limits are the extremes over all scales at which twice the drop of the log-likelihood from its
+        maximum at `logs`, shape (g, 2), is below `reach`², shape (g,): an expansion is wrong if one scale is
+        near zero.
         """
         best = self.at(logs[np.newaxis])
         tested, others = np.moveaxis(best.logs[0], -1, 0)

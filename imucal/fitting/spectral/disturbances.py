@@ -40,10 +40,10 @@ _SPACING, _FINE = 0.25, 1 / 64
 _MARGIN = 7.0
 #: False alarm rate of steps in clean records of known spectrum.
 _CHANCE_STEP = 0.002
-#: Price of a cycle, independent of the rate. With a known spectrum one of 500 clean records gains 21 by
+#: Price of a cycle, independent of the rate. Of 500 clean records with a known spectrum one gains 21 by
 #: Baluev (2008), MNRAS 385, 1279; with a fitted one 23.
 _PRICE_CYCLE = 16.0
-#: Gain beyond its price above which a cycle below the margin is doubtful: 95 of 100 clean records gain less.
+#: Gain beyond its price above which a cycle below the margin is doubtful: 95 % of clean records gain less.
 _DOUBT = -0.5
 #: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
@@ -57,8 +57,8 @@ _ABSENT = -300.0
 _CAUSED = 0.9
 #: Steps nearer than the record's length over this are collinear in the lowest ordinates.
 _TELLABLE = 65536
-#: Least gain, at the spectrum without the shape, for a fit. Slow cycles and warm-ups need less: this spectrum
-#: contains their power, so the fit gains far more.
+#: Least gain, at the spectrum without the shape, for a fit. Slow cycles and warm-ups need less, because this
+#: spectrum contains their power.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
 #: Largest number of shapes to take out.
 _MAX_SHAPES = 8
@@ -73,8 +73,7 @@ class Disturbance:
     """A shape in the samples that is not noise: ``temperature``, ``warm-up``, ``step`` or ``cycle``.
 
     `names` are its regressors, and `size` their coefficients in scaled units, () if not fitted yet. `price`
-    is the gain in twice the log-likelihood that it needs in addition to a margin: per parameter the logarithm
-    of the record's length; for a step or a cycle it follows from the false alarm rate.
+    is the gain in twice the log-likelihood that it needs in addition to a margin.
     """
 
     kind: str
@@ -137,8 +136,7 @@ def _taken_out(
 ) -> tuple[Disturbance, Fits]:
     """Return a shape and the fit with it and the regressors `names`.
 
-    The spectrum without a warm-up contains the warm-up's power, so its time constant is searched again with
-    the spectrum of the fit with it.
+    The spectrum without a warm-up contains its power, so its time constant is searched again with the fit's.
     """
     base = _fits(low, [(*names, *one.names)])
     if one.kind != "warm-up":
@@ -203,8 +201,7 @@ def _rival(
 ) -> tuple[Disturbance, ...]:
     """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ().
 
-    A rich model with a walk fits the lowest ordinates of either shape, so the shape gains little with it. The
-    shape with N and B alone is compared with the rich model instead.
+    It gains little on a model with a walk, so it is compared with N and B alone against the rich model.
     """
     theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
     theta[:, [COLUMN["K"], SHAPED]] = _ABSENT

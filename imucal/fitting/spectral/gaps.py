@@ -5,8 +5,7 @@ C' diag(1/S) C (C the DCT). Conjugate gradients give their mean, a random draw t
 
     E[X_k² | observed] = (mean X_k)² + var X_k
 
-replaces X_k². The variance's share of it is information lost to the gaps. The variance is averaged over
-neighbouring frequencies, because the scatter of one draw resembles a misfit.
+replaces X_k². The variance's share of it is information lost to the gaps.
 
 Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23; lost
 information: Louis (1982), JRSS B 44.
@@ -23,11 +22,11 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 
 #: Largest expected change of the spectrum in a next round: the previous change times the lost information.
 _MOVED = 3e-4
-#: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle of seconds has
-#: information on some frequencies only, and more rounds make lines of the others.
+#: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle has information
+#: on some frequencies only, and more rounds make lines of the others.
 _ROUNDS, _ROUNDS_IF_LONG, _LONG = 40, 8, 64
-#: The variance of missing samples is averaged over frequencies up to this ratio, and over at least this many
-#: groups on each side.
+#: The variance of missing samples is averaged over this ratio of frequencies, at least this many groups a
+#: side.
 _NEAR, _NEIGHBOURS = 1.5, 2
 _STEPS = 40
 _CLOSE = 1e-3
@@ -72,8 +71,8 @@ def complete(
         unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
         samples[gaps] -= _conjugate(apply, right, unit)
         error = _conjugate(apply, drawn, unit)
-        # The expectation of this product is the number of missing samples. One draw's deviation from it would
-        # shift the level of white noise.
+        # Its expectation is the number of missing samples. One draw's deviation would shift the level of
+        # white noise.
         error *= np.sqrt(gaps.size / (drawn @ error))
         variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
@@ -86,8 +85,8 @@ def complete(
 def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
     """Return the means of a variance over neighbouring groups, shape of `groups`.
 
-    The scatter of a single draw would add to the scatter of the ordinates, and a low draw in a group alone
-    could reduce the spectrum in each round, down to zero.
+    The scatter of a single draw would resemble a misfit, and a low draw in a group alone could reduce the
+    spectrum in each round, down to zero.
     """
     middle, place = groups + 0.5 * count, np.arange(groups.size)
     first = np.minimum(np.searchsorted(middle, middle / _NEAR), np.maximum(place - _NEIGHBOURS, 0))

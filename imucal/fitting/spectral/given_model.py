@@ -2,14 +2,13 @@
 
 A likelihood ratio tests whether records of one sensor have the same coefficient: one for all records against
 one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). The other terms are free in each record,
-so that a change of one term is not attributed to another. Correlation times and the output filter come from
-the joint fit.
+so that a change of one term is not attributed to another.
 
-Squared coefficients may be negative: estimates that are kept positive are too large on average if a term is
-absent. Weighted least squares are unbiased if the weights do not follow low ordinates, so the weights come
-from a spectrum with each weak term at one standard deviation (McCullagh & Nelder 1989, Generalized Linear
-Models, 2nd ed., section 2.5). The standard deviation is given as a function of the coefficient. Weighting
-many logs by deviations at their own estimates would favour low estimates.
+Squared coefficients may be negative: positive estimates of an absent term are too large on average. Weighted
+least squares are unbiased if the weights do not follow low ordinates, so the weights come from a spectrum
+with each weak term at one standard deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed.,
+section 2.5). The standard deviation is a function of the coefficient: weighting many logs by deviations at
+their own estimates would favour low estimates.
 """
 
 import math
@@ -44,9 +43,8 @@ class BinFit:
     """A model fitted to the bins of some records, up to the end of the band, in one scale.
 
     `problem` joins all records. `whole` is the fit of the given terms and of N, B and K, at zero if the data
-    prefer that. `model` and `estimates` are the reported ones: terms whose interval contains 0 are bounded
-    and not in the model. `misfits` maps symbols to the factors by which a misfit widens their limits; empty
-    if the model fits.
+    prefer that. `model` and `estimates` are the reported ones, without and with bounded terms. `misfits` maps
+    symbols to the factors by which a misfit widens their limits.
     """
 
     records: tuple[Ordinates, ...]
@@ -221,8 +219,8 @@ class SquaredCoefficient:
 def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     """Return the squared coefficient of each term of a fit except the ramp, by its key.
 
-    Correlation times and the output filter's response keep the fit's values; the deviations include their
-    errors. Excess kurtosis and a misfit widen them like the fit's limits.
+    Correlation times and response keep the fit's values; the deviations include their errors. Excess kurtosis
+    and a misfit widen them like the fit's limits.
     """
     problem, fitted = found.problem, found.whole
     ordinates, models = problem.ordinates, fitted.models
@@ -275,7 +273,7 @@ def _deviation_laws(
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
     `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. The weights follow
-    `spectrum`. The true spectrum has one term at a chosen value and the others at their most likely values
+    `spectrum`; the true spectrum has one term at a chosen value and the others at their most likely values
     given it, because the estimates are correlated.
     """
     count = variance.size

@@ -1,8 +1,8 @@
 """Vibration and sway: an interval of frequencies with more power than the white noise below and above it.
 
 A low-pass filter can imitate such a hump, and the fit then reports too much white noise. Repeated fits of
-power laws to the bins outside find the interval. Bins are excluded as a whole run, because a threshold for
-single bins would keep the bins that are low by chance.
+power laws to the bins outside find the interval. It is excluded as a whole, because a threshold for single
+bins would keep the low ones.
 """
 
 from dataclasses import replace
@@ -26,8 +26,7 @@ _BELOW, _ABOVE = 16.0, 0.05
 #: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
 #: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white noise
-#: behind a filter. Its cells of `_CELL` octaves contain at least `_COUNT` ordinates and may differ by `_EVEN`
-#: in addition to chance.
+#: behind a filter. Its cells of `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN`.
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
 #: The interval is widened by this factor: the bins next to the run may belong to it and be low by chance.
 _GUARD = 1.2

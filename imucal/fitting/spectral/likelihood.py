@@ -37,12 +37,11 @@ _NONE = 1e-8
 class Fits:
     """The likelihood of each of c models at one row of parameters, usually its maximum.
 
-    At `theta`, shape (c, p), `objective` is -log L less a constant, shape (c,), infinite if the response is
-    not positive; `score` is its gradient, shape (c, p), and `information` the expected Fisher information,
-    shape (c, p, p). `beta` are the regressors' coefficients, shape (c, r), 0 for those not in a model, and
-    `beta_covariance`, shape (c, r, r), their covariance given the `spectrum` S, shape (c, b).
-
-    `structure`, `missing` and `covariance` refer to the first row.
+    At `theta`, shape (c, p), `objective` is -log L less a constant, infinite if the response is not positive;
+    `score` is its gradient, and `information` the expected Fisher information, shape (c, p, p). `beta`, shape
+    (c, r), are the regressors' coefficients, 0 for those not in a model, and `beta_covariance` their
+    covariance given the `spectrum` S, shape (c, b). `structure`, `missing` and `covariance` refer to the
+    first row.
     """
 
     models: Models

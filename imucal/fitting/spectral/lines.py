@@ -149,8 +149,8 @@ def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatAr
 def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
     """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line.
 
-    The level of 17 bins does not follow a steep filter; the level of the nearest ordinates does. Neighbouring
-    ordinates are kept or removed together, by the highest one.
+    The level of 17 bins does not follow a steep filter; the level of the nearest ordinates does. Neighbours
+    are kept or removed together.
     """
     apart = np.maximum(_NEAR, _MAX_SKIP / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
@@ -161,8 +161,8 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
 def _is_line(square: FloatArray, near: IntArray) -> bool:
     """Whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
 
-    At low frequencies the bins are as narrow as the neighbourhood. A wandering line is as wide as all found
-    ordinates; a resonance is wider, and at an edge the noise on one side is as high.
+    At low frequencies bins are as narrow as the neighbourhood. A wandering line is as wide as all found
+    ordinates; a resonance is wider, and at an edge one side is as high.
     """
     top = int(near[np.argmax(square[near])])
     reach = max(_NEAR, int(_NEAR_SHARE * top))
@@ -196,10 +196,9 @@ def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
 
 
 def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
-    """Return the ordinates minus the sines whose tails are too wide to be left out, and the sines.
+    """Return the ordinates minus the steady sines whose tails are too wide to be left out, and the sines.
 
-    Each sine is fitted by least squares to the ordinates around it. A line that is not a steady sine is not
-    subtracted.
+    Each sine is fitted by least squares to the ordinates around it.
     """
     found: list[Sine] = []
     for _ in range(_MAX_SINES):
@@ -262,10 +261,7 @@ _MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
 
 
 def likely_cause(frequency_hz: float, *, rate_hz: float, resolution_hz: float) -> str:
-    """Return the likely cause of a tone.
-
-    Frequencies above half the rate appear folded: |f - k rate|. A cause must match within the resolution.
-    """
+    """Return the likely cause of a tone; frequencies above half the rate appear folded."""
     for mains in _MAINS:
         for harmonic in range(1, _HARMONICS + 1):
             true = harmonic * mains

@@ -1,7 +1,7 @@
 """Maximum of the likelihood of many models at once: blind starting values, then damped Fisher scoring.
 
-Every set of terms is a mixture from a dictionary: the four power laws, and the spectra of the other terms on
-a grid of correlation times. Multiplicative updates minimise the Itakura-Saito divergence, the negative
+Every set of terms is a mixture from a dictionary: the power laws, and the spectra of the other terms on a
+grid of correlation times. Multiplicative updates minimise the Itakura-Saito divergence, the negative
 log-likelihood, for all sets at once. Fisher scoring, damped as by Levenberg and Marquardt, starts at the best
 mixtures.
 
@@ -40,8 +40,7 @@ _JOIN = 8.0
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
     """Return the mask of the models that are far behind the best and do not catch up, shape (c,).
 
-    `gain` is the gain of the last of `steps` steps. On simulated and real logs, no model that ends within
-    12.5 of the best is given up.
+    `gain` is of the last of `steps` steps. In tests no model that ends within 12.5 of the best is given up.
     """
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
@@ -81,9 +80,9 @@ def maximize(
 ) -> Fits:
     """Maximise the likelihood of each model from its row of `start`, shape (c, p).
 
-    `free`, shape (c, p), masks the parameters to move, by default all. `ramp` is a fixed ramp, see
-    `evaluate`. The search ends if a step gains less log-likelihood than `tolerance`. A `handicap`, shape
-    (c,), is added to the objectives, and models far behind the best are given up early.
+    `free`, shape (c, p), masks the parameters to move. `ramp` is a fixed ramp, see `evaluate`. `tolerance` is
+    the gain of the last step. A `handicap`, shape (c,), is added to the objectives, and models far behind the
+    best are given up early.
     """
     low, high = bounds(ordinates, models)
     moving = models.free if free is None else free & models.free
@@ -157,8 +156,8 @@ def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
     """Return the factor by which a misfit widens the error of each variance parameter, shape (s,).
 
     It is the root of the mean squared residual, weighted by the parameter's information: the robust variance
-    of one parameter of a misspecified model (Huber 1967, Proc. 5th Berkeley Symposium 1, 221). A power law
-    that the model lacks gets the information that it would have.
+    of one parameter of a misspecified model (Huber 1967, Proc. 5th Berkeley Symposium 1, 221). An absent
+    power law gets the information that it would have.
     """
     first, _, residual = _residuals(ordinates, found)
     parts = derivatives(ordinates, found.models, found.theta)[: found.models.variances]
@@ -211,9 +210,9 @@ def find_starts(
 ) -> tuple[IntArray, FloatArray]:
     """Return the best starts of each model: `keep` of them for 0, 1, 2 terms other than power laws.
 
-    The results are the model of each start, shape (s,), and its parameters, shape (s, p). A model with more
-    than two terms of one kind has a single start with evenly spread times. `quick` selects mixtures after a
-    quarter of the rounds. With a `response`, mixtures describe the noise before the output filter.
+    The results are the model of each start, shape (s,), and its parameters, shape (s, p). More than two terms
+    of one kind have evenly spread times. `quick` selects mixtures after a quarter of the rounds. With a
+    `response`, mixtures describe the noise before the output filter.
     """
     times = time_grid(ordinates, models.shortest)
     plans = [_plan(tuple(row), models.slots[SHAPED:]) for row in models.has[:, SHAPED:].tolist()]

@@ -43,9 +43,7 @@ class Ordinates:
     degrees of freedom (kept ordinates minus the loss to gaps), `power`, the sum of their squares, `lam`, the
     mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k for a single ordinate k
     and 0 for several. `basis`, shape (4, b), is the expected square for a unit variance of each of `LAWS`.
-
-    For the regressors `names`, `cross`, shape (r, b), are sums of ordinate times regressor's ordinate, and
-    `gram`, shape (r, r, b), sums of products of regressors' ordinates. `top` is lam at the upper end of the
+    For the regressors `names`, `cross` and `gram` are as in `Bins`. `top` is lam at the upper end of the
     band, the unit of a response's coefficients.
     """
 
@@ -139,8 +137,7 @@ def _basis(bins: DctBins) -> FloatArray:
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
     """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins.
 
-    If there are many blocks, bins of similar frequency are merged again, so that their number does not grow
-    with the number of blocks.
+    If there are many blocks, bins of similar frequency are merged again, to limit their number.
     """
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])

@@ -139,8 +139,8 @@ def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray
 def _kept(block: Block, size: int) -> BoolArray | None:
     """Return the mask of a part's ordinates without the block's lines; None for all.
 
-    A line's tail falls off with the distance in ordinates, which are wider apart in a part: its reach there
-    is the block's times the root of the ratio of lengths.
+    A line's tail falls off with the distance in ordinates, which are wider apart in a part: its reach is the
+    block's times the root of the ratio of lengths.
     """
     if block.kept is None:
         return None

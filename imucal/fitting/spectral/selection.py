@@ -15,8 +15,8 @@ from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 
-#: Models this close to the best on coarse bins are fitted on all bins; behind an output filter the distance
-#: is larger, because the response was found with other terms and adapts only in this fit.
+#: Models this close to the best on coarse bins are fitted on all bins; the distance is larger behind an
+#: output filter, whose response adapts only in this fit.
 _REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
 #: Largest number of models fitted on all bins.
 _MAX_REFINED = 16
