@@ -36,7 +36,7 @@ _NOTHING, _WEAK = 1e-5, 1e-2
 _PART = 1e-3
 #: Limits of Gauss-Newton: number of steps, last step in standard deviations, halvings of a step.
 _STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
-#: Standard deviation of the misalignments that a diagonal model ignores, in rad: 2 % is a usual upper limit.
+#: Standard deviation of the misalignments that a diagonal model ignores, in rad; 2 % is a usual upper limit.
 _IGNORED_MISALIGNMENT = 0.01
 #: Relative deviation of a parameter before any rest; it only ranks attitudes to add.
 _PRIOR_DEVIATION = 0.1
@@ -149,7 +149,7 @@ def _undetermined(means: FloatArray, what: str) -> DataError:
 
 
 def _ellipsoid(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return C and b of the algebraic ellipsoid through the means; None if the quadric is no ellipsoid."""
+    """Return the algebraic ellipsoid through the means; None if the quadric is no ellipsoid."""
     centre = means.mean(axis=0)
     size = np.abs(means - centre).max()
     if not size > 0:
@@ -170,7 +170,7 @@ def _ellipsoid(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArra
 
 
 def _extremes(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
-    """Return diagonal C and b from the least and largest mean of each axis."""
+    """Return diagonal C and b from the extremes of each axis."""
     low, high = (means.min(axis=0), means.max(axis=0)) if len(means) else (np.zeros(3), np.zeros(3))
     if constant := [axis for axis, same in zip("xyz", high <= low, strict=True) if same]:
         raise _undetermined(means, f"bias and scale of {', '.join(constant)}")
@@ -247,7 +247,7 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status
 
     A parameter is ``not-observable`` if it is not free or has a part in a direction whose singular value is
     below 1e-5 of the largest, and ``weak`` if directions below 1e-2 cause most of its variance. J, shape (m,
-    p), are derivatives in parameters of comparable size, S the covariance of the residuals.
+    p), is in parameters of comparable size; S is the covariance of the residuals.
     """
     Jw = solve_triangular(np.linalg.cholesky(S), J[:, free], lower=True)
     _, values, V = np.linalg.svd(Jw, full_matrices=True)
@@ -279,8 +279,7 @@ class Suggestion:
 def suggest_rest(fit: AccelerometerFit, *, gravity: float) -> Suggestion:
     """Return the attitude whose rest reduces the worst relative deviation most.
 
-    Deviations are relative: of C to the scale of its axis, of b to gravity. The added rest has the median
-    variance of the existing ones.
+    Deviations are relative: of C to the scale of its axis, of b to gravity.
     """
     up = _candidates()
     size = relative_size(fit.C, gravity)
@@ -314,7 +313,7 @@ def describe_direction(down: FloatArray) -> str:
 
 
 def _candidates() -> FloatArray:
-    """Return 300 even directions (Fibonacci lattice), then 26 faces, edges and corners, shape (326, 3)."""
+    """Return 300 even directions (Fibonacci lattice), then faces, edges and corners, shape (326, 3)."""
     k = np.arange(300) + 0.5
     z, angle = 1 - 2 * k / 300, math.pi * (1 + math.sqrt(5)) * k
     ring = np.sqrt(1 - z * z)

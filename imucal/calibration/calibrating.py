@@ -190,7 +190,6 @@ def _first_fit(data: Triad, rests: RestMeans, place: Gravity) -> AccelerometerFi
 
 
 def _scale(C: FloatArray | None) -> FloatArray:
-    """Return raw units per SI unit of each axis, shape (3,); 1 if unknown."""
     return np.ones(3) if C is None else np.linalg.norm(inverse(C), axis=1)
 
 
@@ -210,7 +209,6 @@ def _without(reasons: list[str]) -> IntArray:
 
 
 def _excluded(z: FloatArray) -> BoolArray:
-    """Return which rests to exclude as moved: the worst ones, at most a third of all."""
     moved = moved_rests(z)
     size = np.abs(z).max(axis=1)
     order = np.argsort(-np.where(moved, size, 0.0))

@@ -132,7 +132,6 @@ def export_calibration(
 
 
 def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
-    """Yield the lines at the head of a file: source, formulas, and parts that the program lacks."""
     yield f"{target.title}, written by imucal {__version__}"
     yield f"calibrated from {one_line(found.source)}, {len(found.means)} rests"
     yield "f = C_a (raw - b_a), w = C_g (raw - b_g - G f)"
@@ -215,7 +214,6 @@ def _yaml(matrix: FloatArray) -> str:
 
 
 def _parameters(target: CalibrationTarget, found: Intrinsics) -> dict[str, str]:
-    """Return the parameters of an autopilot; a DataError if it could not use them."""
     if not found.si:
         msg = (
             f"{found.source}: an autopilot corrects samples in m/s² and rad/s, but this log has counts; "

@@ -174,7 +174,6 @@ def _mark(
 
 
 def _name_axes(axes: "Axes", sign: float) -> None:
-    """Write the axis that is down at the centre and at four points of the edge."""
     style: Style = {"fontsize": LABEL_SIZE, "color": FADED, "va": "center"}
     edge = math.sqrt(2) + 0.16
     axes.text(0.0, -0.13, f"{'+' if sign > 0 else '-'}z", ha="center", **style)

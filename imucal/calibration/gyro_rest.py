@@ -30,12 +30,11 @@ _MIN_BEYOND = 2
 class GyroRest(ReadOnlyArrays):
     """Bias and g-sensitivity of a gyroscope, with 95 % intervals.
 
-    `b` is in raw units, `b_interval` has shape (3, 2). `G`, in raw units per m/s², is zero unless
-    `significant`: chi² of the nine entries has p < 0.01. `G_estimate` and `G_interval`, shape (3, 3, 2), are
-    NaN if the rests do not determine them. `G_apparent` includes the vertical part of the earth's rotation,
-    which a correction in the earth's frame needs. `earth_share` is the standard deviation of the diagonal of
-    G from an unknown earth rate, divided by its whole deviation. `excess` is the slow noise of each axis
-    beyond the base.
+    `G`, in raw units per m/s², is zero unless `significant`: chi² of the nine entries has p < 0.01.
+    `G_estimate` and `G_interval`, shape (3, 3, 2), are NaN if the rests do not determine them. `G_apparent`
+    includes the vertical part of the earth's rotation, which a correction in the earth's frame needs.
+    `earth_share` is the standard deviation of the diagonal of G from an unknown earth rate, divided by its
+    whole deviation.
     """
 
     b: FloatArray
@@ -100,7 +99,6 @@ def estimate_gyro_rest(
 
 
 def _p_value(fits: list[tuple[Mixture, Mixture, Excess, float]], dof: int) -> float:
-    """Return the p-value of the base's chi² of all axes; 1 without degrees of freedom."""
     return float(chdtrc(dof, sum(chi2 for *_, chi2 in fits))) if dof else 1.0
 
 

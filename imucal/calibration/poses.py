@@ -1,7 +1,7 @@
 """Rests of a log in which the IMU is put down, turned and put down again.
 
-A rest lasts a second or more; `imucal.rests`, for noise fits, requires 20 s. Both find rests between
-disturbed windows. The limits differ: a short rest has only five windows.
+A rest lasts a second or more; `imucal.rests`, for noise fits, requires 20 s. A short rest has only five
+windows, so the limits differ.
 """
 
 import math
@@ -74,10 +74,9 @@ class Triad(ReadOnlyArrays):
 
 @frozen_alone
 class RestMeans(ReadOnlyArrays):
-    """Measurements of one sensor in m rests.
+    """Measurements of one sensor in m rests; `spans` are first sample and end, shape (m, 2).
 
-    `spans` are first sample and end of each, shape (m, 2); `deviations`, shape (3,), are those of the samples
-    within the rests.
+    `deviations`, shape (3,), are those of the samples within the rests.
     """
 
     spans: IntArray

@@ -89,7 +89,7 @@ def trouble_of(start: FloatArray) -> str:
 
 
 def _order_of(start: FloatArray) -> str:
-    """Return such as ``y, -x, z`` for a start with permuted or mirrored axes; empty for the usual order."""
+    """Return such as ``y, -x, z`` for permuted or mirrored axes; empty for the usual order."""
     signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
     if np.array_equal(signed, np.eye(3)):
         return ""

@@ -52,9 +52,8 @@ class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
     `covariance`, shape (9, 9), is of the lower triangle of C by rows, then b; of the upper triangle by
-    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment, for
-    programs that have no place for it. `p` is NaN if nothing could be checked. `suggestion` is the rest that
-    would help most.
+    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment. `p`
+    is NaN if nothing could be checked. `suggestion` is the rest that would help most.
     """
 
     C: FloatArray

@@ -3,7 +3,7 @@
 The base covariance gets two terms: tau² for each rest and axis, and a random walk kappa. The likelihood of
 both is REML's, with half-Cauchy priors that scale with the base. An interval is a quantile of the mixture of
 normal distributions over a grid of (tau, kappa). Noise within short rests reveals neither flicker nor random
-walk over minutes, so these are never extrapolated from there.
+walk over minutes, so it is never extrapolated.
 
 Source: Patterson & Thompson (1971), Biometrika 58, 545 (REML); Gelman (2006), Bayesian Analysis 1, 515
 (half-Cauchy prior).
@@ -91,10 +91,9 @@ class Mixture(ReadOnlyArrays):
 
 @frozen
 class Excess:
-    """Slow noise beyond the base.
+    """Slow noise beyond the base: deviation `tau` of each rest and axis, and a random walk of `kappa` per √s.
 
-    `tau` is the deviation of each rest and axis, in raw units; `kappa` the coefficient of a random walk, in
-    raw units per √s; `walk_share` the share of the walk in the variance of both between rests.
+    `walk_share` is the share of the walk in the variance of both between rests.
     """
 
     tau: float = 0.0

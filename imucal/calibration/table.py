@@ -169,7 +169,6 @@ def _row(name: str, found: Parameter) -> Row:
 
 
 def _sensitivity(found: list[Parameter]) -> Row:
-    """Return the largest entry of G, or its bound if G is not significant."""
     name = "g-sensitivity"
     known = [each for each in found if each.value is not None]
     if not known:

@@ -23,8 +23,8 @@ _SCALES, _COARSE = 60, 40
 class Turn:
     """One turn between two used rests.
 
-    `residual_deg` and `before_deg` are the two components of the error with the calibration and before. `p`
-    is the p-value of the residual; None if the turn was not judged. `why` is the reason if it is not used.
+    `residual_deg` and `before_deg` are two components of the error with the calibration and before. `p` is
+    None if the turn was not judged. `why` is the reason if it is not used.
     """
 
     start_s: float
@@ -42,9 +42,9 @@ class TurnData(ReadOnlyArrays):
     """Turns as arrays, padded to the longest.
 
     `rates`, shape (t, n, 3), are raw minus bias and g-sensitivity, 0 beyond a turn's end. `spans`, shape (t,
-    2), are first sample and end of each. `share`, shape (t, n), is the weight of the later rest in the
-    interpolated bias. `rests`, shape (t,), are indices of the rest before each turn; the next one follows it.
-    `up`, shape (m, 3), are unit vectors of the specific force at the rests.
+    2), are first sample and end. `share`, shape (t, n), is the weight of the later rest in the interpolated
+    bias. `rests`, shape (t,), are indices of the rest before each turn. `up`, shape (m, 3), are unit vectors
+    of the specific force.
     """
 
     rates: FloatArray
@@ -71,11 +71,10 @@ def prepare_turns(
     which: IntArray,
     g_parts: tuple[FloatArray, FloatArray] | None = None,
 ) -> TurnData:
-    """Return the turns as arrays.
+    """Return the turns after the rests `which` as arrays; `data` is finite inside the turns.
 
-    `data` is finite inside the turns. `up`, shape (m, 3), are unit vectors of the specific force at the
-    rests. `which` are the indices of the rests before the wanted turns. `g_parts` are G f at each sample and
-    rest, shapes (n, 3) and (m, 3), by default 0.
+    `up`, shape (m, 3), are unit vectors of the specific force at the rests. `g_parts` are G f at each sample
+    and rest, shapes (n, 3) and (m, 3), by default 0.
     """
     first, end = rests.spans[which, 1], rests.spans[which + 1, 0]
     index = first[:, None] + np.arange(int((end - first).max()))

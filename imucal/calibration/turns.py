@@ -1,8 +1,8 @@
 """Gyroscope scale and misalignment from the direction of gravity before and after each turn.
 
-A turn goes from the end of one rest to the start of the next. The gyroscope, with C_g, carries the direction
-of gravity along; the accelerometer shows where it ends. Two components of the difference are the residuals.
-Their covariance includes the gyroscope's noise, the two bias estimates, and the error of both directions.
+The gyroscope, with C_g, carries the direction of gravity from one rest to the next; the accelerometer shows
+where it ends. Two components of the difference are the residuals. Their covariance includes the gyroscope's
+noise, the two bias estimates, and the error of both directions.
 """
 
 import math
@@ -53,11 +53,11 @@ class GyroNoise(ReadOnlyArrays):
 class TurnsFit(ReadOnlyArrays):
     """Scale and misalignment of a gyroscope: w = C (raw - b - G f).
 
-    `covariance` of C by rows, shape (9, 9), is multiplied by `widening`² if p_fit < 0.05. `by_directions`,
-    shape (9, 3m), are the derivatives of C in the unit vectors at the rests. `quantile` is the half-width of
-    a 95 % interval in deviations. `residual` and `before` are the angles in rad between the carried and the
-    measured direction with C and with the start, shape (t, 2). `p`, shape (t,), is the p-value of each turn's
-    studentised residual when it was judged. `chi2` and `dof` are of the `used` turns.
+    `covariance` of C by rows, shape (9, 9), includes `widening`, which is above 1 if p_fit < 0.05.
+    `by_directions`, shape (9, 3m), are the derivatives of C in the unit vectors at the rests. `quantile` is
+    the half-width of a 95 % interval in deviations. `residual` and `before`, shape (t, 2), are angles in rad
+    between the carried and the measured direction with C and with the start. `p`, shape (t,), is the p-value
+    of each turn's studentised residual when it was judged. `chi2` and `dof` are of the `used` turns.
     """
 
     C: FloatArray
@@ -149,9 +149,8 @@ def direction_covariance(
 ) -> FloatArray:
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
-    The noise of the raw `means`, shape (m, 3), with `covariances`, shape (3, m, m), moves a direction itself,
-    and through C and b; both are treated jointly. `slopes`, shape (3, 3, 6), are derivatives of C in its
-    lower triangle; another frame's add its rotation.
+    The noise of the raw `means` moves a direction itself, and through C and b; both are treated jointly.
+    `slopes`, shape (3, 3, 6), are derivatives of C in its lower triangle; another frame's add its rotation.
     """
     m = len(means)
     up = fit.up

@@ -30,11 +30,11 @@ from imucal.recording import AxisSeries
 
 #: Standard deviations beyond which a disagreement of two estimates is reported.
 _DISAGREEMENT = 3.0
-#: Lower limit of a difference's relative standard deviation: smaller differences do not matter.
+#: Lower limit of a difference's relative standard deviation: smaller ones do not matter.
 _MIN_RELATIVE_DEVIATION = 1 / 300
 #: Terms of short averaging times, where an output filter changes the curve.
 _OF_SHORT_TIMES = {"Q", "N"}
-#: Lower limit of the difference's variance, relative to the second fit's: both variances are estimates.
+#: Lower limit of the difference's variance, relative to the second fit's: both are estimates.
 _MIN_VARIANCE_RATIO = 0.25
 
 
@@ -87,7 +87,7 @@ def _value(estimate: Estimate) -> str:
     return f"{estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
 
 
-#: Points are used if the ratio of the noise's to the curve's variance is between this and its inverse.
+#: Smallest ratio of the noise's to the curve's variance at a used point; its inverse is the largest.
 _MIN_NOISE_RATIO = 2 / 3
 #: Fewest points of a curve to fit.
 _MIN_POINTS = 4
@@ -96,7 +96,8 @@ _MIN_POINTS = 4
 def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
     """Return the GMWM fit of `first`'s model to the curve of the noise that `first` described.
 
-    A DataError is raised if too few averaging times show the noise, or if the curve can't be fitted.
+    Shapes, lines and filter are removed: both fits must describe the same noise. A DataError is raised if
+    too few averaging times show the noise, or if the curve can't be fitted.
     """
     from imucal.fitting.moments import fit_gmwm
 
@@ -132,12 +133,11 @@ def without_disturbances(
     return replace(series, samples=samples)
 
 
-#: Lowest ordinates, one per bin, which drift and the ends of the record distort.
+#: Lowest ordinates, which drift and the ends of the record distort.
 _LOWEST = 8
-#: Score of all bins together, standard normal, from which the spectrum contradicts the model.
+#: Score of all bins together from which the spectrum contradicts the model.
 _CONTRADICTED = 5.0
-#: A bin is far from the model by this many standard deviations and this factor; fewer far bins are a line,
-#: which the screening reports.
+#: A bin is far from the model by this many deviations and this factor; fewer far bins are a line.
 _HIDDEN, _NOTABLE, _MIN_BINS = 3.0, 1.3, 3
 #: Difference of log densities that the estimates' own errors can explain.
 _TOLERANCE = 0.05

@@ -35,10 +35,10 @@ _PART = 1 << 16
 _SCORE = 5.0
 #: Least relative standard deviation of the noise that is reported.
 _NOTABLE_CHANGE = 0.1
-#: Share of the variance in one period from which the change is reported as periodic.
+#: Share of the variance in one period that makes a change periodic.
 _PERIODIC = 0.5
-#: Lower limit, as a share of the value, below which the interval of a slow term is widened linearly: a weak
-#: term's interval is symmetric. Others are widened in logarithms.
+#: Ratio of lower limit to value below which a slow term's interval is symmetric and widened linearly; others
+#: are widened in logarithms.
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
 NEGLIGIBLE = 0.02
@@ -46,7 +46,7 @@ NEGLIGIBLE = 0.02
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
 SURE = 0.1
-#: Share of Q that one shift must explain: a steady trend over eight segments leaves 17 % of it.
+#: Share of Q that a single shift explains: a steady trend over eight segments leaves 17 %.
 _ONE_SHIFT = 0.85
 #: Relative spread between segments from which the finding is a warning.
 _NOTABLE_SPREAD = 0.05
@@ -67,7 +67,10 @@ class VarianceChange:
 
 
 def find_variance_change(series: AxisSeries) -> VarianceChange | None:
-    """Return the change of the variance of an axis's steps, or None if it is small or due to chance; O(n)."""
+    """Return the change of the variance of an axis's steps, or None if it is small or due to chance.
+
+    Steps across gaps count too. O(n).
+    """
     count = min(_MAX_WINDOWS, (series.n - 1) // _MIN_WINDOW_SAMPLES)
     if count < _MIN_WINDOWS:
         return None
@@ -250,7 +253,6 @@ def _said(term: TermHomogeneity) -> str:
 
 
 def _span(span: tuple[float, float]) -> str:
-    """Return ``from 0 to 45 min``."""
     unit, name = _unit(span[1])
     return f"from {span[0] / unit:.3g} to {span[1] / unit:.3g} {name}"
 
@@ -260,7 +262,6 @@ def _unit(time_s: float) -> tuple[float, str]:
 
 
 def _wider(estimate: Estimate, factor: float) -> Estimate:
-    """Return an estimate with limits `factor` times as far from its value."""
     if factor <= 1:
         return estimate
     if estimate.value is None:

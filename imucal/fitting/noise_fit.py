@@ -138,8 +138,8 @@ class Estimate:
 
     `key` is the `symbol`, such as ``K``; several Gauss-Markov terms are ``GM1``, ``GM2``, by rising T.
     `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits. If the data do not show
-    the term, `status` is ``bounded``, `value` None, `low` 0 and `high` the upper bound. `alternatives` are
-    symbols of terms that the record can't distinguish from this one.
+    the term, `status` is ``bounded``, `value` None, `low` 0 and `high` the upper bound. `correlation_time` is
+    T, in s. `alternatives` are symbols of terms that the record can't distinguish from this one.
 
     `drawn` is the coefficient in the fit's model, None if the model has no such term. A bounded term is in
     the model if the model without it would be less likely. An estimate with a value but without `drawn`

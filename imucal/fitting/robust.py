@@ -21,7 +21,7 @@ from imucal.units import pretty
 _BLOCK = 100
 #: Blocks processed at a time, to stay in the cache.
 _BLOCKS = 512
-#: A sample this many standard deviations from the baseline may be a spike.
+#: Deviations from the baseline that make a sample a possible spike.
 _MIN_SPIKE = 5.0
 #: Expected number of false spikes in a whole series of Gaussian noise.
 _FALSE_ALARMS = 0.01
@@ -33,7 +33,7 @@ _BODY = 3.0
 _GAUSSIAN = 1e4
 #: Share of spikes above which the noise itself is in doubt.
 _MANY = 0.01
-#: Above this factor on N's interval, an excess kurtosis of 6, the kurtosis may not be finite.
+#: Factor on N's interval, an excess kurtosis of 6, above which the kurtosis may not be finite.
 _UNCERTAIN = 2.0
 #: Share of N² above which rounding is reported.
 _NOTABLE = 0.02
@@ -52,7 +52,6 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     noise = np.random.default_rng(952).standard_normal(count)
     share, largest = count / series.n, float(np.abs(samples[spike] - baseline[spike]).max())
     samples[spike] = baseline[spike] + deviation * noise
-    # If a sensor repeats one value, the deviation is almost zero.
     times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
     name = "spike was" if count == 1 else "spikes were"
     rest = heavy_tails(samples, ~(spike[1:] | spike[:-1]))
@@ -200,7 +199,6 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
     medians = _medians(samples, block)
     half = block // 2
     yield slice(0, half), np.full(half, medians[0])
-    # Interpolate all places of a block between its median and the next.
     fraction = (np.arange(block) + 0.5) / block
     for first in range(0, medians.size - 1, _BLOCKS):
         rise = np.diff(medians[first : first + _BLOCKS + 1])
@@ -224,7 +222,7 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
 
 
 def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
-    """Return a warning if outliers that are part of the noise make N uncertain; `factor` as `heavy_tails`."""
+    """Return a warning if outliers in the noise make N uncertain; `factor` as `heavy_tails`."""
     if factor < _UNCERTAIN:
         return ()
     text = (
@@ -239,7 +237,8 @@ def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> flo
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
     The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; the
-    excess kurtosis of its steps is k/2. Only steps between `neighbours` count, shape (n-1,); all by default.
+    excess kurtosis of its steps is k/2. Excess within four standard errors counts as none. Only steps between
+    `neighbours` count, shape (n-1,); all by default.
     """
     if samples.size < 2:
         return 1.0

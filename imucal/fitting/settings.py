@@ -83,8 +83,8 @@ class FitSettings:
         return self.criterion if self.structure is None else "given"
 
 
-#: Fits finite samples (None if there is only a curve), their curve, and the temperature in
-#: degrees Celsius at the samples, shape (n,), or None.
+#: Fits finite samples (None for a curve alone), their curve, and the temperature in degrees Celsius, shape
+#: (n,).
 Method: TypeAlias = Callable[[AxisSeries | None, AllanCurve, FitSettings, FloatArray | None], NoiseFit]
 
 

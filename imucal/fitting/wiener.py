@@ -197,7 +197,6 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     first = np.arange(1, n, dtype=np.int64)
     if isinstance(term, Quantization):
         return np.concatenate([[0.0], term.psd(first / (2 * n * tau0), tau0) / tau0])
-    # Use parts that fit in the cache.
     parts = np.array_split(first, 1 + n // _PART)
     expected = np.concatenate([term.dct_slopes(n, part, np.ones_like(part), tau0)[0] for part in parts])
     if not expected.any():
@@ -281,7 +280,6 @@ class _Unknown:
         return full
 
     def _weigh(self, values: FloatArray) -> FloatArray:
-        """Return the precision matrix of the unknown samples times `values`, shape (u,)."""
         return self.law.weigh(self._padded(values))[self.places] + self.known * values
 
     def _solve(self, right: FloatArray) -> FloatArray:

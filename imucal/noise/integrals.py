@@ -182,18 +182,16 @@ def avar_from_psd(
     Parameters
     ----------
     psd
-        Two-sided density in U²/Hz (half of a one-sided one). Either a function of positive frequencies in Hz,
-        shape (k,); or increasing frequencies and the density there, interpolated linearly on logarithmic axes
-        and
-        constant outside. Towards 0 the psd must grow less steeply than 1/f³.
+        Two-sided density in U²/Hz (half of a one-sided one). Either a function of positive frequencies in
+        Hz, shape (k,); or increasing frequencies and the density there, interpolated linearly on logarithmic
+        axes and constant outside. Towards 0 the psd must grow less steeply than 1/f³.
     m
         Averaging factors, whole numbers from 1, any shape.
     tau0
         Sampling period in s.
     sampled
         True if the psd describes the samples, up to 1/(2 tau0). False if it describes a rate in continuous
-        time,
-        averaged over m tau0; it is then used at all frequencies and must grow less steeply than f.
+        time, averaged over m tau0; it is then used at all frequencies and must grow less steeply than f.
     breaks
         Frequencies in Hz where the psd jumps, or has a peak narrower than a hundredth of its frequency.
         Without them such features could be missed.

@@ -3,8 +3,8 @@
 The bias is the mean of the samples at rest; afterwards nothing aids dead reckoning. The error of an angle is
 the integrated noise of the gyroscope. The errors of velocity and position are the accelerometer's noise,
 integrated once and twice. A tilt adds gravity: g times the gyroscope's noise, integrated twice and three
-times. Errors of scale, misalignment and temperature are left out, and so is the earth's rotation. The Schuler
-period of 84 minutes would reduce the error through tilt by 0.7 % at 300 s and by 8 % at 1000 s.
+times. The earth is flat and does not rotate; errors of scale, misalignment and temperature are left out. The
+Schuler period of 84 minutes would reduce the error through tilt by 0.7 % at 300 s and by 8 % at 1000 s.
 """
 
 import math
@@ -49,12 +49,11 @@ _NEAR_G, _UPRIGHT = 0.1, 0.94
 class DriftPoint:
     """Standard deviation of an error after `time_s` without aiding.
 
-    `axis` is a name such as ``gyro_z``, the axis with the largest value of several, or ``accel_x gyro_y`` for
-    the sum of two parts. `value` is from the fitted model, None if the record shows no term. `low` and `high`
-    are limits at the fit's level, including bounded terms, 0 and infinity if a term's are not known. `term`,
-    such as ``B``, contributes the largest `share` of the value's square; empty without a value. `seen` is
-    true if the record is as long as `STRETCHES` such rests and coasts; if false, the model is extrapolated;
-    None without a record.
+    `axis` is a name such as ``gyro_z``, the worst of several, or ``accel_x gyro_y`` for the sum of two parts.
+    `value` is from the fitted model, None if the record shows no term. `low` and `high` are limits at the
+    fit's level, including bounded terms, 0 and infinity if a term's are not known. `term`, such as ``B``,
+    contributes the largest `share` of the value's square. `seen` is whether the record is as long as
+    `STRETCHES` such rests and coasts, or the model is extrapolated; None without a record.
     """
 
     time_s: float

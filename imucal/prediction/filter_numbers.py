@@ -203,10 +203,7 @@ def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S)
 
 
 class _Goal(NamedTuple):
-    """The target to cover with white noise and a slow bias of unit power, and the Allan variance to approach.
-
-    `wanted`, `white` and `slow` have the same frequencies or times; `avar` has the times `t`.
-    """
+    """The target to cover with white noise and a slow bias of unit power, and the avar to approach."""
 
     wanted: FloatArray
     white: FloatArray
@@ -219,7 +216,6 @@ class _Goal(NamedTuple):
 def _of_spectra(
     fits: Sequence[NoiseFit], bias: NoiseTerm, within: tuple[float, float], join: Join, caution: Caution
 ) -> _Goal:
-    """Return the fits' psds for samples a step apart, up to half its rate; `within` is step, horizon."""
     step_s, horizon_s = within
     t = np.geomspace(step_s, horizon_s, _TIMES)
     lowest = _LOWEST_BOUND_BIAS if isinstance(bias, GaussMarkov) else _LOWEST

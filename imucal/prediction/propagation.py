@@ -1,9 +1,8 @@
-"""Values and limits of quantities that are linear in the squared coefficients of a fit.
+"""Values and limits of quantities that are linear in the squared coefficients of a fit, such as a psd.
 
-Examples are a psd, an Allan variance and the variance of an angle after coasting. Each is a sum over the
-terms. Its limits follow from the limits of the coefficients by the method of variance estimates recovery
-(MOVER): the distances of each term's share to its own limits are added as a quadratic form with the fit's
-correlations.
+Each is a sum over the terms. Its limits follow from the limits of the coefficients by the method of variance
+estimates recovery (MOVER): the distances of each term's share to its own limits are added as a quadratic form
+with the fit's correlations.
 
 Source: Zou & Donner (2008), "Construction of confidence limits about effect measures: a general approach",
 Statistics in Medicine 27, 1693.
@@ -95,14 +94,14 @@ def coasting_variance(
 ) -> FloatArray:
     """Return the variance of the error after coasting, shape (t,), in (U s^integrals)².
 
-    The bias is the mean of a rest of `rest_s`. The samples of a term, at `rate_hz`, minus the bias are then
-    integrated `integrals` times over `times_s`, shape (t,): once for the angle of a gyroscope or the velocity
-    of an accelerometer, twice for a position, three times for the position error from a tilt, per unit of
-    gravity. Times that are not positive raise a ValueError.
+    The bias is the mean of a rest of `rest_s`. The samples of a term minus the bias are then integrated
+    `integrals` times over `times_s`, shape (t,): once for the angle of a gyroscope or the velocity of an
+    accelerometer, twice for a position, three times for the position error from a tilt, per unit of gravity.
+    Times that are not positive raise a ValueError.
 
     The error is a sum of samples with weights w of sum zero. Its variance is -w/2' D w with the mean square
     differences D, whose second sums V(n) are `sum_variance` of the term. Blocks of samples shorten the sum,
-    with a relative error of 1e-3.
+    accurate to 1e-3 if a block is a hundredth of the rest and of the coast.
     """
     times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
     if not (np.all(times > 0) and rest_s > 0):

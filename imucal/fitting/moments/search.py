@@ -38,7 +38,7 @@ from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 from imucal.solvers import non_negative, root
 
-#: Times per decade of the grid; places of the grid from which the times are refined.
+#: Times per decade of the grid; places to refine.
 _PER_DECADE, _STARTS = 3, 3
 #: Tolerances of the sum of squares, for results and for the choice of a model.
 _FINE, ROUGH = 1e-12, 1e-3
@@ -424,7 +424,7 @@ def curve_estimates(
 def _estimate(
     points: AvarPoints, key: str, term: NoiseTerm, variances: tuple[float, float, float], factor: float
 ) -> Estimate:
-    """Return the estimate of a term in SI from its variance and limits; a time is known to a `factor`."""
+    """Return the estimate of a term in SI; a time is known to a `factor`."""
     value, low, high = (points.coefficient(term.symbol, variance) for variance in variances)
     if not low > 0:
         return Estimate.bounded(key, term.symbol, high)

@@ -25,11 +25,11 @@ from imucal.fitting.spectral.ordinates import Ordinates, band_top
 from imucal.frozen import frozen_alone
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
-#: Largest difference of |H|² from a Butterworth filter's that is given this name.
+#: Largest difference of |H|² from a Butterworth filter's with this name.
 _SAME_RESPONSE = 0.02
-#: Lowest and highest starting corner of a response, as fractions of the band, and the number of corners.
+#: Lowest and highest starting corner, as fractions of the band, and number of corners.
 CORNERS = (0.03, 0.97, 24)
-#: Number of bins at the end of the band that show its highest frequencies.
+#: Number of bins that show the highest frequencies of the band.
 HIGHEST = 8
 
 #: Poles and zeros of a response.

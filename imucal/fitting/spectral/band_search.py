@@ -44,40 +44,25 @@ def _no_rounding() -> float:
 
 #: Ends of the bands to try, as fractions of Nyquist.
 BANDS = (
-    1.0,
-    0.9,
-    0.7,
-    0.5,
-    0.35,
-    0.25,
-    0.18,
-    0.125,
-    0.09,
-    0.0625,
-    0.045,
-    0.03125,
-    0.022,
-    0.016,
-    0.011,
-    0.008,
-)
-#: Slow terms are first fitted below this fraction of Nyquist, where most filters are flat.
+    1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125, 0.022, 0.016, 0.011, 0.008,
+)  # fmt: skip
+#: Fraction of Nyquist below which most filters are flat and slow terms are first fitted.
 _LOW = 0.03125
 #: Misfit score below which a description is sound; the same for the whole band without a response.
 _SOUND, _SOUND_FLAT = 3.0, 4.0
-#: Misfit score of the whole band above which a hump is searched: one in 40 clean records.
+#: Misfit score from which a hump is searched: one in 40 clean records.
 _UNSURE = 2.0
-#: Largest gain by chance of one and of two more orders of the response, in twice the log-likelihood; larger
-#: for a flat band, because a filter that does not exist makes N wrong by a factor of two.
+#: Largest gain by chance of one and two more orders of the response, in twice the log-likelihood; larger for
+#: a flat band, because a filter that does not exist makes N wrong by a factor of two.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
-#: Share of the top that quantization explains above which a filter needs a larger gain: both bend it.
+#: Gains that a filter needs if quantization explains at least this share of the top: both bend it.
 _GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
-#: Share of the power at the highest frequencies above which a Gauss-Markov term hides the white noise.
+#: Share of the power at the top above which a Gauss-Markov term hides the white noise.
 _MASKING = 0.5
 #: Density ratio of a Gauss-Markov term to the white noise above which the white noise is compared with the
 #: rounding; variance ratio to the rounding below which it is not the sensor's.
 _ABOVE, _ROUNDED = 4.0, 3.0
-#: A Gauss-Markov term can't imitate the filter if its time is longer by this factor.
+#: Factor by which a Gauss-Markov term's time must be longer so that it can't imitate the filter.
 _SLOWER = 10.0
 #: Highest number of poles.
 _ORDERS = 5
@@ -222,7 +207,6 @@ class _BandSearch:
         ]
 
     def flat(self) -> Band | None:
-        """Return the whole band without a response, or None if the data need one."""
         orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
         start = np.repeat(self.blind(self.ordinates), 3, axis=0)
         # A coarse tolerance is enough: gains of about ten decide.
@@ -239,12 +223,10 @@ class _BandSearch:
         return self.band(trials[0]) if _enough(trials, chance, _SOUND_FLAT) else None
 
     def level_at_the_top(self) -> float:
-        """Return the mean square of the ordinates at the highest frequencies."""
         last = slice(-HIGHEST, None)
         return float(self.ordinates.power[last].sum() / self.ordinates.size[last].sum())
 
     def white_at_the_top(self) -> bool:
-        """Whether white noise is most of the blind fit's power at the highest frequencies."""
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
     def sound(self, near: float | None) -> Band | None:
@@ -268,7 +250,6 @@ class _BandSearch:
         return self.simplest(best) if best else None
 
     def least_bad(self) -> Band:
-        """Return the tried description with the smallest misfit."""
         return self.band(min(self.tried, key=lambda t: t.statistic))
 
     def responses(self, fraction: float, low: FloatArray) -> list[_Trial]:
@@ -338,7 +319,6 @@ def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: fl
 
 
 def _deviation_of_white(fit: Fits) -> float:
-    """Return the relative standard error of N; infinite if it is undetermined."""
     if not fit.models.has[0, COLUMN["N"]]:
         return float(np.inf)
     return 0.5 * float(np.sqrt(fit.covariance[1, 1]))

@@ -23,13 +23,13 @@ from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_o
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
-#: Second differences, relative to first differences, below which there is only rounding, no noise.
+#: Ratio of second to first differences below which there is only rounding, no noise.
 _STRAIGHT = 1e-9
 #: Fewest samples of a record and of a block.
 _MIN_SAMPLES = 64
-#: Gaps of more samples than this separate blocks; shorter ones are completed.
+#: Longest gap to complete; longer ones separate blocks.
 _LONG = 64
-#: Largest number of blocks; if there are more long gaps, the shorter ones are completed too.
+#: Largest number of blocks; if there are more long gaps, shorter ones are completed too.
 _MAX_BLOCKS = 48
 #: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
@@ -94,7 +94,10 @@ class SeriesBlocks:
 
 
 def scale_of(series: AxisSeries) -> float:
-    """Return a power of two near the size of the samples' steps, in U; a DataError if they have no noise."""
+    """Return a power of two near the size of the samples' steps, in U.
+
+    Too few samples, equal samples, and a ramp without noise raise a DataError.
+    """
     samples = series.samples
     if samples.size < _MIN_SAMPLES:
         msg = (
@@ -256,7 +259,7 @@ _ROUNDING = 1e-28
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
-    """Return the binned ordinates of all blocks; the regressors `names` are common to them."""
+    """Return the binned ordinates of all blocks, which share the regressors `names`."""
     return Ordinates.joined([_binned(block, scale, names) for block in blocks])
 
 

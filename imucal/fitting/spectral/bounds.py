@@ -36,7 +36,6 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fits, tup
     bounded: dict[str, Estimate] = {}
     estimates = estimate(problem, fitted)
     while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
-        # Drop the term that costs the least likelihood.
         fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
         least = int(np.argmin([float(fit.objective[0]) for fit in fits]))
         fitted, bounded[gone[least].key] = fits[least], gone[least]
@@ -45,7 +44,7 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fits, tup
 
 
 def with_absent(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    """Add the upper bounds of N, B and K if the model lacks them, each fitted together with its own terms."""
+    """Add the upper bounds of N, B and K if the model lacks them, each fitted together with its terms."""
     absent = set(ALWAYS).difference(e.symbol for e in estimates)
     bounds_of = [upper_bound(problem, add_term(problem, fitted, symbol), symbol) for symbol in absent]
     return ordered((*estimates, *bounds_of))
@@ -121,11 +120,11 @@ def upper_bound(problem: Problem, fitted: Fits, symbol: str) -> Estimate:
     return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))
 
 
-#: Distances in the criterion from the best: weight 1 up to the first, 0 from the second on.
+#: Distances in the criterion from the best with weight 1 and 0.
 _FULL_WEIGHT, _NO_WEIGHT = 6.0, 9.0
 #: Difference in Akaike's criterion within which the data can't distinguish models.
 _INDISTINGUISHABLE = 4.0
-#: Share of the record; a Gauss-Markov term with a longer correlation time is reported as K.
+#: Share of the record from which a correlation time of a Gauss-Markov term makes it K.
 _WALK = 1 / 20
 #: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
 #: Gauss-Markov term of some seconds next to a walk resembles flicker.
@@ -144,7 +143,6 @@ class Alternative:
 
     @property
     def slow(self) -> bool:
-        """Whether its K describes a slow Gauss-Markov term."""
         return self.terms["K"].horizon_s < np.inf
 
     def excludes(self, key: str) -> bool:
@@ -216,7 +214,6 @@ def _alternative(problem: Problem, distance: float, model: Fits) -> Alternative:
 
 
 def _time_of(found: Estimate) -> float:
-    """Return the correlation time of a Gauss-Markov term, in s; 0 for other terms."""
     time = found.correlation_time
     return time.value if time and found.symbol == GaussMarkov.symbol else 0.0
 
@@ -264,7 +261,6 @@ def _floor(problem: Problem, bound: Estimate, models: list[Fits]) -> Estimate:
 def _richer(
     problem: Problem, fitted: Fits, detected: set[str], own: tuple[Estimate, ...]
 ) -> tuple[Fits, tuple[Estimate, ...]]:
-    """Return the chosen model plus the detected terms, and its estimates."""
     for symbol in ALWAYS:
         if symbol in detected and symbol not in fitted.structure:
             fitted = add_term(problem, fitted, symbol)
@@ -326,7 +322,6 @@ def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
 
 
 def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
-    """Return a correlation time with the limits of all models."""
     if own is None:
         return None
     times = [own, *(e.correlation_time for e in span if e.correlation_time)]

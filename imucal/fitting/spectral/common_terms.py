@@ -19,7 +19,7 @@ from imucal.fitting.spectral.likelihood import regress
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen_alone
 
-#: Lower bound of the logs of the scales: lower scales are invisible.
+#: Lower bound of the logs of the scales.
 _INVISIBLE = -30.0
 #: Starting value of an absent part: its largest share of the spectrum.
 _SHARE = 0.1

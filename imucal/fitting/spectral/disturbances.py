@@ -30,7 +30,7 @@ _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 _LAGS = np.geomspace(3e-4, 0.1, 16)
 #: Periods per record of cycles: fewer are drifts, more are lines.
 _MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
-#: Fewest periods per record of a slow cycle, which resembles a random walk; fewer are a drift.
+#: Fewest periods per record of a slow cycle, which resembles a random walk.
 _MIN_SLOW_PERIODS = 0.7
 #: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
@@ -43,17 +43,17 @@ _CHANCE_STEP = 0.002
 #: Price of a cycle, independent of the rate. Of 500 clean records with a known spectrum one gains 21 by
 #: Baluev (2008), MNRAS 385, 1279; with a fitted one 23.
 _PRICE_CYCLE = 16.0
-#: Gain beyond its price above which a cycle below the margin is doubtful: 95 % of clean records gain less.
+#: Gain beyond its price from which a cycle is doubtful: 95 % of clean records gain less.
 _DOUBT = -0.5
 #: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
-#: Gain on the rich model from which a warm-up or slow cycle with N and B explains a record as well as a walk.
+#: Gain on the rich model from which a warm-up or slow cycle with N and B is as likely as a walk.
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
-#: Ratio of the spectra with and without walk below which the record shows no walk.
+#: Ratio of the spectra with and without walk below which the record shows none.
 _NO_WALK = 2.0
 #: Logarithm of a variance that is zero.
 _ABSENT = -300.0
-#: Other shapes, which have a cause, are preferred to cycles if they gain at least this share of the best.
+#: Share of the best gain from which other shapes, which have a cause, are preferred to cycles.
 _CAUSED = 0.9
 #: Steps nearer than the record's length over this are collinear in the lowest ordinates.
 _TELLABLE = 65536
@@ -64,7 +64,7 @@ _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
 _MAX_SHAPES = 8
 
 
-#: Returns a step's exact place from its approximate place, other steps' places and the least distance.
+#: Returns a step's exact place from its approximate one, other steps' places and the least distance.
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
@@ -152,7 +152,6 @@ def _sized(found: Sequence[Disturbance], fits: Fits, row: int = 0) -> tuple[Dist
 
 
 def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> Fits:
-    """Return the best fit of a structure with the ramp and each set of regressors."""
     names = ("R", *dict.fromkeys(name for names in sets for name in names))
     ordinates = bin_blocks(low, 1.0, names)
     seen = ordinates[ordinates.size > 0]

@@ -25,8 +25,8 @@ _MOVED = 3e-4
 #: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle has information
 #: on some frequencies only, and more rounds make lines of the others.
 _ROUNDS, _ROUNDS_IF_LONG, _LONG = 40, 8, 64
-#: The variance of missing samples is averaged over this ratio of frequencies, at least this many groups a
-#: side.
+#: Ratio of frequencies, and least number of groups a side, over which the missing samples' variance is
+#: averaged.
 _NEAR, _NEIGHBOURS = 1.5, 2
 _STEPS = 40
 _CLOSE = 1e-3
@@ -66,7 +66,6 @@ def complete(
         drawn = idct2(_weighed(draw, 1 / np.sqrt(spectrum), groups))[gaps]
         del draw
         apply = _precision(gaps, pairs, 1 / spectrum, groups, n)
-        # The median over the upper half of the ordinates.
         ends = np.maximum(np.append(groups, n - 1), (n - 1) // 2)
         unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
         samples[gaps] -= _conjugate(apply, right, unit)
@@ -191,7 +190,6 @@ def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> Flo
 
 
 def _means(ordinates: FloatArray, groups: IntArray) -> FloatArray:
-    """Return the mean square in each group, positive, shape of `groups`."""
     means = [
         float(np.mean(np.square(ordinates[start:stop]))) for start, stop in _spans(ordinates.size, groups)
     ]

@@ -112,7 +112,7 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ne
 
 #: Information on a log coefficient below which it is undetermined.
 _NONE = 1e-8
-#: Distance of a log variance from its lower bound below which the term is absent from the joint fit.
+#: Distance of a log variance from its lower bound below which the term is absent.
 _RAISED = 8.0
 
 
@@ -194,11 +194,11 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     return parts, theta[0, : models.variances] + np.log(factor)
 
 
-#: Gain in log-likelihood below which the search for squared coefficients ends; rounds of the reference.
+#: Gain in log-likelihood that ends the search for squared coefficients; rounds of the reference.
 _CLOSE, _ROUNDS = 1e-9, 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
-#: A deviation's growth is computed between zero and the estimate, or this many deviations if it is smaller.
+#: A deviation's growth is computed between zero and the estimate, at least this many deviations.
 _FAR = 4.0
 #: Least size of the other terms in this computation, in their deviations.
 _FLOOR = 0.5
@@ -236,7 +236,6 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     spectrum = reference @ slopes[places]
     weight = 0.5 * ordinates.size / spectrum**2
     variance = _inverse(slopes[places], weight) @ (slopes[places] @ (weight * power / ordinates.size))
-    # The slopes in correlation times and response.
     first, whole = models.variances, slopes[: models.variances].sum(axis=0)
     level = dict(zip(places, reference.tolist(), strict=True))
     times = np.flatnonzero(models.free[0, first : models.response]).tolist()
@@ -310,6 +309,5 @@ def _inverse(slopes: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _deviations(slopes: FloatArray, size: FloatArray, spectrum: FloatArray) -> FloatArray:
-    """Return standard deviations from the expected information, one per row of `slopes`."""
     inverse = _inverse(slopes, 0.5 * size / spectrum**2)
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)))

@@ -20,15 +20,16 @@ from imucal.frozen import frozen
 #: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum must
 #: reach `_SUM`, and the ratio of its density to the noise must reach `_TIMES`.
 _EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
-#: At least this many ordinates must be below the hump, and this share of all above it.
+#: Least number of ordinates below the hump, and share of all above it.
 _BELOW, _ABOVE = 16.0, 0.05
 #: White noise must be this share of the density in the `_NEXT` bins on both sides: otherwise a filter is more
 #: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
 #: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white noise
-#: behind a filter. Its cells of `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN`.
+#: behind a filter. Its cells of `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN` in
+#: addition to chance.
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
-#: The interval is widened by this factor: the bins next to the run may belong to it and be low by chance.
+#: Factor that widens the interval: the bins next to the run may belong to it and be low by chance.
 _GUARD = 1.2
 #: Fits, and the fewest bins of one.
 _ROUNDS, _MIN_BINS = 10, 24

@@ -25,7 +25,7 @@ from imucal.noise.terms import ALWAYS, TERMS
 
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
-#: Number of elements of an array such that a dozen arrays fit in the cache.
+#: Elements of an array such that a dozen arrays fit in the cache.
 _CACHED = 16384
 #: Places in a band, lam / top, where a response must be positive, independent of the bins.
 _BETWEEN = np.linspace(0.4, 1.0, 25)

@@ -27,8 +27,8 @@ _MEDIAN_EFFICIENCY = 0.5
 _MEDIAN = 0.4549
 #: Ordinates on each side that a line must exceed: number, and least share of the frequency.
 _NEAR, _NEAR_SHARE = 64, 1 / 800
-#: Largest number of lines subtracted as sines; ordinates on each side for the fit of one; largest share of
-#: its power that may remain.
+#: Largest number of lines subtracted as sines, ordinates on each side for a fit, largest remaining share of
+#: power.
 _MAX_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
 #: A line's tail is left out down to this share of the level.
 _TAIL = 0.05

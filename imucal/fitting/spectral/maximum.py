@@ -29,7 +29,7 @@ from imucal.noise.terms import TERMS
 _ABSENT = 18.0
 #: Longest step of a parameter, in log units; for a response coefficient, relative to 1 + its size.
 _STEP = 1.5
-#: Number of steps -> largest distance from the best, in log-likelihood, after them …
+#: Number of steps -> distance from the best, in log-likelihood, from which a model is given up …
 _BEHIND = {3: 50.0, 12: 37.5, 20: 20.0}
 #: … unless the last step gained more than this share of the distance.
 _CATCHING_UP = 0.1
@@ -40,7 +40,8 @@ _JOIN = 8.0
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
     """Return the mask of the models that are far behind the best and do not catch up, shape (c,).
 
-    `gain` is of the last of `steps` steps. In tests no model that ends within 12.5 of the best is given up.
+    `gain` is of the last of `steps` steps. On simulated and real logs, no model that ends within 12.5 of the
+    best is given up.
     """
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
@@ -183,7 +184,7 @@ def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray,
 
 #: Number of correlation times in the dictionary.
 _GRID = 16
-#: Rounds of updates, number of each model's best mixtures that they update, and their exponent.
+#: Rounds of updates, number of best mixtures of each model, and exponent.
 _EVERY = 1_000_000
 _THOROUGH, _QUICK = ((25, _EVERY, 0.5), (25, 40, 0.5)), ((6, _EVERY, 1.0), (19, 16, 1.0))
 #: Rows at a time: few enough for the cache and for a single thread of the linear algebra library.

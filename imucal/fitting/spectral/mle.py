@@ -155,7 +155,6 @@ def fit_mle(
 def _estimates(
     problem: Problem, choice: RankedModels, view: View, settings: FitSettings
 ) -> tuple[Fits, tuple[Estimate, ...], tuple[Estimate, ...]]:
-    """Return the model to draw, its own estimates, and the estimates to report."""
     if settings.structure is not None:
         fitted, own = estimate_or_bound(problem, choice)
         return fitted, own, with_absent(problem, fitted, own)
@@ -255,7 +254,7 @@ def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> lis
 
 
 def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
-    """Return the points of the curve at times longer than those of the filter and of excluded frequencies."""
+    """Return the points of the curve at times longer than the periods of the filter and of excluded bins."""
     return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 

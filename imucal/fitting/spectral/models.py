@@ -19,7 +19,7 @@ from imucal.fitting.spectral.ordinates import LAWS, SHAPED
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
-#: Symbols of a model's terms in the order of `imucal.noise.TERMS`; a repeated term is listed repeatedly.
+#: Symbols of a model's terms in the order of `imucal.noise.TERMS`, repeated terms repeatedly.
 Structure = tuple[str, ...]
 
 #: Shortest correlation time that `auto` fits, in samples: a shorter one belongs to an output filter.
@@ -56,7 +56,7 @@ class Models:
 
     @property
     def variances(self) -> int:
-        """Number of variances at the start of a row, s."""
+        """Number of variances in a row, s."""
         return len(self.slots)
 
     @property
@@ -100,13 +100,11 @@ class Models:
         return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
     def with_laws(self, symbols: Iterable[str]) -> "Models":
-        """Return the models with some power laws added."""
         has = self.has.copy()
         has[:, [COLUMN[symbol] for symbol in symbols]] = True
         return replace(self, has=has)
 
     def without(self, columns: Iterable[int], *, ramp: bool) -> "Models":
-        """Return the models without the terms whose variances are in some columns, and without the ramp."""
         has = self.has.copy()
         has[:, list(columns)] = False
         keep = np.array([not (ramp and name == "R") for name in self.names], dtype=bool)

@@ -27,7 +27,7 @@ from imucal.units import pretty
 _NAMED = 4
 #: False alarm rate of tones per record.
 _CHANCE = 1e-4
-#: Relative increase of the Allan variance at a line's hump below which there is no warning.
+#: Relative increase of the Allan variance by a line below which there is no warning.
 _VISIBLE = 0.1
 #: Time constants after which a warm-up has settled to 5 %.
 _SETTLED = 3.0

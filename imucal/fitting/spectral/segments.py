@@ -191,8 +191,6 @@ def fit_segments(
 
 
 class _Tests:
-    """The tests of one fit's terms, computed together."""
-
     def __init__(self, problem: Problem, fitted: Fits, segments: SegmentOrdinates) -> None:
         self.problem, self.fitted, self.segments = problem, fitted, segments
         absent = [COLUMN[symbol] for symbol in fitted.missing]

@@ -15,14 +15,14 @@ from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 
-#: Models this close to the best on coarse bins are fitted on all bins; the distance is larger behind an
-#: output filter, whose response adapts only in this fit.
+#: Distance from the best on coarse bins of models that are fitted on all bins; larger behind an output
+#: filter, whose response adapts only in this fit.
 _REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
 #: Largest number of models fitted on all bins.
 _MAX_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
 _LISTED_WITHIN = 6.0
-#: Twice the log-likelihood below which a second maximum is as good as the first.
+#: Distance in twice the log-likelihood within which a second maximum is as good as the first.
 _AS_GOOD = 4.0
 
 
@@ -160,7 +160,6 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
 
 
 def _difference(choice: RankedModels, count: int) -> str:
-    """Return a text about the terms that are only in some of the near models."""
     sets = [set(structure) for structure in choice.structures[:count]]
     unsure = sorted({s for one in sets for s in one if not all(s in other for other in sets)})
     if not unsure:

@@ -15,13 +15,13 @@ from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import cycle_ordinates
 from imucal.frozen import frozen_alone
 
-#: Number of places in a block that are searched for a step.
+#: Number of places in a block to search for a step.
 _PLACES = 8192
-#: Ordinates of all blocks that contain nearly all power of a cycle of 24 periods or of a warm-up.
+#: Ordinates that contain nearly all power of a cycle of 24 periods or of a warm-up.
 _OF_SMOOTH = 512
-#: Share of a block at each end where a step can't be distinguished from the block's mean.
+#: Share of a block at each end where a step resembles the block's mean.
 _CLEAR = 0.005
-#: Remainder of a shape, after subtracting the fit's regressors, below which it is collinear with them.
+#: Remaining share of a shape below which it is collinear with the fit's regressors.
 _COLLINEAR = 1e-6
 
 
