@@ -44,7 +44,7 @@ def _no_rounding() -> float:
 
 #: Ends of the bands to try, as fractions of Nyquist.
 BANDS = (
-    1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125, 0.022, 0.016, 0.011, 0.008,
+    1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125, 0.022, 0.016, 0.011, 0.008
 )  # fmt: skip
 #: Fraction of Nyquist below which most filters are flat and slow terms are first fitted.
 _LOW = 0.03125
