@@ -20,7 +20,7 @@ from imucal.fitting import FitSettings, NoiseFit, fit_axis
 from imucal.fitting.cross_checks import ambiguity_findings, fit_of_curve, second_opinion
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
-from imucal.fitting.spectral.not_noise import not_noise
+from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.frozen import frozen
 from imucal.planning import resolution_findings
 from imucal.prediction import self_check

@@ -107,7 +107,7 @@ def test_every_finding_is_described() -> None:
             file.read_text(encoding="utf-8"),
         )
     }
-    drift = (PACKAGE / "fitting/spectral/not_noise.py").read_text(encoding="utf-8")
+    drift = (PACKAGE / "fitting/spectral/disturbances/not_noise.py").read_text(encoding="utf-8")
     for chosen in re.findall(r"^    code = (.*)$", drift, re.MULTILINE):
         written |= set(re.findall(r'"([a-z-]+)"', chosen))
     for name in ("screening/values.py", "readers/message_logs.py"):

@@ -18,8 +18,8 @@ import numpy as np
 import imucal
 from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.disturbances import best_cycle, find_disturbances
-from imucal.fitting.spectral.whitened import Whitened
+from imucal.fitting.spectral.disturbances.shapes import best_cycle, find_disturbances
+from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.noise.term import PowerLawTerm
 from tests.benchmarks.disturbances import (
     BESIDE_A_CYCLE,

@@ -23,7 +23,7 @@ import numpy as np
 import imucal
 from imucal.clock import Clock
 from imucal.fitting.spectral.blocks import make_blocks
-from imucal.fitting.spectral.disturbances import exact_places, find_disturbances
+from imucal.fitting.spectral.disturbances.shapes import exact_places, find_disturbances
 
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit

@@ -10,7 +10,7 @@ from imucal import pipeline
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.fitting.spectral.not_noise import not_noise
+from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.grading import grade_of
 from imucal.pipeline import screen
 from imucal.recording import AxisSeries

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imucal.fitting.spectral.lines import likely_cause
-from imucal.fitting.spectral.not_noise import not_noise
+from imucal.fitting.spectral.disturbances.lines import likely_cause
+from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.recording import AxisSeries
 from imucal.screening.motion import density_at_rest
 from imucal.screening.windows import profile

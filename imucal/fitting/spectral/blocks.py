@@ -17,8 +17,8 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.gaps import complete
-from imucal.fitting.spectral.lines import find_lines, with_sines, without_strong_lines
+from imucal.fitting.spectral.disturbances.gaps import complete
+from imucal.fitting.spectral.disturbances.lines import find_lines, with_sines, without_strong_lines
 from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_ordinates
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries

@@ -23,11 +23,11 @@ from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.homogeneity import symbol_of, widened
 from imucal.fitting.noise_fit import Estimate, Goodness
-from imucal.fitting.spectral.band import Band
-from imucal.fitting.spectral.band_search import find_band, flat_band
 from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import completed, estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.common_terms import Parts, visible
+from imucal.fitting.spectral.disturbances.band import Band
+from imucal.fitting.spectral.disturbances.band_search import find_band, flat_band
 from imucal.fitting.spectral.estimates import Problem, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, derivatives
 from imucal.fitting.spectral.maximum import bounds, misfit

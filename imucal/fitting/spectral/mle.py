@@ -28,17 +28,17 @@ from imucal.fitting.homogeneity import (
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, Segments
 from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.band import Band, filter_finding, response_of
-from imucal.fitting.spectral.band_search import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
+from imucal.fitting.spectral.disturbances.band import Band, filter_finding, response_of
+from imucal.fitting.spectral.disturbances.band_search import find_band
+from imucal.fitting.spectral.disturbances.not_noise import find_shapes, line_finding, tone_finding
+from imucal.fitting.spectral.disturbances.segments import fit_segments
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, spectra
 from imucal.fitting.spectral.maximum import misfit
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
-from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.ordinates import Ordinates, band_top
-from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import GaussMarkov

@@ -7,7 +7,7 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.settings import CRITERIA
-from imucal.fitting.spectral.band import Band
+from imucal.fitting.spectral.disturbances.band import Band
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import find_starts, maximize
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, models_of

@@ -7,10 +7,11 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import band as filter_response
-from imucal.fitting.spectral import band_search, maximum
-from imucal.fitting.spectral.band import Band, Order, start_response
-from imucal.fitting.spectral.band_search import (
+from imucal.fitting.spectral import maximum
+from imucal.fitting.spectral.disturbances import band as filter_response
+from imucal.fitting.spectral.disturbances import band_search
+from imucal.fitting.spectral.disturbances.band import Band, Order, start_response
+from imucal.fitting.spectral.disturbances.band_search import (
     _BandSearch,
     _deviation_of_white,
     _enough,
@@ -18,7 +19,7 @@ from imucal.fitting.spectral.band_search import (
     _Trial,
     find_band,
 )
-from imucal.fitting.spectral.hump import Hump
+from imucal.fitting.spectral.disturbances.hump import Hump
 from imucal.fitting.spectral.likelihood import Fits, evaluate
 from imucal.fitting.spectral.models import models_of
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates

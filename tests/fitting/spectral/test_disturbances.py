@@ -11,9 +11,9 @@ from imucal.fitting import FitSettings, NoiseFit
 from imucal.fitting.cross_checks import without_disturbances
 from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.blocks import Block, make_blocks
-from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
+from imucal.fitting.spectral.disturbances.shapes import Disturbance, find_disturbances
+from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.fitting.spectral.ordinates import lagged
-from imucal.fitting.spectral.whitened import Whitened
 from imucal.noise.model import NoiseModel
 from imucal.recording import Axis, AxisSeries, Sensor
 from tests.fitting.fits import fitted, simulated

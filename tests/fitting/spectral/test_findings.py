@@ -7,7 +7,8 @@ import pytest
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Goodness, Line, Response
-from imucal.fitting.spectral.band import Band, Order, filter_finding, response_of
+from imucal.fitting.spectral.disturbances.band import Band, Order, filter_finding, response_of
+from imucal.fitting.spectral.disturbances.not_noise import line_finding
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.mle import (
     _misfit_findings,
@@ -15,7 +16,6 @@ from imucal.fitting.spectral.mle import (
     _used,
 )
 from imucal.fitting.spectral.models import models_of, richest
-from imucal.fitting.spectral.not_noise import line_finding
 from imucal.recording import AxisSeries
 from tests.fitting.fits import at_maximum
 

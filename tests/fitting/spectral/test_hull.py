@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fitting.spectral import band_search
+from imucal.fitting.spectral.disturbances import band_search
 from tests.fitting.fits import fitted, simulated
 
 #: A consumer gyroscope for half an hour, at a tenth of its rate: B and K are weak beside one another.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from imucal.fitting.spectral.hump import is_plateau, largest_run
+from imucal.fitting.spectral.disturbances.hump import is_plateau, largest_run
 from tests.fitting.fits import fitted, simulated
 from tests.slow_cases import first_by_default
 

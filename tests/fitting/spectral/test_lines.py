@@ -6,7 +6,7 @@ import pytest
 from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.lines import _level, find_lines, with_sines, without_strong_lines
+from imucal.fitting.spectral.disturbances.lines import _level, find_lines, with_sines, without_strong_lines
 from imucal.noise.model import NoiseModel
 
 N = 60_000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.allan.dct import dct_bins, dct_ordinates
-from imucal.fitting.spectral.lines import find_lines
+from imucal.fitting.spectral.disturbances.lines import find_lines
 from imucal.noise import NoiseModel
 
 

@@ -6,8 +6,8 @@ import pytest
 from scipy.fft import dct
 
 from imucal.allan.dct import dct_bins
-from imucal.fitting.spectral import gaps
-from imucal.fitting.spectral.gaps import _conjugate, _groups, _Pairs, _precision, complete
+from imucal.fitting.spectral.disturbances import gaps
+from imucal.fitting.spectral.disturbances.gaps import _conjugate, _groups, _Pairs, _precision, complete
 
 
 def test_conjugate_gradients_solve_the_system() -> None:

@@ -9,11 +9,15 @@ import imucal
 from imucal.clock import Clock
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import mle
-from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.blocks import make_blocks
 from imucal.fitting.spectral.common_terms import Parts
+from imucal.fitting.spectral.disturbances.band import Band
+from imucal.fitting.spectral.disturbances.segments import (
+    SegmentOrdinates,
+    number_of_segments,
+    segment_ordinates,
+)
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
-from imucal.fitting.spectral.segments import SegmentOrdinates, number_of_segments, segment_ordinates
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries, Sensor
 from tests.fitting.fits import fitted, simulated

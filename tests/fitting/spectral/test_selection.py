@@ -9,7 +9,7 @@ from scipy import signal
 
 from imucal.fitting import CRITERIA, FitSettings, fit
 from imucal.fitting.spectral import selection
-from imucal.fitting.spectral.band import Band
+from imucal.fitting.spectral.disturbances.band import Band
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import maximize
 from imucal.fitting.spectral.mle import spectral_view

@@ -15,12 +15,12 @@ from imucal.allan.dct import dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.homogeneity import SURE, bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
-from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.common_terms import Parts, visible
+from imucal.fitting.spectral.disturbances.band import Band
+from imucal.fitting.spectral.disturbances.lines import left_out, outside
 from imucal.fitting.spectral.estimates import Problem, quantile, student_quantile
 from imucal.fitting.spectral.likelihood import Fits, derivatives
-from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.models import COLUMN
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples

@@ -18,8 +18,15 @@ from typing import TypeAlias
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.band import CORNERS, HIGHEST, Band, Order, power_response, start_response
-from imucal.fitting.spectral.hump import find_hump
+from imucal.fitting.spectral.disturbances.band import (
+    CORNERS,
+    HIGHEST,
+    Band,
+    Order,
+    power_response,
+    start_response,
+)
+from imucal.fitting.spectral.disturbances.hump import find_hump
 from imucal.fitting.spectral.likelihood import Fits, derivatives
 from imucal.fitting.spectral.maximum import fit_blindly, maximize, misfit
 from imucal.fitting.spectral.models import (

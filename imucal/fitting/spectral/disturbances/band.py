@@ -18,7 +18,7 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
-from imucal.fitting.spectral.hump import Hump, hump_finding
+from imucal.fitting.spectral.disturbances.hump import Hump, hump_finding
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.models import COLUMN, SHORTEST
 from imucal.fitting.spectral.ordinates import Ordinates, band_top

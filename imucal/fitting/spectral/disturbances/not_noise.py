@@ -11,12 +11,12 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.band import Band, corner_of
-from imucal.fitting.spectral.band_search import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
-from imucal.fitting.spectral.disturbances import Disturbance, exact_places, find_disturbances
-from imucal.fitting.spectral.hump import hump_finding
-from imucal.fitting.spectral.lines import likely_cause, local_level
+from imucal.fitting.spectral.disturbances.band import Band, corner_of
+from imucal.fitting.spectral.disturbances.band_search import find_band
+from imucal.fitting.spectral.disturbances.hump import hump_finding
+from imucal.fitting.spectral.disturbances.lines import likely_cause, local_level
+from imucal.fitting.spectral.disturbances.shapes import Disturbance, exact_places, find_disturbances
 from imucal.fitting.spectral.models import richest
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.fitting.spectral.blocks import Block, bin_blocks
+from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import fit_blindly
 from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
-from imucal.fitting.spectral.whitened import Whitened
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
