@@ -228,6 +228,9 @@ def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float
     for last_stamp, last_place in _READ:
         anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
         beat = _slope_of(anchors)
+        if not beat > 0:
+            # Stamps of a damaged file may run backwards from batch to batch.
+            continue
         late = [times / beat - places for times, places in anchors if times.size]
         spread = [float(np.ptp(_about_a_line(_without_jumps(one, 0.0)))) / size for one in late]
         if spread:

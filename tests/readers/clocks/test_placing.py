@@ -8,7 +8,7 @@ from imucal.arrays import IntArray
 from imucal.clock import Segment
 from imucal.readers.clocks import placing
 from imucal.readers.clocks.from_stamps import _believable, _filled, _segments
-from imucal.readers.clocks.period import Period, evened
+from imucal.readers.clocks.period import Period, _beat, evened
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
     Breaks,
@@ -299,3 +299,11 @@ def test_a_period_is_the_slope_of_the_stamps(longest: int) -> None:
     shifted = stamps + 400 * (np.arange(200) >= 50)
     free, _ = fit_period(shifted, float(TAU), breaks, NONE, longest=longest)
     assert (abs(free - 1003.5) < 1e-2) == (longest == 2)
+
+
+@pytest.mark.parametrize("step", [-5e8, 0.0])
+def test_batches_that_do_not_advance_have_no_beat(step: float) -> None:
+    """Stamps of a damaged file may run backwards, or repeat, from batch to batch."""
+    starts = step * np.repeat(np.arange(20), 10)
+    run = (starts + 1e6 * np.tile(np.arange(10), 20)).astype(np.int64)
+    assert _beat([run], 5e6, 10.0) == (0.0, 0.0, 0)
