@@ -1,7 +1,6 @@
 """The verdict, in one sentence, on whether a recording is stationary noise.
 
-Table, page, report.json, exit codes and exports use the same `NoiseVerdict`. The most severe finding
-determines it, by its level or by an entry in `OTHERWISE`.
+The most severe finding determines it, by its level or by an entry in `OTHERWISE`.
 """
 
 import re
@@ -14,13 +13,12 @@ from imucal.frozen import frozen
 #: good: stationary noise; look: read the findings first; not-noise: the numbers are wrong.
 Grade: TypeAlias = Literal["good", "look", "not-noise"]
 
-#: Grades, the most severe last.
+#: The most severe last.
 GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
 
-#: Level of a finding -> grade.
 BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
 
-#: Exceptions: these findings do not affect the noise.
+#: These findings do not affect the noise.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("unindexed", "warning"): "good",
     ("index", "warning"): "good",
@@ -30,32 +28,21 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
 #: Codes that concern every axis if the finding is about the whole log.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
-#: Codes of a disturbed rest.
 DISTURBED = frozenset({"motion", "touch"})
 #: End of the advice for a log with several rests.
 RESTS = "Fit its rests together with --rests."
 
-#: Codes of doubts about a unit: the noise may still be stationary.
+#: Doubts about a unit: the noise may still be stationary.
 _OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
 _UNIT_OPTION = re.compile(r"--(?P<sensor>gyro|accel)-(?P<kind>unit|scale) (?P<value>[^\s;,]+)")
 
-#: Number of reasons in a sentence; the others are counted.
+#: Number of reasons in a sentence.
 _NAMED = 3
 
 
 @frozen
 class NoiseVerdict:
-    """The verdict on a recording.
-
-    Attributes
-    ----------
-    grade
-        ``good``, ``look`` or ``not-noise``.
-    sentence
-        The grade in one sentence, with its reasons.
-    axes
-        The axes whose numbers are not wrong.
-    """
+    """The verdict on a recording; `axes` are the axes whose numbers are not wrong."""
 
     grade: Grade
     sentence: str
@@ -109,9 +96,8 @@ def judge_findings(
 ) -> NoiseVerdict:
     """Return the verdict on a recording, from all findings about the log and its axes.
 
-    `axes` contains the names of all axes, such as ``gyro_x``, with or without a result. `errors` contains the
-    relative half-width of the interval of N by axis, if known. A record that is `too_short` can't show B and
-    K.
+    `axes` contains the names of all axes, with or without a result. `errors` contains the relative half-width
+    of the interval of N by axis, if known. A record that is `too_short` can't show B and K.
     """
     grave = _grave(findings)
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
@@ -137,7 +123,6 @@ def _grave(findings: Iterable[Finding], without: frozenset[str] = frozenset()) -
 
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
-    """Return the axes that none of the findings concerns."""
     return [
         name
         for name in axes
@@ -155,7 +140,7 @@ def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str
 
 
 def percent(fraction: float) -> str:
-    """Return a positive fraction in percent with two digits, such as ``0.43 %`` or ``12 %``."""
+    """Return a positive fraction with two digits, such as ``0.43 %`` or ``12 %``."""
     return f"{float(f'{100 * fraction:.2g}'):g} %"
 
 
@@ -191,5 +176,4 @@ def _shortest(name: str, about: Sequence[str], axes: Sequence[str]) -> str:
 
 
 def _within(axis: str, name: str) -> bool:
-    """Return whether an axis has a name, or belongs to the sensor of that name."""
     return axis == name or axis.startswith(f"{name}_")

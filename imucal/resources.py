@@ -29,8 +29,7 @@ POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES
 def memory_limit() -> int:
     """Return the memory of one step in bytes: ``IMUCAL_MEMORY``, or a quarter of the available memory.
 
-    The available memory is the machine's, or the limit of its control group (a container, a job) if that is
-    smaller. Raises SettingError if ``IMUCAL_MEMORY`` is not a size.
+    Raises SettingError if ``IMUCAL_MEMORY`` is not a size.
     """
     size = size_setting(MEMORY)
     if size is not None:
@@ -81,10 +80,9 @@ def column_limit() -> int:
 
 
 def threads() -> int:
-    """Return the number of threads: ``IMUCAL_THREADS``, or the number of processors of this process.
+    """Return the number of threads: ``IMUCAL_THREADS``, or the processors that this process may use.
 
-    A control group (a container) may allow fewer processors. Raises SettingError if ``IMUCAL_THREADS`` is not
-    a positive integer.
+    Raises SettingError if ``IMUCAL_THREADS`` is not a positive integer.
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
@@ -163,7 +161,6 @@ def _numbers(
 
 
 def _text(file: Path) -> str:
-    """Return the text of a file; empty if it does not exist."""
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, ValueError):

@@ -1,12 +1,11 @@
 """at_rest: a drive -> a recording of its rests, whose joint fit is more precise than the longest rest's.
 
 The mean of an axis differs between rests because of gravity, the earth's rotation and changes of the supply.
-So each rest is shifted to the level of the longest. The fit multiplies the likelihoods of the rests, each
-with a free mean, and no difference of the Allan variance spans two rests. The differences between their means
-are not used.
+So each rest is shifted to the level of the longest, and has a free mean in the fit. No difference of the
+Allan variance spans two rests.
 
 A screening assumes that a log is mostly at rest, which is wrong for a drive. Here the reference is the
-quietest stretch of each axis, then all windows that are about as quiet.
+quietest stretch of each axis.
 """
 
 import math
@@ -44,7 +43,7 @@ _TURNED = math.radians(1.0)
 
 @frozen
 class _Stretch:
-    """A time without motion, from start to end in s; `why` it is not used, or an empty text."""
+    """A time without motion; `why` it is not used, or an empty text."""
 
     start_s: float
     end_s: float
@@ -135,8 +134,7 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
 def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArray, FloatArray]:
     """Return the median variance and the mean of an axis in each stretch; NaN if it has no window there.
 
-    The variance of a coarse axis depends on where its level is between two steps, so the square of a step is
-    added.
+    The variance of a coarse axis depends on its level between two steps, so the square of a step is added.
     """
     found = np.full((2, len(stretches)), np.nan)
     for column, one in zip(found.T, stretches, strict=True):
@@ -147,7 +145,7 @@ def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArr
 
 
 def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[int, Clock]) -> AxisSeries:
-    """Return the samples in spans of time (in s from the first sample), shifted to the level of the longest.
+    """Return the samples in `spans`, in s from the first sample, shifted to the level of the longest.
 
     `clocks` contains the shortened clocks: axes that share a clock still share one.
     """
@@ -165,7 +163,6 @@ def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[
     return replace(series, samples=samples[keep], clock=clock)
 
 
-#: Reason why a stretch is not used -> its text in the finding.
 _REASONS = {
     "short": f"shorter than {_SHORTEST_S:g} s",
     "shaken": "with more noise than the quietest, as from a running engine",

@@ -107,7 +107,6 @@ class _Unit:
         return _Unit(self.factor * by.factor, self.rad + by.rad, self.m + by.m, self.s + by.s)
 
     def is_like(self, other: "_Unit") -> bool:
-        """Return whether both have the same dimension."""
         return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
 
 
@@ -280,7 +279,6 @@ def _plain(text: str) -> str:
 
 
 def _shortened(text: str) -> str:
-    """Return a spelling with symbols instead of words."""
     for pattern, unit_name in _SPELLINGS:
         text = re.sub(pattern, unit_name, text)
     return text

@@ -50,11 +50,11 @@ from imucal.recording import AxisSeries
 _BLOCK = 32768
 #: Factors up to this are computed block by block.
 _SMALL = 8192
-#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which
-#: are up to 50 times slower while other programs use the processors.
+#: Row of a sum of squares. OpenBLAS uses threads for longer dot products, which are up to 50 times slower
+#: while other programs use the processors.
 _ROW = 8192
-#: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4
-#: if that leaves at least the third number of windows.
+#: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4 if
+#: that leaves at least the third number of windows.
 _FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
 #: Runs of at least this many samples use the faster method for series without losses.
 _LONG = 8 * _ROW
@@ -62,17 +62,16 @@ _LONG = 8 * _ROW
 _MEAN_GAPS, _LONGEST = 4, 256
 #: Places of the grid per FFT of the loss pattern.
 _CHUNK = 1 << 17
-#: Number of chunks that are enough to estimate the structure function of the samples.
+#: Chunks that are enough to estimate the structure function.
 _ENOUGH = 16
 
 
 @frozen
 class Estimator:
-    """One estimator of a deviation, with its `name` in `ESTIMATORS`.
+    """One estimator of a deviation.
 
     The samples are summed once (x) or twice (z). Differences of the given order start at every point if
-    `overlapping`, at every m-th if not. The variance is divided by `weight`, the sum of the squared
-    coefficients.
+    `overlapping`, at every m-th if not. `weight` is the sum of the squared coefficients.
     """
 
     name: str
@@ -100,7 +99,6 @@ class Estimator:
         return float(self.weight) * float(m) ** (2 * self.integrations)
 
 
-#: Name -> estimator.
 ESTIMATORS: dict[str, Estimator] = {
     estimator.name: estimator
     for estimator in (
@@ -184,7 +182,6 @@ class SquareSum:
             self._tails += float(np.vecdot(tail, tail))
 
     def total(self) -> float:
-        """Return the sum so far."""
         return float(self._total.sum()) + self._tails
 
 
@@ -194,7 +191,7 @@ def _integral(samples: FloatArray, integrations: int) -> FloatArray:
     total = aligned(samples.size + integrations)
     total[:integrations] = 0.0
     last = [0.0] * integrations
-    # Reuse one work array: a new one costs a page fault for every 512 samples.
+    # A new array per block would cost a page fault for every 512 samples.
     work = aligned(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
         block = samples[start : start + _BLOCK]
@@ -332,7 +329,7 @@ def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> Gapp
 
 
 def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray) -> GappyVariances:
-    """Keep values with a difference that are positive; a constant series is zero throughout."""
+    """Keep positive values with a difference; a constant series is zero throughout."""
     keep = (terms >= 1) & ((avar > 0) | (raw == 0))
     m, avar, terms, raw = m[keep], avar[keep], terms[keep], raw[keep]
     inflation = np.divide(raw, avar, out=np.ones(m.size), where=avar > 0)
@@ -378,13 +375,12 @@ def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
 def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) -> float:
     """Return the variance of samples about their means in windows of `m` places, 0 if there is none.
 
-    `worth` is its weight in the result. The result's relative interval is at least 2 (3 m / 2n)^(1/2). The
-    spacing of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because
-    windows in between contain almost the same samples.
+    `worth` is its weight in the result, whose relative interval is at least 2 (3 m / 2n)^(1/2). The spacing
+    of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because windows
+    in between contain almost the same samples.
     """
     apart = max(min(m // 4, squares.size // _MIN_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
     within, freedom = 0.0, 0.0
-    # Windows far from the ends belong to two pairs.
     last = squares.size - 2 * m
     ends = [0, min(m, last), max(m, last), last + m]
     for first, stop, times in zip(ends, ends[1:], (1, 2 * (m < last), 1), strict=False):

@@ -1,9 +1,9 @@
 """Check the noise parameters in the config file of a filter against the report of the sensor.
 
-The formats and the formulas of the keys are those of `imucal.report.exports`; the format of a file is the one
-with the most keys in it. A number passes if it is at least the number for the fitted values. Between this and
-the number for their limits, the record is too short to decide. A wrong number is compared with likely
-mistakes: a factor of the rate, degrees, g, a square, another term.
+The formats and formulas are those of `imucal.report.exports`; the format of a file is the one with the most
+keys in it. A number passes if it is at least the number for the fitted values. Between this and the number
+for their limits, the record is too short to decide. A wrong number is compared with likely mistakes: a factor
+of the rate, degrees, g, a square, another term.
 """
 
 import math
@@ -33,18 +33,16 @@ from imucal.units import G0, SAMPLE_UNITS
 _ENOUGH = 1 / math.sqrt(1.2)
 #: Multiples of the required coefficient above which a note follows, and above which it may be a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
-#: The fitted values without their limits.
 _VALUES = Caution(0.0, 0.0)
 #: Relative to the right coefficient: no sensor is this good; no bound is this far above the truth.
 _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
-#: Factor on the coefficient within which a number matches a mistake. It is smaller up to the last factor,
+#: A number matches a mistake within this factor on the coefficient. It is smaller up to the last factor,
 #: because people make numbers larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
 #: Second explanation of a number that is 9.81 times too large: people multiply by ten.
 _ON_HABIT = ", or made ten times as large on purpose"
-#: Factors are equal if their natural logarithms differ by less.
+#: Largest difference of the natural logarithms of equal factors.
 _EQUAL = 1e-6
-#: Rates are equal if they differ by less.
 _SAME_RATE = 0.01
 
 _COMMENT = re.compile(r"(^|\s)#.*|;.*")
@@ -71,7 +69,6 @@ class Setting(NamedTuple):
         return found if all(map(math.isfinite, found)) else ()
 
     def place(self, where: str) -> str:
-        """Return the axis or sensor, the place in the file and the key, for the start of a sentence."""
         return f"{where}: {self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
@@ -106,7 +103,7 @@ def read_settings(text: str, file: str = "") -> list[Setting]:
         if not value or value.startswith("!!"):
             section = name
         written = _NUMBER.findall(value)[: 1 if match["vehicle"] else None]
-        # OpenCV's matrices keep their numbers under a key of their own.
+        # OpenCV's matrices have their numbers under a key of their own.
         name = section if name == "data" and section else name
         found.append(Setting(file, number, name, tuple(written), " ".join([line, *more])))
     return found
@@ -128,7 +125,7 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     text = text_of(path, "the config file of a filter")
     settings, options = read_settings(text, path.name), _options(text)
     there = {setting.name for setting in settings}
-    # If several formats have the same keys, choose the one with the most other lines in the file.
+    # Of several formats with the same keys, choose the one with the most other lines in the file.
     own, target = max(
         ((read_settings(each.render(report, options)), each) for each in _formats(path, settings)),
         key=lambda each: len(there & {setting.name for setting in each[0]}),
@@ -138,7 +135,6 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
 
 
 def _options(text: str) -> ExportOptions:
-    """Return the options in imucal's comment in a file."""
     inflated = re.search(r"inflation: (.*); ALREADY", text)
     factors = re.findall(r"(\w+) \([^)]*\) x ([\d.e+-]+)", inflated[1]) if inflated else []
     axes = re.search(r"axes: (\w+)", text)
@@ -172,7 +168,6 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
 
 
 def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: float) -> Iterator[Row]:
-    """Judge the keys that contain the sampling rate in the exporter's own file."""
     names = {each.name: None for each in own if each.numbers == (rate_hz,)}
     for setting in (each for name in names for each in settings if each.name == name):
         if len(setting.numbers) != 1:
@@ -247,7 +242,7 @@ class _Wanted:
 
     `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number:
     the file's, or the exporter's if it is larger. `fitted` contains the largest fitted coefficient of each
-    term by its symbol.
+    term.
     """
 
     key: Key
@@ -328,7 +323,7 @@ class _Wanted:
         return message if off(other) < math.log(near) else ""
 
     def _slips(self) -> Iterator[tuple[float, str]]:
-        """Yield wrong numbers that people write, each with its explanation."""
+        """Yield common wrong numbers, each with its explanation."""
         key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
         symbol = key.symbol
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
