@@ -1,7 +1,6 @@
 """Advice for a log that was disturbed: the part to keep, its rests, or another recording.
 
-Each check proposes the part without its kind of disturbance. Here the proposals are combined into one for the
-whole log, which is screened again.
+Each check proposes the part without its kind of disturbance. Their intersection is screened again.
 """
 
 import math
@@ -24,7 +23,7 @@ _LONG_S = 30.0
 _CLEAR_S = {"step": 1.0}
 #: Codes of a drift that dies away.
 _WARM_UPS = frozenset({"warm-up", "warm-up-fitted"})
-#: Maximum number of screenings of the proposed part, each without the disturbances found before.
+#: Maximum number of screenings, each without the disturbances found before.
 _TRIES = 4
 _Part = tuple[float, float]
 
@@ -62,7 +61,7 @@ def advised(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding,
 
 
 def _choice(recording: Recording, findings: Sequence[Finding]) -> tuple[_Part | None, bool]:
-    """Return the part to keep, in s from the first sample, and whether to fit the rests instead of it."""
+    """Return the part to keep, in s from the first sample, and whether to fit the rests instead."""
     moved = any(is_motion(finding) for finding in findings)
     # A motion at the start looks like a warm-up to the fit of an axis.
     proposals = [finding for finding in findings if not (moved and finding.code in _WARM_UPS)]
@@ -81,7 +80,7 @@ def _with(finding: Finding, kept: _Part | None, *, rests: bool) -> Finding:
 
 
 def _common_part(recording: Recording, findings: Sequence[Finding]) -> _Part | None:
-    """Return the intersection of all proposals, in s from the first sample, after a check; None if short."""
+    """Return the intersection of all proposals after a check; None if short."""
     duration = _duration_s(recording)
     part = _within((0.0, duration), findings, duration)
     if part == (0.0, duration):

@@ -10,7 +10,7 @@ from tempfile import mkdtemp
 
 from imucal.errors import WriteError
 
-#: Bytes at the start of an existing file that are searched for the mark of imucal.
+#: Bytes that are searched for the mark of imucal.
 _START = 4096
 _OURS = "written by imucal "
 #: An older scratch folder, in s, is left from a killed run.

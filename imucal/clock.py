@@ -27,10 +27,7 @@ def seconds_of(text: str | float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A run of samples without a gap, ``samples[start:stop]``.
-
-    `offset` is the place of the first one on the clock's even grid; its time is ``offset * tau0``.
-    """
+    """A run of samples without a gap, ``samples[start:stop]``; its first sample is at ``offset * tau0``."""
 
     start: int
     stop: int
@@ -44,10 +41,7 @@ class Segment:
 
 @frozen
 class Gap:
-    """Missing samples between two segments: ``duration_s = missing * tau0``.
-
-    `start_s` is the time of the first missing sample, in s from the first sample.
-    """
+    """Missing samples between two segments; `start_s` of the first, in s from the first sample."""
 
     start_s: float
     missing: int
@@ -108,7 +102,7 @@ class Clock:
 
     @property
     def grid_size(self) -> int:
-        """Number of places on the even grid from the first sample to the last, filled or not."""
+        """Number of places on the even grid from the first sample to the last."""
         if not self.segments:
             return 0
         first, last = self.segments[0], self.segments[-1]

@@ -1,12 +1,10 @@
 """compare: two reports -> the terms that differ, and the p-values.
 
 The standard deviation of a difference follows from the lower limit of the larger value and the upper limit of
-the smaller (Zou & Donner 2008, the MOVER method), which is right for asymmetric intervals. Two-sided p-values
-are adjusted for the number of tested terms (Holm 1979): two reports of the same sensor show any difference
-with probability `alpha`.
+the smaller (Zou & Donner 2008, the MOVER method). Two-sided p-values are adjusted for the number of tested
+terms (Holm 1979): two reports of the same sensor show any difference with probability `alpha`.
 
-A term that one report estimates and the other bounds is tested against zero with the width of the bound. Two
-bounds are not tested.
+A term that one report estimates and the other bounds is tested against zero with the width of the bound.
 """
 
 import math
@@ -25,8 +23,7 @@ from imucal.report.given import GIVEN
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
-#: ``bounded``: neither report shows the term; ``only-a``, ``only-b``: the other report has no such term or
-#: axis.
+#: ``bounded``: neither report shows the term; ``only-a``: report b lacks the term or axis.
 Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]
 
 _TIME = ".T"
@@ -38,7 +35,7 @@ class Difference:
 
     `axis`, `key` and `symbol` are, for example, ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time) and
     ``GM``; the unit is SI. `z` is the score of the difference beyond the tolerance, `p` the two-sided
-    p-value, `p_adjusted` the p-value after Holm's adjustment; all are None if the term was not tested.
+    p-value, `p_adjusted` the p-value after Holm's adjustment; all are None without a test.
     """
 
     axis: str

@@ -9,7 +9,7 @@ __all__ = ["brief", "frozen", "frozen_alone"]
 
 T = TypeVar("T")
 
-#: Largest number of lines, characters of a line, and elements of a sequence in a text.
+#: Limits of lines, characters of a line, and elements of a sequence in a text.
 _LINES, _WIDE, _ELEMENTS = 12, 100, 4
 
 

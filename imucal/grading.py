@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
-#: good: stationary noise; look: read the findings first; not-noise: the numbers are wrong.
+#: look: read the findings first; not-noise: the numbers are wrong.
 Grade: TypeAlias = Literal["good", "look", "not-noise"]
 
 #: The most severe last.
@@ -25,7 +25,7 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("not-drawn", "warning"): "good",
 }
 
-#: Codes that concern every axis if the finding is about the whole log.
+#: About every axis if the finding is about the whole log.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
 DISTURBED = frozenset({"motion", "touch"})
@@ -74,7 +74,7 @@ def remedy(findings: Iterable[Finding]) -> str:
 
 
 def unit_option(findings: Iterable[Finding], reading: Mapping[str, object]) -> str:
-    """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``; empty if there is none.
+    """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``, otherwise an empty text.
 
     An option in `reading`, the settings of the run, is not returned again.
     """
@@ -131,7 +131,7 @@ def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
 
 
 def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str:
-    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest interval of N."""
+    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest interval."""
     if not count:
         return ""
     text = f"{len(sound)} of {count} {'axis is' if count == 1 else 'axes are'} stationary noise"
@@ -145,7 +145,7 @@ def percent(fraction: float) -> str:
 
 
 def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
-    """Return the phrases of findings with their axes; if there are many, the first ones and a count."""
+    """Return the phrases of findings with their axes; the first ones and a count if there are many."""
     places: dict[str, list[str]] = {}
     for finding in findings:
         phrase = phrase_of(finding.code)

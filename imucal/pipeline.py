@@ -54,8 +54,8 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 class Settings(FitSettings):
     """Settings of `characterize`; see `imucal.fit` and `imucal.allan_curve`.
 
-    `reading` contains the options of reading the log as JSON values, so that the run can be repeated. With
-    `bins`, report.json contains the bins of each fit, which `imucal.pool` needs.
+    `reading` contains the options of reading the log as JSON values, for the report. With `bins`, report.json
+    contains the bins of each fit, which `imucal.pool` needs.
     """
 
     taus: str = "octave"
@@ -195,7 +195,6 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
-    """Return the number of axes at a time: as requested or one per processor, limited by memory."""
     if wanted is not None and wanted < 1:
         raise ArgumentError(f"workers must be at least 1, got {wanted}")
     largest = max((series.n for series in recording.series), default=0)
@@ -218,7 +217,7 @@ def _characterize_axis(
     finite = series.finite()
     if not finite.n:
         raise DataError(f"{series.name}: no finite samples among {series.n}")
-    # The fit refuses a short constant axis; this saves time and memory for a long one.
+    # Saves time and memory for a long axis.
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)
     at_samples = _temperature_at(finite, temperature)
@@ -256,7 +255,6 @@ def _characterize_axis(
 
 
 def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Finding, ...]:
-    """Return the findings of the fit, of the record's length and of the curve's ambiguity."""
     return (
         *result.findings,
         *findings_or_why_not(
@@ -273,7 +271,7 @@ def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Fi
 
 
 def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None) -> tuple[Finding, ...]:
-    """Return disagreements of a fit of the curve, and of a prediction of one half from the other."""
+    """Compare with a fit of the curve, and predict one half from the other."""
     if any(finding.code == "spikes" for finding in first.findings):
         series = clean(series)[0]
     return findings_or_why_not(

@@ -1,9 +1,9 @@
 """How long to record: the length for a given precision of each term, and the precision of a given length.
 
-Precision is relative: 0.1 means that the standard error (or, at another level, the half-width of the
-interval) is 10 % of the coefficient. It follows from numeric Fisher information, see
-`imucal.fitting.spectral.precision`. Above 10 % real intervals are wider, and a term whose interval reaches
-zero is only bounded; both as measured for the default fit (`tests/benchmarks/planned.py`).
+A precision of 0.1 means that the standard error (or, at another level, the half-width of the interval) is 10
+% of the coefficient. It follows from numeric Fisher information, see `imucal.fitting.spectral.precision`.
+Above 10 % real intervals are wider, and a term whose interval reaches zero is only bounded; both as measured
+for the default fit (`tests/benchmarks/planned.py`).
 """
 
 import math
@@ -23,25 +23,24 @@ from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 from imucal.solvers import root, root_near
 
-#: Confidence level of an interval of one standard deviation on each side.
+#: One standard deviation on each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
 _SHARP = 0.1
 #: Longest record, in s; longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
-#: First length in the search if there is no record, in s.
+#: First length in the search without a record, in s.
 _USUAL = 3600.0
 #: Logarithm of the standard error of a record without information.
 _NO_INFORMATION = 50.0
-#: Tolerance of a needed length and of the last secant step, in natural logarithm. That step may be longer: it
-#: lands far closer, and a record has whole samples.
+#: Tolerance of a needed length and of the last secant step, in natural logarithm. That step lands far closer.
 _TOLERANCE, _LAST_STEP = 1e-4, 5e-3
-#: A finding reports a record that is too short by at least this factor.
+#: A finding reports a record that is too short by this factor.
 _WORTH_SAYING = 1.05
 #: Relative standard error at which half of all records show a term, and the standard deviation of this limit.
 #: Flicker resembles both its neighbours and needs more than a walk.
 _DETECTABLE = {"B": (0.25, 0.13), "R": (0.25, 0.07)}
 _USUALLY_DETECTABLE = (0.305, 0.09)
-#: A length is enough for a term if this share of records shows it.
+#: Share of records that must show a term.
 ENOUGH_DETECTED = 0.8
 
 
@@ -50,9 +49,9 @@ class Need:
     """The length that a parameter such as ``N``, ``GM.sigma`` or ``GM.T`` needs.
 
     `value` is the coefficient in SI (a correlation time in s), or an upper bound if `bounded`. `needed_s` is
-    the length of record, in s, for the precision, long enough to show the term in four of five records;
-    infinite if no record shows it. `reached` is the relative precision of the present record, `shown` the
-    share of records of this length that show the term. Both are None without a record.
+    long enough for the precision and to show the term in four of five records; infinite if no record shows
+    it. `reached` is the relative precision of the present record, `shown` the share of records of this length
+    that show the term; None without a record.
     """
 
     name: str
@@ -96,7 +95,6 @@ class _Ask:
     precision: float
     level: float
     duration_s: float | None
-    #: Search for a length only if the present record is too short.
     longer: bool = False
 
     @property
@@ -161,7 +159,7 @@ def plan(
 
 
 def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
-    """Yield the axes of a report by name; equal axes of a sensor once, by the sensor's name."""
+    """Yield the axes of a report; equal axes of a sensor once, by the sensor's name."""
     for sensor, axes in report.by_sensor.items():
         if len(axes) > 1 and all(axis.fit is axes[0].fit for axis in axes):
             yield sensor.short, axes[0]
@@ -206,7 +204,6 @@ def _two_digits(value: float) -> str:
 
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
-    """Return the needs of the estimated terms, and of the bounded terms at their bounds."""
     seen = [(e.term(e.value), False) for e in fit.estimates if e.value and e.drawn]
     unseen = [
         (e.term(e.high), True)
@@ -218,7 +215,7 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
-    """Return the needs of terms; a bounded term is added to the model alone."""
+    """Return the needs of terms; each bounded term is added to the model alone."""
     wanted = ask.precision / ask.quantile
     needs: list[Need] = []
     for term, bounded in terms:

@@ -7,7 +7,7 @@ of the sum of n consecutive samples:
     V(n) = n^2 r(0) - sum over k < n of (n - k) D(k)
 
 with the mean square difference D(k) of samples k apart and the variance r(0), which cancels in avar and is 0
-for noise without one. The sampling period is 1; angular frequencies are in rad/sample.
+for noise without one. Units are per sample and rad/sample.
 
 Source: Guerrier, Molinari, Stebler: Allan variance (MOAV, Def. 4.3); Greenhall & Riley (2003), "Uncertainty
 of stability variances based on finite differences".
@@ -91,12 +91,12 @@ class PowerLaw(Enum):
     def dct_spectrum(self, n: int, first: IntArray, count: IntArray) -> FloatArray:
         """Return the mean over bins of E[X_k²], the expected square of orthonormal DCT-II ordinates; (b,).
 
-        Of n >= 2 samples, per unit variance parameter; `first` and `count` are the first ordinate and the
-        number of ordinates of each bin, shape (b,), of ordinates 1 … n-1.
+        Of n >= 2 samples, per unit variance parameter; `first` and `count`, shape (b,), are the first
+        ordinate and the number of ordinates of each bin, of ordinates 1 … n-1.
 
-        White noise and the random walk are exact. Quantization is exact with its two boundary values. The
-        relative error of flicker is below 0.05/n². Bins of up to 8 ordinates are summed; the mean over wider
-        ones has relative error below 3e-8 if the first ordinate is above 128. Cost O(b).
+        White noise and the random walk are exact, and quantization with its two boundary values. The relative
+        error of flicker is below 0.05/n². The mean over bins of more than 8 ordinates has relative error
+        below 3e-8 if the first ordinate is above 128. Cost O(b).
 
         Source: E[X_k²] = r_0-weighted cosine sum of the structure function; for flicker summed in closed
         form, with Si for the finite length.
@@ -114,7 +114,7 @@ class PowerLaw(Enum):
                 return _bin_mean(n, start, size, _walk_ordinate, _walk_wide)
 
 
-#: Bins of up to this many ordinates are summed one by one.
+#: Bins of up to this many ordinates are summed.
 _NARROW = 8
 
 
@@ -125,7 +125,7 @@ def _bin_mean(
     ordinate: Callable[[int, FloatArray], FloatArray],
     wide: Callable[[int, FloatArray, FloatArray], FloatArray],
 ) -> FloatArray:
-    """Average over bins: term by term in narrow bins, by an integral in wide ones."""
+    """Sum narrow bins term by term; integrate over wide ones."""
     mean = np.empty(first.shape)
     narrow = count <= _NARROW
     start, size = first[narrow], count[narrow]
@@ -152,7 +152,7 @@ def _mean_quantization(n: int, first: FloatArray, count: FloatArray) -> FloatArr
 
 
 def _bin_ends(n: int, first: FloatArray, count: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return half the angle between ordinates, and half the angle at both ends of each bin."""
+    """Return half the angle between ordinates, and at both ends of each bin."""
     step = np.pi / (2 * n)
     return step, step * (first - 0.5), step * (first + count - 0.5)
 

@@ -1,12 +1,11 @@
 """Work in other processes: a child that answers questions, forked children; and optional work that may fail.
 
-A `ChildProcess` has limits of time and memory. Code that may hang, use all memory or crash runs there.
+Code that may hang, use all memory or crash runs in a `ChildProcess`, with limits of time and memory.
 
-`side_by_side` runs a function on several items at a time; results are the same as one after the other. It
-forks, because threads would wait for the interpreter's lock. A forked child sees the data of its parent
-without a copy.
+`side_by_side` forks, because threads would wait for the interpreter's lock. A forked child sees the data of
+its parent without a copy.
 
-Side work only judges or draws a result: if it fails, the result is kept and a finding reports the failure.
+Side work only judges or draws a result: if it fails, a finding reports the failure.
 """
 
 import ctypes
@@ -40,9 +39,9 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from multiprocessing.context import ForkProcess
 
-#: done: it answered; failed: it raised; late: it took too long; ended: its process crashed or was killed.
+#: late: it took too long; ended: its process crashed or was killed.
 Outcome: TypeAlias = Literal["done", "failed", "late", "ended"]
-#: Memory that is limited: the whole address space, or private writable memory.
+#: The whole address space, or private writable memory.
 Counted: TypeAlias = Literal["addresses", "data"]
 
 _LENGTH = struct.Struct("<Q")
@@ -52,9 +51,9 @@ _LOOK_S = 1.0
 #: Bytes of a child's standard error that are kept.
 _WORDS = 2000
 CHECKSUMS = "imucal checksums"
-#: Threads without locks that a child needs: ours by its name, and the class of rich's progress bars.
+#: Threads without locks that a child needs: ours, and the class of rich's progress bars.
 _HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
-#: Registry of warnings that were shown, as Python has for each module.
+#: Warnings that were shown, as Python registers them for each module.
 _SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
 _FORK_WARNING = r".*multi-threaded, use of fork"
 _NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
@@ -157,7 +156,7 @@ class ChildProcess:
         return self._process
 
     def close(self) -> None:
-        """Kill the child, also while another thread waits for its answer; later questions are refused."""
+        """Kill the child, also while another thread waits for its answer."""
         self._closed = True
         if (process := self._process) is not None:
             process.kill()
@@ -185,8 +184,7 @@ class ChildProcess:
 def own_path() -> list[str]:
     """Return the entries of `sys.path` that other users can't write to.
 
-    A module in a shared folder would run with the rights of this user. The folders of the interpreter and of
-    this package are always included.
+    A module in a shared folder would run with the rights of this user.
     """
     package = str(Path(__file__).parents[1])
     return [folder for folder in sys.path if folder == package or _is_private(Path(folder))]
@@ -264,9 +262,8 @@ def _receive(stream: BinaryIO) -> bytes | None:
 def may_fork() -> bool:
     """Return whether this process can fork safely.
 
-    It can't on other systems than Linux, whose libraries do not support it; in a child of `multiprocessing`;
-    with other Python threads, because their locks would stay locked in the child; under a debugger or a
-    profiler.
+    It can't on other systems than Linux; in a child of `multiprocessing`; with other Python threads, whose
+    locks would stay locked in the child; under a debugger or a profiler.
     """
     if not sys.platform.startswith("linux") or sys.gettrace() or sys.getprofile():
         return False
@@ -354,7 +351,7 @@ def _in_children(
 
 
 def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
-    """Add a child to `processes` and return its pipe; None if the system refuses a further process."""
+    """Add a child to `processes` and return its pipe; None if the system refuses one."""
     context = multiprocessing.get_context("fork")
     # Block interrupts until the child is in the list. The child never gets one: its parent kills it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -373,7 +370,7 @@ def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProc
 
 
 def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
-    """Send an index to a child; if the child is gone, reading its result will show it."""
+    """Send an index; if the child is gone, reading its result will show it."""
     in_hand[pipe] = index
     with suppress(OSError):
         pipe.send_bytes(b"%d" % index)

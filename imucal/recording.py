@@ -19,7 +19,7 @@ Axis: TypeAlias = Literal["x", "y", "z"]
 
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 
-#: Share of missing samples from which the finding is a warning.
+#: A finding of more missing samples is a warning.
 _FEW = 1e-3
 #: Larger values are damage in any unit; their squares would overflow.
 ABSURD = 1e100
@@ -60,7 +60,7 @@ class AxisSeries(Displayed):
     axis: Axis
     samples: FloatArray
     clock: Clock
-    #: Every step asks whether all samples are usable; one look is enough.
+    #: Every step asks; one look is enough.
     _known_finite: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -159,9 +159,9 @@ class Temperature(ReadOnlyArrays):
 class LogFileInfo:
     """A file of a log, with its path as it was read, and its checksum.
 
-    A URL has neither user nor query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693) in hexadecimal
-    digits, as ``b2sum`` prints it; None if the file could not be read to its end. `etag` is the ETag of the
-    object behind a URL, or the time of its last change; None for a local file.
+    A URL has neither user nor query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693), as ``b2sum``
+    prints it; None if the file could not be read to its end. `etag` is the ETag of the object behind a URL,
+    or the time of its last change.
     """
 
     path: str
@@ -343,5 +343,4 @@ def _sane(samples: FloatArray) -> NDArray[np.bool_]:
 
 
 def _as_text(path: str) -> str:
-    """Return a path as text; bytes of a file name that are not UTF-8 are escaped."""
     return path.encode("utf-8", "backslashreplace").decode()

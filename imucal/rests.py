@@ -2,10 +2,8 @@
 
 The mean of an axis differs between rests because of gravity, the earth's rotation and changes of the supply.
 So each rest is shifted to the level of the longest, and has a free mean in the fit. No difference of the
-Allan variance spans two rests.
-
-A screening assumes that a log is mostly at rest, which is wrong for a drive. Here the reference is the
-quietest stretch of each axis.
+Allan variance spans two rests. Unlike in a screening, the reference is the quietest stretch of each axis,
+because a drive is not mostly at rest.
 """
 
 import math
@@ -28,14 +26,14 @@ __all__ = ["at_rest"]
 
 #: Minimum length of a rest, in s and in samples.
 _SHORTEST_S, _MIN_SAMPLES = 20.0, 128
-#: Time omitted on both sides of a motion, in s and in samples: a car rocks on its springs for a while, and
-#: the fit treats shorter gaps as lost samples.
+#: Time omitted on both sides of a motion, in s and in samples: a car rocks for a while, and the fit treats
+#: shorter gaps as lost samples.
 _CLEAR_S, _CLEAR = 2.0, 33
-#: Largest number of rests, the longest ones: the fit has at most this many blocks.
+#: The longest rests; the fit has at most this many blocks.
 _MAX_RESTS = 48
 #: Length of the quietest stretch, in s; a window is quiet below this multiple of its variance.
 _STRETCH_S, _QUIET = 10.0, 4.0
-#: A rest is shaken, for example by an engine, above this multiple of the quietest rest's noise power.
+#: A rest is shaken above this multiple of the quietest rest's noise power.
 _SHAKEN = 1.5
 #: A gyroscope turns steadily if its mean differs this much from the other rests, in rad/s.
 _TURNED = math.radians(1.0)
@@ -88,14 +86,14 @@ def at_rest(recording: Recording) -> Recording:
 
 
 def _quiet(windows: Windows) -> Windows:
-    """Return the non-constant windows of an axis that are about as quiet as its quietest stretch."""
+    """Return the non-constant windows that are about as quiet as the quietest stretch."""
     count = max(8, round(_STRETCH_S / windows.length_s))
     limit = _QUIET * quietest(windows.variance, count)
     return windows.take((windows.variance > 0) & (windows.variance < limit))
 
 
 def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
-    """Return the times without motion of any axis, in order; a gap between blocks of a fit ends one."""
+    """Return the times without motion of any axis; a gap between blocks of a fit ends one."""
     moved = [(one.start_s, one.end_s) for one in disturbances_of(profiles)]
     tau0 = max(p.series.tau0 for p in profiles)
     clear = max(_CLEAR_S, _CLEAR * tau0)
@@ -111,7 +109,7 @@ def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
 
 
 def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[_Stretch]:
-    """Return the stretches, with a reason for those that are shaken, turned, or too many."""
+    """Add the reason to stretches that are shaken, turned, or too many."""
     long = [one for one in stretches if not one.why]
     if not long:
         return list(stretches)
@@ -132,7 +130,7 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
 
 
 def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArray, FloatArray]:
-    """Return the median variance and the mean of an axis in each stretch; NaN if it has no window there.
+    """Return the median variance and the mean of an axis in each stretch; NaN without a window.
 
     The variance of a coarse axis depends on its level between two steps, so the square of a step is added.
     """
@@ -172,7 +170,6 @@ _REASONS = {
 
 
 def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration: float) -> Finding:
-    """Return the finding that lists the used rests, and the omitted parts with their reasons."""
     total = sum(one.length_s for one in rests)
     begins = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
     moving = duration - sum(one.length_s for one in stretches)

@@ -34,12 +34,12 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 LONG = 500_000
 #: Values per piece of work, and the minimum number of adjacent columns in it.
 _PIECE, _MIN_COLUMNS = 1 << 16, 16
-#: The first factor of n is near n to this power: the fastest, measured from 5e5 to 2e7.
+#: The exponent of n in `split`: the fastest, measured from 5e5 to 2e7.
 _SHARE = 0.43
 _BLOCK = 65536
-#: Transforms are fast at any length up to the first number, or if no prime factor exceeds the second.
+#: Any length up to the first number is fast, and lengths without prime factors above the second.
 _QUICK, _PRIME = 65536, 127
-#: Angles of a ramp whose sines are computed; the other sines follow by angle addition.
+#: Angles of a ramp whose sines are computed; the others follow by angle addition.
 _TABLE = 1 << 12
 #: Largest fraction of the samples that `fast_length` drops.
 _CUT = 1e-4
@@ -210,7 +210,7 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """The samples of an axis, with cached transforms of long runs and cached numbers."""
+    """Samples with cached transforms of long runs and cached numbers."""
 
     samples: FloatArray
     known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)

@@ -28,12 +28,12 @@ from imucal.errors import ArgumentError, DataError
 from imucal.recording import AxisSeries
 from imucal.resources import memory_limit
 
-#: Smallest number of start points per averaging time, and the first sum of neighbouring samples: powers of
+#: Smallest number of start points per averaging time, and the first sum of neighbouring samples; powers of
 #: two.
 _DENSE, _THIN = 128, 64
 #: A named set of averaging times, and its default number per decade, as in data sheets.
 _DECADE, _PER_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?"), 10
-#: Bytes per sample used by the exact curve: the integral and the transform for the intervals.
+#: Bytes per sample of the exact curve: the integral and the transform for the intervals.
 _WORK = 32
 _PIECE = 1 << 20
 
@@ -115,7 +115,7 @@ def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
 
 
 def _strided(series: AxisSeries, taus: str) -> AllanCurve:
-    """Return the curve in little memory, with large factors from sums of neighbouring samples.
+    """Return the curve in little memory.
 
     The differences of a factor m start at every s-th sample, with the power of two s at most m/128.
     """
@@ -217,9 +217,9 @@ def averaging_factors(
 
     `taus` is ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (20 per decade, evenly spaced in log,
     rounded), ``all``, or averaging times in s, each rounded to a whole number of samples of period `tau0` in
-    s; others are a ValueError. `largest` is the estimator's largest factor and limits ``all`` and lists. A
-    listed time beyond it, or shorter than a sample, is a DataError that contains `name`. ``octave`` and
-    ``decade`` end at `drawn`, beyond which a value has about 2 degrees of freedom or fewer.
+    s; others are a ValueError. `largest` limits ``all`` and lists. A listed time beyond it, or shorter than a
+    sample, is a DataError that contains `name`. ``octave`` and ``decade`` end at `drawn`, beyond which a
+    value has about 2 degrees of freedom or fewer.
     """
     if not isinstance(taus, str):
         return _from_seconds(taus, tau0=tau0, largest=largest, name=name)

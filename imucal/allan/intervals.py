@@ -52,7 +52,7 @@ _ALL_LAGS = 1024
 _DENSE, _PER_OCTAVE = 24, 16
 #: Flicker's covariance falls as k^-4; this many averaging times contain all but 1e-6 of its squares.
 _FAR = 32
-#: For larger factors the covariance of the modified estimator is scaled.
+#: Above this factor the covariance of the modified estimator is scaled.
 _MODIFIED_LIMIT = 32
 #: Slope of the modified variance in log m, for large m.
 _MODIFIED_SLOPES: dict[PowerLaw, float] = {
@@ -63,9 +63,9 @@ _MODIFIED_SLOPES: dict[PowerLaw, float] = {
 }
 #: Above this ordinate a drift contributes less than 1e-6 of its squares.
 _DRIFT_ORDINATES = 128
-#: Least gain of twice the log likelihood: the 95 % quantile of chi-squared with 1 dof.
+#: Minimum gain of twice the log likelihood: the 95 % quantile of chi-squared with 1 dof.
 _DRIFT_GAIN = 3.84
-#: Rounds of Fisher scoring, halvings of a step, and updates that compute the starting point.
+#: Fisher scoring: rounds, halvings of a step, and updates that compute the starting point.
 _ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
 #: Up to n divided by this, the passband contains enough ordinates to need no model.
 _CROSSOVER = 256
@@ -95,7 +95,7 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
     The scale of `model` does not matter. `terms` is the number M of averaged differences. `stride` is the
     step in samples between the differences of an overlapping estimator, a divisor of the averaging factor
     `m`. For estimators of one integration the graded sum has a relative error below 1e-3. The modified
-    estimator above m = 32 uses the shape of its covariance at m = 32. Takes about 0.2 ms.
+    estimator above m = 32 uses the shape of its covariance at m = 32.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
@@ -119,7 +119,6 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
 
 @lru_cache(maxsize=128)
 def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return lags, shape (j,), their weights, and s(k) of each law of unit variance, shape (4, j)."""
     lags, weights = _lag_grid(m, min(span - 1, _FAR * m), stride, estimator.order)
     return lags, weights, np.array([_covariance(law, lags, m, estimator) for law in PowerLaw])
 
@@ -151,7 +150,7 @@ def trapezoid_weights(lags: IntArray) -> FloatArray:
 def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave: int) -> IntArray:
     """Return distinct lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond.
 
-    Beyond, there are `per_octave` up to half way to the next kink, and 129 between the first kink and the
+    Beyond, there are `per_octave` up to half way to the next kink, and 129 in all from the first kink to the
     last.
     """
     octaves = max(np.log2((high - low) / dense), 0.0)
@@ -270,7 +269,7 @@ def score_variances(
 
 
 def _start(basis: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
-    """Return a starting point by multiplicative updates, which keep variances positive and never diverge."""
+    """Return a starting point by multiplicative updates, which keep variances positive."""
     variances = np.array([np.quantile(level / law, 0.25) for law in basis]) / len(basis)
     variances += np.array([float((level * count).sum() / (law * count).sum()) for law in basis]) * 1e-6
     for _ in range(_UPDATES):
@@ -457,7 +456,8 @@ def gappy_degrees_of_freedom(
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
     A series with gaps has no spectrum, so ``hybrid`` and ``model`` use the generic model nearest to the
-    curve, reduced for the part of the mean square that was subtracted. Another method is a ValueError.
+    curve. The result is reduced for the part of the mean square that was subtracted. Another method is a
+    ValueError.
     """
     _require_method(method)
     if method == "greenhall":

@@ -46,7 +46,7 @@ from imucal.errors import ArgumentError
 from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
 
-#: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
+#: A few of these work arrays fit in a second-level cache of 1 MB.
 _BLOCK = 32768
 #: Factors up to this are computed block by block.
 _SMALL = 8192
@@ -56,7 +56,7 @@ _ROW = 8192
 #: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4 if
 #: that leaves at least the third number of windows.
 _FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
-#: Runs of at least this many samples use the faster method for series without losses.
+#: Longer runs use the faster method for series without losses.
 _LONG = 8 * _ROW
 #: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
 _MEAN_GAPS, _LONGEST = 4, 256
@@ -160,7 +160,7 @@ def sum_of_squares(values: FloatArray) -> float:
 class SquareSum:
     """The sum of squares of a work array that is refilled block after block.
 
-    Rows are summed separately until the end, which saves a reduction per block.
+    Rows are summed at the end, which saves a reduction per block.
     """
 
     def __init__(self, work: FloatArray) -> None:
@@ -239,7 +239,7 @@ def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatA
 
 
 def _column_sum(total: FloatArray, m: int, order: int) -> float:
-    """Return the sum of squared differences, over columns of start points in steps of m.
+    """Sum the squared differences over columns of start points in steps of m.
 
     A step needs one new chunk of the integral: the lower differences are kept from the previous step.
     """
@@ -284,9 +284,7 @@ def longest_run(clock: Clock) -> int:
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     """Return overlapping variances from windows that are at least half as filled as the whole series.
 
-    A value that is not positive after the correction is left out. Long runs take as long as a series without
-    losses; the rest about 3 ns per place of the grid and factor, 10 if losses are many. Memory: three
-    full-length arrays.
+    A value that is not positive after the correction is left out. Memory: three full-length arrays.
     """
     correlation, structure = _pattern(series)
     integrals, squares = _integrals(series)
@@ -435,7 +433,6 @@ def _pairs(
 
 
 def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool:
-    """Return whether the running number of samples grows by the same step over all `points`."""
     steps = {filled.item(at.stop - 1) - filled.item(at.start) for at in points}
     return len(steps) == 1 and not any(
         bisect_right(edges, at.start) < bisect_left(edges, at.stop - 1) for at in points

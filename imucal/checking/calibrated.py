@@ -77,7 +77,7 @@ def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
 
 
 def _sizes(found: Node, sensor: Sensor, quantity: str) -> Iterator[tuple[str, Quantity | None]]:
-    """Yield the size of each parameter of a kind in SI, or the rms residual; None if it is unknown."""
+    """Yield the size of each parameter of a kind, or the rms residual; None if it is unknown."""
     if quantity == "residual":
         yield quantity, _residual(found, sensor)
         return

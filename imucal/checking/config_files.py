@@ -1,9 +1,8 @@
 """Check the noise parameters in the config file of a filter against the report of the sensor.
 
-The formats and formulas are those of `imucal.report.exports`; the format of a file is the one with the most
-keys in it. A number passes if it is at least the number for the fitted values. Between this and the number
-for their limits, the record is too short to decide. A wrong number is compared with likely mistakes: a factor
-of the rate, degrees, g, a square, another term.
+The formats and formulas are those of `imucal.report.exports`. A number passes if it is at least the number
+for the fitted values. Between this and the number for their limits, the record is too short to decide. A
+wrong number is compared with likely mistakes: a factor of the rate, degrees, g, a square, another term.
 """
 
 import math
@@ -29,15 +28,15 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
-#: Share of the required deviation that is enough: NEES is 1.2.
+#: Sufficient share of the required deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
 #: Multiples of the required coefficient above which a note follows, and above which it may be a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
 _VALUES = Caution(0.0, 0.0)
 #: Relative to the right coefficient: no sensor is this good; no bound is this far above the truth.
 _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
-#: A number matches a mistake within this factor on the coefficient. It is smaller up to the last factor,
-#: because people make numbers larger on purpose.
+#: A number matches a mistake within this factor; smaller up to the last factor, because people make numbers
+#: larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
 #: Second explanation of a number that is 9.81 times too large: people multiply by ten.
 _ON_HABIT = ", or made ten times as large on purpose"
@@ -54,7 +53,7 @@ _NUMBER = re.compile(r"[^\s,\[\]\"']+")
 
 
 class Setting(NamedTuple):
-    """A key of a config file: file, line from 1, name, numbers as written, and text of the line."""
+    """A key of a config file: line from 1, numbers as written, and text of the line."""
 
     file: str
     line: int
@@ -229,7 +228,7 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
 
 
 def _diagonal(setting: Setting) -> tuple[float, ...]:
-    """Return the number of a setting, or the diagonal of a square matrix; NaN if there is none."""
+    """Return the numbers of a setting, or the diagonal of a square matrix; NaN if there is none."""
     numbers = setting.numbers
     size = math.isqrt(len(numbers))
     square = size > 1 and size * size == len(numbers)
@@ -256,7 +255,6 @@ class _Wanted:
     def of(
         cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
     ) -> "_Wanted":
-        """Return the required value of a key, given the keys of the sensor's other number."""
         rate_hz, pair = numbers.stream_hz, numbers.pair(axes)
         right = {"N": pair.white, "K": pair.walk}
         other = right["K" if key.symbol == "N" else "N"]
