@@ -100,7 +100,7 @@ def _common_part(recording: Recording, findings: Sequence[Finding]) -> _Part | N
 
 
 def _within(part: _Part, findings: Sequence[Finding], duration: float) -> _Part:
-    """Return the rest of a part after the proposals of some findings."""
+    """Apply the proposals of some findings to a part."""
     start, end = part
     for finding in findings:
         if finding.keep_s is None:
@@ -113,7 +113,6 @@ def _within(part: _Part, findings: Sequence[Finding], duration: float) -> _Part:
 
 
 def _has_rests(recording: Recording) -> bool:
-    """Return whether the rests of a recording can be fitted together."""
     try:
         rests = at_rest(recording)
     except DataError:

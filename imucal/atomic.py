@@ -12,6 +12,7 @@ from imucal.errors import WriteError
 
 #: Bytes that are searched for the mark of imucal.
 _START = 4096
+#: In the comment of every config file.
 _OURS = "written by imucal "
 #: An older scratch folder, in s, is left from a killed run.
 _ABANDONED_S = 3600.0

@@ -201,7 +201,7 @@ def _distance(low: float, high: float) -> float:
 
 
 def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
-    """Return an axis's estimates by key; a correlation time has its own, such as ``GM.T``."""
+    """Return estimates by key; a correlation time has its own, such as ``GM.T``."""
     found: dict[str, Estimate] = {}
     for estimate in () if axis is None else axis.fit.estimates:
         if not estimate.high and estimate.value is None:
@@ -250,7 +250,6 @@ def _quantile(level: float) -> float:
 
 
 def _judged(differences: Sequence[Difference], alpha: float) -> Iterator[Difference]:
-    """Yield the differences with the adjusted p-value and its outcome."""
     adjusted = iter(holm([difference.p for difference in differences if difference.p is not None]))
     for difference in differences:
         if difference.p is None:

@@ -105,6 +105,7 @@ def characterize(
     """
     settings = settings or Settings()
     workers = _workers(recording, workers)
+    # Import once, before forking.
     list(map(import_module, _MODULES))
     # A fit by maximum likelihood reports disturbances itself.
     look = screen_values if settings.method == "mle" else screen

@@ -215,7 +215,6 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
-    """Return the needs of terms; each bounded term is added to the model alone."""
     wanted = ask.precision / ask.quantile
     needs: list[Need] = []
     for term, bounded in terms:

@@ -50,11 +50,13 @@ _START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve
 _LOOK_S = 1.0
 #: Bytes of a child's standard error that are kept.
 _WORDS = 2000
+#: Name of the thread of `imucal.readers.checksums`.
 CHECKSUMS = "imucal checksums"
 #: Threads without locks that a child needs: ours, and the class of rich's progress bars.
 _HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
 #: Warnings that were shown, as Python registers them for each module.
 _SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
+#: Warning of Python 3.12 and later.
 _FORK_WARNING = r".*multi-threaded, use of fork"
 _NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
 

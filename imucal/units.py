@@ -272,7 +272,6 @@ def is_unit(text: str) -> bool:
 
 
 def _plain(text: str) -> str:
-    """Return a unit's spelling in small letters, without special signs and brackets."""
     for sign, plain in _SIGNS.items():
         text = text.replace(sign, plain)
     return _bare(text) if " per " not in text.lower() else text.strip().lower()

@@ -1,10 +1,10 @@
 """The DCT-II of the samples and its log-spaced bins: the input of intervals and likelihoods.
 
-The DCT-II ordinates of sampled noise are almost uncorrelated. A few hundred sums of squared ordinates contain
-the spectral information of a log.
+The DCT-II ordinates of sampled noise are almost uncorrelated; for white noise and a random walk they are
+exactly uncorrelated. A few hundred sums of squared ordinates contain the spectral information of a log.
 
-Long records are split into many short transforms to save memory: SciPy caches 15 n bytes of sines for a
-transform of n samples. With n = rows * columns each piece of work fits in the processor's cache.
+Long records are split into many short transforms, n = rows * columns, to save memory: SciPy caches 15 n bytes
+of sines for a transform of n samples. Each piece of work fits in the processor's cache.
 
 Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135; Bailey (1990), "FFTs in
 external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a real transform of the even samples,

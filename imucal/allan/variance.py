@@ -50,8 +50,8 @@ from imucal.recording import AxisSeries
 _BLOCK = 32768
 #: Factors up to this are computed block by block.
 _SMALL = 8192
-#: Row of a sum of squares. OpenBLAS uses threads for longer dot products, which are up to 50 times slower
-#: while other programs use the processors.
+#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which are
+#: up to 50 times slower while other programs use the processors.
 _ROW = 8192
 #: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4 if
 #: that leaves at least the third number of windows.
@@ -379,6 +379,7 @@ def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) ->
     """
     apart = max(min(m // 4, squares.size // _MIN_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
     within, freedom = 0.0, 0.0
+    # Windows far from the ends belong to two pairs.
     last = squares.size - 2 * m
     ends = [0, min(m, last), max(m, last), last + m]
     for first, stop, times in zip(ends, ends[1:], (1, 2 * (m < last), 1), strict=False):

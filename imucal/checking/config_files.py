@@ -271,15 +271,15 @@ class _Wanted:
         if not 0 < number < math.inf:
             return "fail", "expected a positive number"
         over = (number / self.right) ** (1 / self.key.formula.power)
-        slip = self._slip(number)
+        mistake = self._mistake(number)
         if over < _ENOUGH:
-            return self._too_small(number, slip, over)
+            return self._too_small(number, mistake, over)
         times = f"{number / self.right:.3g} times too large"
-        if over > _SUSPECT and slip:
-            return "undecided" if slip.endswith(_ON_HABIT) else "fail", f"{times}: {slip}"
+        if over > _SUSPECT and mistake:
+            return "undecided" if mistake.endswith(_ON_HABIT) else "fail", f"{times}: {mistake}"
         return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
 
-    def _too_small(self, number: float, slip: str, over: float) -> tuple[Verdict, str]:
+    def _too_small(self, number: float, mistake: str, over: float) -> tuple[Verdict, str]:
         symbol, c = self.key.symbol, self.key.formula.inverse(number, self.numbers.stream_hz)
         times = f"{self.right / number:.3g} times too small"
         limits = Caution.at(LEVEL, self.axes[0].fit.level) if len(self.axes) == 1 else MEAN
@@ -293,8 +293,8 @@ class _Wanted:
         if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
             return "fail", f"{times}: {symbol} of the fit alone is {below}"
         if over < _ABSURD:
-            return "fail", f"{times}, absurd: {slip or 'no sensor is this good'}"
-        return "fail", f"{times}: {slip or below}"
+            return "fail", f"{times}, absurd: {mistake or 'no sensor is this good'}"
+        return "fail", f"{times}: {mistake or below}"
 
     def _covers(self, c: float, caution: Caution) -> bool:
         """Return whether a coefficient and the other number cover the spectra closely enough for a filter."""
@@ -308,19 +308,19 @@ class _Wanted:
         given = (white / options.factor("N")) ** 2 + walks
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
-    def _slip(self, number: float) -> str:
+    def _mistake(self, number: float) -> str:
         """Return the likely mistake behind a wrong number, or an empty text."""
         power = self.key.formula.power
 
         def off(other: float) -> float:
             return abs(math.log(number / other)) / power
 
-        other, message = min(self._slips(), key=lambda each: off(each[0]))
+        other, message = min(self._mistakes(), key=lambda each: off(each[0]))
         larger = (other / self.right) ** (1 / power)
         near = _NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else _NEAR
         return message if off(other) < math.log(near) else ""
 
-    def _slips(self) -> Iterator[tuple[float, str]]:
+    def _mistakes(self) -> Iterator[tuple[float, str]]:
         """Yield common wrong numbers, each with its explanation."""
         key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
         symbol = key.symbol

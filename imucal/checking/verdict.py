@@ -183,6 +183,7 @@ def _wanted(report: Report, limits: Limits) -> Iterator[str]:
     yield from (where for where in sections if "_" in where)
     prefixes = tuple(f"{sensor.short}_" for sensor in Sensor if sensor in sections)
     for finding in report.all_findings:
+        # A finding may also be about a sensor as a whole.
         if finding.level == "error" and (finding.axis or "").startswith(prefixes):
             yield finding.axis or ""
 

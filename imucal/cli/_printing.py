@@ -93,9 +93,9 @@ def finding_text(finding: Finding, text: str | None = None) -> FindingText:
     return finding.level, finding.code, " ".join(filter(None, parts))
 
 
-def sentence_of(axes: Sequence[str], said: FindingText) -> str:
+def sentence_of(axes: Sequence[str], message: FindingText) -> str:
     """Return ``[code] axes: sentence``, each axis once."""
-    _, code, text = said
+    _, code, text = message
     return f"[{code}]{''.join(f' {axis}' for axis in dict.fromkeys(axes))}: {text}"
 
 

@@ -128,8 +128,8 @@ def _table(result: Plan) -> str:
             title += f", {describe_time(axis.duration_s)}"
         lines += ["", *wrapped(title)]
         if not narrow:
-            tells = "" if durations == {None} else f"{'this gives':>17}"
-            lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{tells}")
+            reached = "" if durations == {None} else f"{'this gives':>17}"
+            lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{reached}")
         for need in axis.needs:
             lines += _lines(axis.sensor, need, narrow=narrow)
     text = "\n".join(lines)
@@ -141,11 +141,11 @@ def _lines(sensor: Sensor | None, need: Need, *, narrow: bool) -> list[str]:
     unit = _unit(sensor, need)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     time = describe_time(need.needed_s)
-    tells = _reached(need)
+    reached = _reached(need)
     if narrow:
-        needs = f"needs {time}{f', this gives {tells}' if tells else ''}"
+        needs = f"needs {time}{f', this gives {reached}' if reached else ''}"
         return [f"  {need.name:<10}{value} {unit.name}", *wrapped(needs, indent=4)]
-    return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{tells:>17}' if tells else ''}"]
+    return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{reached:>17}' if reached else ''}"]
 
 
 def _reached(need: Need) -> str:

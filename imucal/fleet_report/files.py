@@ -1,7 +1,7 @@
-"""The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
+"""The files of a fleet's report: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
 
-All numbers of JSON and CSV are in SI, in a fixed order. ``schema/fleet-1.schema.json`` describes the layout;
-an incompatible change raises its number.
+All numbers of JSON and CSV are in SI. An incompatible change of ``schema/fleet-1.schema.json`` raises its
+number.
 """
 
 import csv

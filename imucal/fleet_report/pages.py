@@ -130,7 +130,7 @@ def loose_text(fleet: Fleet) -> str:
 
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
-    """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
+    """Return the grade of a fleet and a sentence on odd units and logs that do not count."""
     parts, chance = _odd_units(fleet)
     if failed := sum(bool(log.left_out) for log in fleet.logs):
         parts.append(f"{failed} of {len(fleet.logs)} logs do{'es' * (failed == 1)} not count")
@@ -218,7 +218,7 @@ def text_of(fleet: Fleet) -> str:
 
 
 def html_of(fleet: Fleet) -> Markup:
-    """Return the page's table of the number for the config of each term and axis."""
+    """Return the page's table of numbers for configs."""
     table = _filled("config.html", models=fleet.models)
     return render("notebook.html", table=table, caption=verdict(fleet)[1])
 

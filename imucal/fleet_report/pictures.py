@@ -45,7 +45,7 @@ _LABEL: Style = {"fontsize": LABEL_SIZE, "color": INK}
 _NEAR: Style = {"fontsize": SMALL_SIZE, "textcoords": "offset points"}
 #: Width of a band of 95 %, in standard deviations.
 _BAND_SDS = 2 * 1.96
-#: A whisker or bound reaches no farther below the lowest value than this factor.
+#: A whisker or bound ends this factor below the lowest value.
 _BELOW = 3.0
 #: Installed fonts with the signs of many languages; the last one has a box for any other.
 _FONTS = (
@@ -194,7 +194,6 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
 
 
 def _draw_strip(axes: "Axes", found: Population, row: int, factor: float, lowest: float) -> None:
-    """Draw the units of one model as a row: dots, the median and the next unit's band."""
     if found.prediction:
         low, high = (max(limit, lowest) * factor for limit in found.prediction)
         axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
@@ -210,7 +209,7 @@ def _draw_marks(
 ) -> None:
     """Draw a dot per unit: a diamond for an odd one, an open triangle for a bound.
 
-    With `least`, intervals are drawn; intervals of bounds start there.
+    Intervals are drawn if `least` is given; those of bounds start there.
     """
     kinds: dict[tuple[bool, bool], list[tuple[float, UnitValue]]] = {}
     for row in rows:
@@ -294,7 +293,7 @@ def sorted_units(term: FleetTerm) -> list[UnitValue]:
 
 
 def span(term: FleetTerm) -> tuple[float, float]:
-    """Return the limits of a scale: all values, the band and the bound, and most of the whiskers."""
+    """Return the limits of a scale, which may cut whiskers."""
     found = term.population
     values = [unit.value or unit.high for unit in found.units]
     values += [found.median.value, *(found.prediction or ()), *([found.tolerance] if found.tolerance else ())]

@@ -31,9 +31,8 @@ class FleetLog:
     """One log of a fleet; without labels `model` is empty and `unit` None.
 
     `status` is ``ok`` or the kind of failure, with its `reason`; `verdict` is good, look, not-noise or empty,
-    and `findings` are codes. `seconds` and `rate_hz` are None if it was not read. `report` is the folder of
-    its own report, relative to the fleet's folder, or empty. `left_out` is the reason why its numbers do not
-    count, or empty.
+    and `findings` are codes. `report` is the folder of its own report, relative to the fleet's folder, or
+    empty. `left_out` is the reason why its numbers do not count, or empty.
     """
 
     path: str
@@ -131,9 +130,9 @@ class LooseLog:
 class Fleet(Displayed):
     """The results of a fleet.
 
-    `folder` is the store, `models` are sorted by name, `logs` by path; `asked` is the number of requested
-    logs. `loose` are logs without a unit label, which are in no population; `labels` is a pattern for them.
-    `findings` belong to the whole fleet; `version` is imucal's.
+    `folder` is the store; `asked` is the number of requested logs. `loose` are logs without a unit label,
+    which are in no population; `labels` is a pattern for them. `findings` belong to the whole fleet;
+    `version` is imucal's.
     """
 
     drawn_by: ClassVar[str] = "imucal.fleet_report.pages"
@@ -259,7 +258,7 @@ def _loaded(
 
 
 def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) -> str:
-    """Return the requested sensor model, or the only one; raise ChoiceError if there is none."""
+    """Return the requested sensor model, or the only one; otherwise raise ChoiceError."""
     found = [name for name in names if asked in {None, name}]
     if len(found) == 1:
         return found[0]

@@ -1,6 +1,6 @@
 """Process the logs of a batch in a child process with limits of time and memory, and commit their rows.
 
-If a log hangs, crashes or needs too much memory, only the child ends, and the log is known.
+If a log hangs, crashes or needs too much memory, only the child ends.
 """
 
 import math
@@ -23,7 +23,7 @@ from imucal.remote import is_url
 from imucal.remote.stores import identify
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: Attempts for a log whose process ends: another log may have been the cause.
+#: Another log may be the cause of a process's end.
 _ATTEMPTS = 2
 #: Texts that Rust and C++ print if an allocation fails.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
@@ -32,20 +32,20 @@ _SHARE = 4
 #: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
-#: A row of the store's table of logs, with the log's rows of the tables ``results`` and ``bins``.
+#: A row of the table of logs, with its rows of the tables ``results`` and ``bins``.
 LogRow: TypeAlias = dict[str, Any]
 
 
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
     """Process logs in a child process and commit all or none of them; return how many failed.
 
-    Raises WriteError if the store can't be written; then these logs are not done.
+    Raises WriteError if the store can't be written.
     """
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 
 def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
-    """Write the rows of logs into the store; return how many have no usable numbers."""
+    """Commit the rows of logs; return how many have no usable numbers."""
     results, bins = ([one for row in rows for one in row.get(name, ())] for name in ("results", "bins"))
     FleetStore(settings.store).commit(rows, results, bins, shard=str(settings.shard[0]))
     return sum(has_failed(row["status"], row.get("verdict")) for row in rows)

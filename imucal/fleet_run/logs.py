@@ -1,8 +1,7 @@
 """Find the logs of given names, recognise equal logs, and read labels from paths.
 
 Size and both ends of a file distinguish nearly all logs; the whole content is read only if they are equal.
-For a folder, which is a bag, all files count, but not their names. Ranges of a log behind a URL are
-requested; the log is downloaded when it is read.
+For a folder, which is a bag, all files count, but not their names.
 """
 
 import functools
@@ -25,7 +24,7 @@ from imucal.remote.addresses import has_wildcards, name_of
 from imucal.remote.copies import fetched
 from imucal.remote.stores import expand, identify, store_of
 
-#: Endings of many other files: such files in a folder are used only if they are named.
+#: In a folder, files with these common endings are used only if they are named.
 _VAGUE = (".txt", ".log", ".dat")
 _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
@@ -50,8 +49,8 @@ def find_logs(names: Iterable[str]) -> list[str]:
 
 
 def _logs_of(name: str) -> list[str]:
-    # A name with the ending of a log is a log: a store is not asked about each of a million, and a missing
-    # file is reported as a log that can't be read.
+    # A store is not asked about each of a million logs, and a missing file is reported as a log that can't be
+    # read.
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
@@ -204,20 +203,20 @@ def label_pattern(pattern: str) -> re.Pattern[str]:
     It matches the end of a path, from any folder; a label is as short as possible. Raises ArgumentError for a
     pattern without a label, with a label twice, or with an unmatched brace.
     """
-    parts, slip, body = [*_PART.finditer(pattern)], "", ""
+    parts, mistake, body = [*_PART.finditer(pattern)], "", ""
     labels = [part["label"] for part in parts if part["label"] is not None]
     for part in parts:
         label = part["label"]
         if part["brace"]:
-            slip = f"an unmatched brace; {_SUCH}"
+            mistake = f"an unmatched brace; {_SUCH}"
         elif label is None:
             body += re.escape(part["text"]) if part["text"] else _WILD[part["wild"]]
         elif not _LABEL.fullmatch(label):
-            slip = f"{label!r} is not a label name; write for example {{unit}}"
+            mistake = f"{label!r} is not a label name; write for example {{unit}}"
         elif labels.count(label) > 1:
-            slip = f"{label!r} is duplicated; give each label its own name"
+            mistake = f"{label!r} is duplicated; give each label its own name"
         else:
             body += f"(?P<{label}>[^/]+?)"
-    if slip or not labels:
-        raise ArgumentError(f"labels {pattern!r}: {slip or f'no label; {_SUCH}'}")
+    if mistake or not labels:
+        raise ArgumentError(f"labels {pattern!r}: {mistake or f'no label; {_SUCH}'}")
     return re.compile(f"(?:^|.*/){body}$")

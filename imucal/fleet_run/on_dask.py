@@ -1,8 +1,7 @@
 """Batches of a fleet on an existing Dask cluster; work on this machine needs no Dask.
 
-Results are in the store, so a lost scheduler costs only the batches in progress. All waits have a time limit:
-for connections and workers, for logs in the child processes of the workers, and for frozen workers in the
-scheduler (``distributed.scheduler.worker-ttl``).
+Results are in the store, so a lost scheduler costs only the batches in progress. All waits have a time limit;
+for frozen workers it is the scheduler's ``distributed.scheduler.worker-ttl``.
 """
 
 import ipaddress
@@ -49,8 +48,7 @@ class Lost:
 def unprotected(address: str | None) -> str:
     """Return a warning for the address of a cluster that others can reach; otherwise an empty text.
 
-    Tasks of Dask are pickles: their sender runs code as the user of the workers. The certificates of
-    ``tls://`` addresses are in Dask's configuration.
+    Tasks of Dask are pickles: their sender runs code as the user of the workers.
     """
     parts = urlsplit(address or "inproc://")
     try:
@@ -125,17 +123,17 @@ class DaskWorkers(Generic[T, R]):
         except (TimeoutError, OSError) as error:
             if future.status != "error":
                 return None
-            # An error of the work itself: another attempt would fail in the same way.
+            # Another attempt would fail in the same way.
             return Lost(reason=f"its worker failed ({type(error).__name__}: {error})")
         return result
 
 
 @contextmanager
 def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T, R]]:
-    """Yield the workers of the cluster with the address of a scheduler.
+    """Yield the workers of the cluster of a scheduler.
 
-    `work` processes a batch and limits its own time. It is a function of a module or a `functools.partial`.
-    Raises EngineError if dask is missing, or if the scheduler or all workers can't be reached or are lost.
+    `work` processes a batch and limits its own time; a function of a module or a `functools.partial`. Raises
+    EngineError if dask is missing, or if the scheduler or all workers can't be reached or are lost.
     """
     try:
         import dask

@@ -1,6 +1,6 @@
 """The settings and the plan of a fleet run: the requested logs that the store does not contain yet.
 
-Logs are given by name, or by a manifest: a CSV table with one row per log. Equal files are processed once.
+Logs are given by name, or by a manifest: a CSV table with one row per log.
 """
 
 import csv
@@ -36,7 +36,7 @@ MIN_MEMORY = 300 << 20
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
 #: `imucal.fitting.bins.PACKED_VERSION`, whose import is slow.
 _BINS = 2
-#: Final states: another attempt with the same file, settings and version would have the same result.
+#: Final states: another attempt would have the same result.
 _SETTLED = ("ok", "unreadable", "no-data")
 _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
 #: Usual speed in bytes/s on one core, and additional seconds per log.
@@ -60,7 +60,7 @@ class LogTask:
     in bytes, 0 if unknown.
 
     States: ``run``; ``again`` after a failure such as a time limit; ``done`` if the store contains it;
-    ``copy`` of another log with the same content, `copy_of`. A log of another shard is not `own`.
+    ``copy`` of `copy_of`, a log with the same content. A log of another shard is not `own`.
     """
 
     place: str = field(repr=False)
@@ -113,7 +113,7 @@ class FleetSettings:
 
 
 def has_failed(status: object, verdict: object) -> bool:
-    """Return whether a log has no usable numbers: it could not be analysed, or is not noise."""
+    """Return whether a log has no usable numbers."""
     return status != "ok" or verdict == "not-noise"
 
 
@@ -248,7 +248,7 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
     return result
 
 
-#: Share of the machine's memory for all workers, and the memory in bytes if it is unknown.
+#: Share of the machine's memory for all workers; its memory in bytes if unknown.
 _SHARE, _UNKNOWN = 0.8, 2 << 30
 _ARGUMENTS: dict[str, Column] = {
     "model": ("terms, such as N + B + K: auto depends on the log", str, lambda model: model != "auto"),
@@ -397,7 +397,7 @@ def _contents(
 def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterator[list[LogTask]]:
     """Yield tasks in batches of about `seconds` each; shorter if workers would be idle otherwise.
 
-    Batches of a long run are longer: each becomes a part of the store, and all parts are read at the end.
+    Batches of a long run are longer, because each becomes a part of the store.
     """
     total = sum(task.seconds for task in tasks)
     longer = min(total / (_BATCHES * workers), _LONGER * seconds)

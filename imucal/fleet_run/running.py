@@ -1,7 +1,6 @@
 """Process the logs of a fleet on this machine or on a cluster, and commit the results.
 
-Each log is processed in a child process. In a cluster, each worker has one child; the logs of a lost batch
-are repeated one by one.
+In a cluster, each worker has one child process; the logs of a lost batch are repeated one by one.
 """
 
 import warnings
@@ -40,10 +39,7 @@ _QUESTIONS = 4
 
 @dataclass(slots=True)
 class RunCount:
-    """Progress of a run: number of `logs` and of `done` logs, with their sizes in bytes.
-
-    `failed` of the done logs have no usable numbers.
-    """
+    """Progress of a run; sizes in bytes. `failed` of the `done` logs have no usable numbers."""
 
     logs: int
     size: int
@@ -162,8 +158,7 @@ def run_plan(
 ) -> RunCount:
     """Process the logs of a plan and commit them to the store; `tell` is called whenever the count changes.
 
-    Raises WriteError if the store can't be written, and EngineError if the workers of a cluster can't be
-    reached or ended.
+    Raises WriteError, and EngineError if the workers of a cluster can't be reached or ended.
     """
     tasks = plan.tasks
     count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))

@@ -198,14 +198,14 @@ def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
             also = [f",  T {numbers.with_uncertainty(cell.si)}" if cell else "" for cell in row.cells]
             rows[key] = [text + more for text, more in zip(rows[key], also, strict=True)]
         else:
-            rows[key] = _told(row)
+            rows[key] = _row_texts(row)
             notes = [cell.note if cell and row.symbol else "" for cell in row.cells]
             if any(notes):
                 rows[f"{key} note"] = notes
     return [("" if key.endswith(" note") else key, texts) for key, texts in rows.items()]
 
 
-def _told(row: Row) -> list[str]:
+def _row_texts(row: Row) -> list[str]:
     exponent = row.column(datasheet=True).exponent
     tell = numbers.with_uncertainty if row.symbol else numbers.with_interval
     return [tell(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]

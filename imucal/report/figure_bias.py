@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 _TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
 _LEFT, _RIGHT = 0.095, 0.985
 _POINTS, _AVERAGES = 1500, 1000
+#: Half the width of the band, in standard errors.
 _BAND = 2.0
 
 

@@ -188,7 +188,6 @@ def _rounded(digits: int, **values: FloatArray) -> JsonObject:
 
 
 def _round(values: FloatArray, digits: int) -> list[float | None]:
-    """Return numbers with `digits` significant digits."""
     return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
 
 

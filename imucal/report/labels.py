@@ -114,7 +114,7 @@ class _Room:
     def best(self, anchors: FloatArray, size: tuple[float, float]) -> tuple[FloatArray, _Box]:
         distances = _DISTANCES if len(anchors) == 1 else _DISTANCES[:4]
         near = (
-            (distance / 30, anchor, _beside(anchor, size, distance * self.scale, float(angle)))
+            (distance / 30, anchor, _box_near(anchor, size, distance * self.scale, float(angle)))
             for anchor in anchors
             for distance in distances
             for angle in _ANGLES
@@ -181,7 +181,7 @@ def _cross(one: FloatArray, other: FloatArray) -> bool:
     return side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b)
 
 
-def _beside(anchor: FloatArray, size: tuple[float, float], distance: float, angle: float) -> _Box:
+def _box_near(anchor: FloatArray, size: tuple[float, float], distance: float, angle: float) -> _Box:
     """Return the box whose nearest edge is `distance` from the anchor, in direction `angle`."""
     x = anchor[0] + math.cos(angle) * (distance + size[0] / 2)
     y = anchor[1] + math.sin(angle) * (distance + size[1] / 2)

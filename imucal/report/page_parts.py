@@ -100,7 +100,6 @@ def _all_findings(report: Report) -> Iterator[tuple[str, Finding]]:
 
 
 def _names(axes: list[str], text: str) -> str:
-    """Return the axes, unless the text starts with them."""
     names = " ".join(dict.fromkeys(axis for axis in axes if axis))
     return "" if text.startswith(names) else names
 

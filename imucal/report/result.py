@@ -17,7 +17,7 @@ from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
 #: Shorter records, in s, do not show the errors of filters that coast for a minute, a fifth of this.
-_TELLS_S = 300.0
+_MIN_LENGTH_S = 300.0
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
@@ -157,4 +157,4 @@ class Report(Displayed):
         """Whether a record too short for the coasting times of filters shows neither B nor K on any axis."""
         slow = [term for axis in self.axes for term in axis.fit.estimates if term.key in {"B", "K"}]
         unseen = bool(slow) and all(term.value is None for term in slow)
-        return unseen and any(axis.samples and axis.duration_s < _TELLS_S for axis in self.axes)
+        return unseen and any(axis.samples and axis.duration_s < _MIN_LENGTH_S for axis in self.axes)
