@@ -120,13 +120,13 @@ def plan(
     source
         The noise: a model, a fit, or a report (each of its axes).
     rate_hz
-        Sampling rate; by default that of the fit or report.
+        Sampling rate; by default the rate of the fit or report.
     precision
         Wanted half-width of the interval, relative to the coefficient.
     level
         Confidence level of that interval; by default one standard deviation.
     duration_s
-        Length of a record whose precision is computed; by default that of the report.
+        Length of a record whose precision is computed; by default the length of the report's record.
 
     Raises
     ------

@@ -60,7 +60,7 @@ class AxisSeries(Displayed):
     axis: Axis
     samples: FloatArray
     clock: Clock
-    #: Every step asks; one look is enough.
+    #: Whether all samples are usable, so that steps after the first skip the test.
     _known_finite: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:

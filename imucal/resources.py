@@ -1,7 +1,7 @@
 """Limits of memory and threads: from the machine, its container, or environment variables.
 
 ``IMUCAL_MEMORY`` limits the memory of one step (``500M``, ``2G``), ``IMUCAL_THREADS`` the number of threads,
-including those of libraries.
+including library threads.
 """
 
 import os

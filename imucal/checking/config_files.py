@@ -1,6 +1,6 @@
 """Check the noise parameters in the config file of a filter against the report of the sensor.
 
-The formats and formulas are those of `imucal.report.exports`. A number passes if it is at least the number
+Formats and formulas are in `imucal.report.exports`. A number passes if it is at least the number
 for the fitted values. Between this and the number for their limits, the record is too short to decide. A
 wrong number is compared with likely mistakes: a factor of the rate, degrees, g, a square, another term.
 """

@@ -209,7 +209,7 @@ def _draw_marks(
 ) -> None:
     """Draw a dot per unit: a diamond for an odd one, an open triangle for a bound.
 
-    Intervals are drawn if `least` is given; those of bounds start there.
+    Intervals are drawn if `least` is given; intervals of bounds start there.
     """
     kinds: dict[tuple[bool, bool], list[tuple[float, UnitValue]]] = {}
     for row in rows:

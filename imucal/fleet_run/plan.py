@@ -270,7 +270,7 @@ ASKED = (*_ARGUMENTS, "labels", "scheduler", "fresh")
 def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSettings:
     """Return the settings of a run from the arguments of `run_fleet`.
 
-    The default model and level are those of the existing fleet. Each worker has an equal share of the memory.
+    The existing fleet determines the default model and level. Each worker has an equal share of the memory.
     A shard processes one log at a time. Raises ArgumentError if an argument is invalid, or if the fleet has
     another model or level; StoreError if its settings are damaged.
     """
