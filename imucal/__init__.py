@@ -66,7 +66,6 @@ __all__ = [
     "write_report",
 ]  # fmt: skip
 
-#: Module -> the public names that are loaded from it (PEP 562).
 _HOMES = {
     "allan": "AllanCurve Spectrum allan_curve spectrum",
     "calibration": "Calibration calibrate",
@@ -94,7 +93,7 @@ _HOMES = {
     "report.plotting": "plot",
 }
 
-# Now, as the libraries beneath ask only once how many threads they may start.
+# Now, because libraries read the number of threads only once.
 limit_pools()
 
 

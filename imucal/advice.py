@@ -1,7 +1,6 @@
 """Advice for a log that was disturbed: the part to keep, its rests, or another recording.
 
-Each check looks at one kind of disturbance and proposes the part without it. Here the proposals become one
-for the whole log, and it is checked before anyone is asked to type it.
+Each check proposes the part without its kind of disturbance. Their intersection is screened again.
 """
 
 import math
@@ -18,15 +17,14 @@ from imucal.screening import screen_values
 
 __all__ = ["advised", "advised_report"]
 
-#: A part is offered if it is longer than this, in s, or than half of the log.
+#: A part is proposed if it is longer than this, in s, or than half of the log.
 _LONG_S = 30.0
 #: Distance from a jump, in s: its time is an estimate.
 _CLEAR_S = {"step": 1.0}
 #: Codes of a drift that dies away.
 _WARM_UPS = frozenset({"warm-up", "warm-up-fitted"})
-#: The proposed part is screened this often at most, each time without what was found in it.
+#: Maximum number of screenings, each without the disturbances found before.
 _TRIES = 4
-#: Start and end, in s.
 _Part = tuple[float, float]
 
 
@@ -39,14 +37,14 @@ def advised_report(report: Report, recording: Recording) -> Report:
 
 
 def advised(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings whose parts worth keeping are replaced by one, which is free of all disturbances.
+    """Replace the parts worth keeping in findings by one part, which is free of all disturbances.
 
     Parameters
     ----------
     recording
-        What was screened and fitted.
+        The screened and fitted recording.
     findings
-        Of the log and its axes; `keep_s` counts from the first sample of the recording.
+        Findings of the log and its axes; `keep_s` counts from the first sample of the recording.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def advised(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding,
 
 
 def _choice(recording: Recording, findings: Sequence[Finding]) -> tuple[_Part | None, bool]:
-    """Return the part to keep, in s from the first sample, and whether to fit the rests instead of it."""
+    """Return the part to keep, in s from the first sample, and whether to fit the rests instead."""
     moved = any(is_motion(finding) for finding in findings)
     # A motion at the start looks like a warm-up to the fit of an axis.
     proposals = [finding for finding in findings if not (moved and finding.code in _WARM_UPS)]
@@ -82,7 +80,7 @@ def _with(finding: Finding, kept: _Part | None, *, rests: bool) -> Finding:
 
 
 def _common_part(recording: Recording, findings: Sequence[Finding]) -> _Part | None:
-    """Return what all proposals have in common, in s from the first sample, after a check; None if short."""
+    """Return the intersection of all proposals after a check; None if short."""
     duration = _duration_s(recording)
     part = _within((0.0, duration), findings, duration)
     if part == (0.0, duration):
@@ -102,7 +100,7 @@ def _common_part(recording: Recording, findings: Sequence[Finding]) -> _Part | N
 
 
 def _within(part: _Part, findings: Sequence[Finding], duration: float) -> _Part:
-    """Return what is left of a part of a recording by the proposals of some findings."""
+    """Apply the proposals of some findings to a part."""
     start, end = part
     for finding in findings:
         if finding.keep_s is None:
@@ -115,7 +113,6 @@ def _within(part: _Part, findings: Sequence[Finding], duration: float) -> _Part:
 
 
 def _has_rests(recording: Recording) -> bool:
-    """Return whether the rests of a recording can be fitted together."""
     try:
         rests = at_rest(recording)
     except DataError:
@@ -124,6 +121,5 @@ def _has_rests(recording: Recording) -> bool:
 
 
 def _rounded(start: float, end: float) -> _Part:
-    """Return the part rounded inwards to 0.1 s."""
-    # A number that is one of 0.1 s already must not move by its last bits.
+    # The last bits must not move a multiple of 0.1 s.
     return math.ceil(start * 10 - 1e-6) / 10, math.floor(end * 10 + 1e-6) / 10

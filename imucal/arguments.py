@@ -1,4 +1,4 @@
-"""Arguments of public functions: one that is missing, unknown or of a wrong kind is an `ArgumentError`."""
+"""Arguments of public functions: a missing, unknown or wrong one raises an `ArgumentError`."""
 
 import functools
 import inspect
@@ -11,7 +11,6 @@ __all__ = ["REMOVED", "takes"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
-#: Removed argument -> sentence of the error.
 REMOVED = {
     "verify": "verify was removed: imucal's tests compare fits with the exact likelihood; leave it out"
 }
@@ -25,13 +24,13 @@ def takes(example: str, **kinds: _Kind) -> Callable[[Callable[P, T]], Callable[P
     Parameters
     ----------
     example
-        A call that works, such as ``imucal.allan_curve(recording["gyro_x"])``; the message shows it.
+        A correct call, such as ``imucal.allan_curve(recording["gyro_x"])``, for the message.
     kinds
-        Name of an argument -> what it may be.
+        Name of an argument -> its types.
 
     Returns
     -------
-    A decorator. The function raises an ArgumentError if an argument is missing, unknown or of another kind.
+    A decorator. The function raises an ArgumentError if an argument is missing, unknown or of another type.
     """
     called = example.partition("(")[0].removeprefix("imucal.")
 

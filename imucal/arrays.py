@@ -1,7 +1,7 @@
 """Types of arrays, read-only views, and blocks of arrays in mapped files.
 
-A mapped array is used like any other. Its pages count as memory of the process, so they are released after
-use; the system reads them again if necessary.
+Pages of a mapped array count as memory of the process, so they are released after use; the system reads them
+again if necessary.
 """
 
 import mmap
@@ -16,9 +16,8 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-#: Annotation of a field -> type of its array.
 _HELD_AS: dict[object, Any] = {FloatArray: np.float64, IntArray: np.int64, BoolArray: np.bool_}
-#: Bytes of a line of the cache.
+#: Bytes of a cache line.
 _LINE = 64
 
 T = TypeVar("T", bound=np.generic)
@@ -57,8 +56,7 @@ def aligned(n: int) -> FloatArray:
 def median(values: NDArray[Any] | Sequence[float]) -> float:
     """Return the median of finite numbers, shape (n,), n >= 1, bit-identical to `numpy.median`.
 
-    `numpy.median`, `numpy.percentile` and `numpy.unique` import masked arrays, which takes as long as reading
-    50 000 messages.
+    `numpy.median`, `numpy.percentile` and `numpy.unique` import masked arrays, which is slow.
     """
     array = np.sort(np.asarray(values))
     middle = array.size // 2
@@ -78,7 +76,7 @@ def percentile(values: NDArray[Any], percent: float) -> float:
 
 
 def distinct(values: IntArray) -> IntArray:
-    """Return the distinct numbers among integers, shape (n,), in rising order, as `numpy.unique` does."""
+    """Return the distinct integers, shape (n,), in increasing order, as `numpy.unique` does."""
     array = np.sort(values)
     new = np.ones(array.size, dtype=np.bool_)
     new[1:] = array[1:] != array[:-1]
@@ -86,7 +84,7 @@ def distinct(values: IntArray) -> IntArray:
     return found
 
 
-#: Values per block: few enough for the processor's cache, many enough for a loop in Python.
+#: Values per block: few enough for the cache, many enough for a loop in Python.
 BLOCK = 1 << 18
 #: Values after which pages are released.
 _HELD = 1 << 21
@@ -119,7 +117,6 @@ def never_changes(values: NDArray[Any]) -> bool:
 
 
 def _mappings(arrays: tuple[NDArray[Any], ...]) -> list[mmap.mmap]:
-    """Return the maps of arrays, each once."""
     found = {id(held): held for array in arrays if (held := _mapping(array)) is not None}
     return list(found.values())
 

@@ -10,11 +10,11 @@ from tempfile import mkdtemp
 
 from imucal.errors import WriteError
 
-#: Number of bytes at the start of an existing file that are searched for the mark of imucal.
+#: Bytes that are searched for the mark of imucal.
 _START = 4096
-#: Mark in the comment of every config file.
+#: In the comment of every config file.
 _OURS = "written by imucal "
-#: A scratch folder older than this, in s, is left from a killed run.
+#: An older scratch folder, in s, is left from a killed run.
 _ABANDONED_S = 3600.0
 
 
@@ -23,9 +23,8 @@ def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     """Yield a scratch path to write to; on success this file replaces `path`.
 
     The scratch path has the same name, in a folder next to the target that is always removed, also after
-    Ctrl-C. An existing file is not changed until the new one is complete. A file without the text `ours`
-    near its start is not replaced; None replaces any. Raises WriteError if the file can't be written or must
-    not be replaced.
+    Ctrl-C. A file without the text `ours` near its start is not replaced; None replaces any. Raises
+    WriteError if the file can't be written or must not be replaced.
     """
     _refuse_foreign(path, ours)
     try:
@@ -82,7 +81,7 @@ def alone(path: Path) -> Iterator[None]:
 
 
 def sweep(scratch: Iterable[Path]) -> None:
-    """Remove old scratch folders, which are left from killed runs."""
+    """Remove scratch folders of killed runs."""
     for folder in scratch:
         with suppress(OSError):
             if time.time() - folder.stat().st_mtime > _ABANDONED_S:
@@ -100,7 +99,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder unless it exists; a WriteError if that is not possible."""
+    """Create a folder unless it exists; raises WriteError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from imucal.errors import ArgumentError
 from imucal.frozen import frozen
 
-#: Unit -> seconds.
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -28,10 +27,7 @@ def seconds_of(text: str | float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A run of samples without a gap, ``samples[start:stop]``.
-
-    `offset` is the place of the first one on the clock's even grid; its time is ``offset * tau0``.
-    """
+    """A run of samples without a gap, ``samples[start:stop]``; its first sample is at ``offset * tau0``."""
 
     start: int
     stop: int
@@ -45,10 +41,7 @@ class Segment:
 
 @frozen
 class Gap:
-    """Missing samples between two segments: ``duration_s = missing * tau0``.
-
-    `start_s` is the time of the first missing sample, in s from the first sample.
-    """
+    """Missing samples between two segments; `start_s` of the first, in s from the first sample."""
 
     start_s: float
     missing: int
@@ -109,7 +102,7 @@ class Clock:
 
     @property
     def grid_size(self) -> int:
-        """Number of places on the even grid from the first sample to the last, filled or not."""
+        """Number of places on the even grid from the first sample to the last."""
         if not self.segments:
             return 0
         first, last = self.segments[0], self.segments[-1]
@@ -117,7 +110,7 @@ class Clock:
 
     @property
     def duration_s(self) -> float:
-        """Time the grid spans, ``grid_size * tau0``, in s."""
+        """Time the grid spans, in s."""
         return self.grid_size * self.tau0
 
     @property
@@ -138,7 +131,7 @@ class Clock:
         return self.grid_size - self.n
 
     def grid(self, first: int = 0, stop: int | None = None) -> NDArray[np.int64]:
-        """Place of each sample from index `first` to before `stop` (all) on the even grid, from 0."""
+        """Place of each sample from index `first` to before `stop` on the even grid, from 0."""
         places = [np.zeros(0, dtype=np.int64)]
         for segment in self.segments:
             start, end = max(first, segment.start), segment.stop if stop is None else min(stop, segment.stop)
@@ -153,7 +146,7 @@ class Clock:
         return self.index_from(float(np.ceil(time_s * self.rate_hz - 1e-6)))
 
     def index_from(self, place: float) -> int:
-        """Return the index of the first sample at a place of the grid or after it; n if none."""
+        """Return the index of the first sample at or after a place of the grid; n if none."""
         at = bisect_left(self.segments, place, key=lambda s: s.offset + s.size - self.segments[0].offset - 1)
         if at == len(self.segments):
             return self.n
@@ -187,7 +180,6 @@ class Clock:
         return self._of(segments)
 
     def _of(self, segments: list[Segment]) -> "Clock":
-        """Return the clock of some segments; it starts at the first one's time."""
         start_ns = self.start_ns
         if start_ns is not None and segments:
             start_ns += round((segments[0].offset - self.segments[0].offset) * self.tau0 * 1e9)

@@ -1,12 +1,10 @@
 """compare: two reports -> the terms that differ, and the p-values.
 
-Each term of each axis has the score of its difference and a two-sided p-value. The standard deviation of a
-difference follows from the lower limit of the larger value and the upper limit of the smaller (Zou & Donner
-2008, the MOVER method), which is right for asymmetric intervals. p-values are adjusted for the number of
-tested terms (Holm 1979): two reports of the same sensor show any difference with probability `alpha`.
+The standard deviation of a difference follows from the lower limit of the larger value and the upper limit of
+the smaller (Zou & Donner 2008, the MOVER method). Two-sided p-values are adjusted for the number of tested
+terms (Holm 1979): two reports of the same sensor show any difference with probability `alpha`.
 
-A term that one report estimates and the other bounds is tested against zero with the width of the bound. Two
-bounds are not tested.
+A term that one report estimates and the other bounds is tested against zero with the width of the bound.
 """
 
 import math
@@ -25,11 +23,9 @@ from imucal.report.given import GIVEN
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
-#: ``differs``; ``same``: no significant difference; ``bounded``: neither report shows the term;
-#: ``only-a``, ``only-b``: the other report has no such term or axis.
+#: ``bounded``: neither report shows the term; ``only-a``: report b lacks the term or axis.
 Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]
 
-#: End of the key of a correlation time.
 _TIME = ".T"
 
 
@@ -39,7 +35,7 @@ class Difference:
 
     `axis`, `key` and `symbol` are, for example, ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time) and
     ``GM``; the unit is SI. `z` is the score of the difference beyond the tolerance, `p` the two-sided
-    p-value, `p_adjusted` the p-value after Holm's adjustment; all are None if the term was not tested.
+    p-value, `p_adjusted` the p-value after Holm's adjustment; all are None without a test.
     """
 
     axis: str
@@ -67,8 +63,7 @@ class Comparison:
     """The comparison of the reports of two logs with the paths `a` and `b`.
 
     `alpha` is the probability of any false difference, `tolerance` the relative difference that is ignored.
-    `differences` has an entry for each term of each axis. `notes` contains sentences on other causes of
-    differences.
+    `differences` has an entry for each term of each axis, `notes` sentences on other causes of differences.
     """
 
     a: str
@@ -100,8 +95,8 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
     alpha
         Probability of any false difference.
     tolerance
-        Relative difference that is ignored, such as 0.05. Intervals include differences between parts of one
-        record; another day or another temperature may differ by more.
+        Relative difference that is ignored, such as 0.05. Another day or another temperature may change a
+        sensor by more than its intervals.
 
     Raises
     ------
@@ -138,7 +133,6 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
 
 
 def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator[str]:
-    """Yield notes on different methods and rates."""
     both = [(a[name], b[name]) for name in a if name in b]
     pairs = {
         "fitted by": {(one.fit.method, other.fit.method) for one, other in both},
@@ -188,8 +182,8 @@ def paired(
 def ratio(now: Quantity, before: Quantity) -> Quantity:
     """Return the ratio of two independent quantities with its interval.
 
-    The distances to the limits of both add in quadrature on the logarithmic scale (Zou & Donner
-    2008, the MOVER method). A bound is between 0 and its upper limit.
+    The distances to the limits of both add in quadrature on the logarithmic scale (Zou & Donner 2008). A
+    bound is between 0 and its upper limit.
     """
     if now.value is None or before.value is None:
         low = now.low / before.high if before.high else math.inf
@@ -207,7 +201,7 @@ def _distance(low: float, high: float) -> float:
 
 
 def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
-    """Return an axis's estimates by key; a correlation time has its own, such as ``GM.T``."""
+    """Return estimates by key; a correlation time has its own, such as ``GM.T``."""
     found: dict[str, Estimate] = {}
     for estimate in () if axis is None else axis.fit.estimates:
         if not estimate.high and estimate.value is None:
@@ -256,7 +250,6 @@ def _quantile(level: float) -> float:
 
 
 def _judged(differences: Sequence[Difference], alpha: float) -> Iterator[Difference]:
-    """Yield the differences, those with a p-value with the adjusted one and its outcome."""
     adjusted = iter(holm([difference.p for difference in differences if difference.p is not None]))
     for difference in differences:
         if difference.p is None:

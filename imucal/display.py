@@ -1,6 +1,6 @@
 """Values that a notebook shows: a few lines of text, the page's table, a data frame.
 
-The module that draws them imports the modules of all values, so it is loaded by name when it is needed.
+The module that draws them imports the modules of all values, so it is loaded only when it is needed.
 """
 
 from importlib import import_module

@@ -28,7 +28,7 @@ class ImucalError(Exception):
     """Base class of all errors that imucal raises on purpose."""
 
     exit_code: ClassVar[int] = 1
-    #: Whether the results were printed nevertheless, together with the problem.
+    #: Whether the results were printed nevertheless.
     printed = False
 
 

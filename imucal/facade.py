@@ -43,13 +43,10 @@ if TYPE_CHECKING:
 __all__ = ["check", "export", "fit", "info", "simulate"]
 
 
-#: How to fit a part of a recording.
 _ONE_AXIS = 'for one axis type imucal.fit(recording["gyro_x"])'
 
 
 class FitOptions(TypedDict, total=False):
-    """How to fit; see `imucal.fitting.fit`."""
-
     model: str
     method: str
     level: float
@@ -62,7 +59,6 @@ class FitOptions(TypedDict, total=False):
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """Turn a ValueError into an ArgumentError."""
     try:
         yield
     except ImucalError:

@@ -16,9 +16,9 @@ class Finding:
     level
         "info", "warning" (look before you use the numbers) or "error" (the numbers are wrong).
     code
-        A short, stable, lower-case name with hyphens for scripts, such as ``gaps``.
+        A stable, lower-case name with hyphens for scripts, such as ``gaps``.
     text
-        The observation with its figure, as one sentence.
+        The observation, as one sentence.
     advice
         What to do, as one sentence; empty if nothing.
     axis
@@ -73,6 +73,6 @@ def code_texts() -> dict[str, CodeText]:
 
 
 def phrase_of(code: str) -> str:
-    """Return the phrase of a code for the verdict; a code of an old report is its own phrase."""
+    """Return the phrase of a code for the verdict; an unknown code of an old report is its own phrase."""
     text = code_texts().get(code)
     return text.phrase if text and text.phrase else code.replace("-", " ")

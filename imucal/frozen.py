@@ -1,4 +1,4 @@
-"""Values of the package: what has been found does not change, and its parts are given by name."""
+"""Decorators of immutable dataclasses with keyword-only fields, and their short texts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -9,33 +9,33 @@ __all__ = ["brief", "frozen", "frozen_alone"]
 
 T = TypeVar("T")
 
-#: Most lines, characters of a line, and elements of a sequence that the text of a value has.
+#: Limits of lines, characters of a line, and elements of a sequence in a text.
 _LINES, _WIDE, _ELEMENTS = 12, 100, 4
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def frozen(cls: type[T]) -> type[T]:
-    """Make a class a dataclass with slots whose fields are given by name and never set again."""
+    """Make a class an immutable dataclass with slots and keyword-only fields."""
     return dataclass(frozen=True, slots=True, kw_only=True, repr=False)(_shown(cls))
 
 
 @dataclass_transform(eq_default=False, frozen_default=True, kw_only_default=True)
 def frozen_alone(cls: type[T]) -> type[T]:
-    """Do the same for a class that holds arrays, which can't be compared: one is equal to itself alone."""
+    """Do the same for a class with arrays, which can't be compared: values are equal only to themselves."""
     return dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)(_shown(cls))
 
 
 def _shown(cls: type[T]) -> type[T]:
-    """Give a class the short text of `brief`, unless it has a text of its own."""
+    """Give a class the short text of `brief`, unless it has its own."""
     if cls.__repr__ is object.__repr__:
         cls.__repr__ = brief  # type: ignore[method-assign] # a function of the value, as any method
     return cls
 
 
 def brief(value: object) -> str:
-    """Return the class and the fields of a dataclass: a line, or at most twelve.
+    """Return the class and the fields of a dataclass in at most twelve lines.
 
-    Arrays, long sequences and other values are named by their size and kind.
+    Arrays, long sequences and other values are described by their size and type.
     """
     name = type(value).__name__
     parts = [(one.name, _short(getattr(value, one.name))) for one in fields(value) if one.repr]  # type: ignore[arg-type]
@@ -49,7 +49,6 @@ def brief(value: object) -> str:
 
 
 def _short(value: object) -> str:
-    """Return a value in a few words, in one line."""
     shape = getattr(value, "shape", None)
     if isinstance(shape, tuple) and shape:
         return f"array of shape {shape}"

@@ -1,7 +1,6 @@
 """The verdict, in one sentence, on whether a recording is stationary noise.
 
-Table, page, report.json, exit codes and exports use the same `NoiseVerdict`. The most severe finding
-determines it, by its level or by an entry in `OTHERWISE`.
+The most severe finding determines it, by its level or by an entry in `OTHERWISE`.
 """
 
 import re
@@ -11,51 +10,39 @@ from typing import Literal, TypeAlias
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
-#: good: stationary noise; look: read the findings first; not-noise: the numbers are wrong.
+#: look: read the findings first; not-noise: the numbers are wrong.
 Grade: TypeAlias = Literal["good", "look", "not-noise"]
 
-#: Grades, the most severe last.
+#: The most severe last.
 GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
 
-#: Level of a finding -> grade.
 BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
 
-#: Exceptions: these findings do not affect the noise.
+#: These findings do not affect the noise.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("unindexed", "warning"): "good",
     ("index", "warning"): "good",
     ("not-drawn", "warning"): "good",
 }
 
-#: Codes that concern every axis if the finding is about the whole log.
+#: About every axis if the finding is about the whole log.
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
-#: Codes of a disturbed rest.
 DISTURBED = frozenset({"motion", "touch"})
 #: End of the advice for a log with several rests.
 RESTS = "Fit its rests together with --rests."
 
-#: Codes of doubts about a unit: the noise may still be stationary.
+#: Doubts about a unit: the noise may still be stationary.
 _OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
 _UNIT_OPTION = re.compile(r"--(?P<sensor>gyro|accel)-(?P<kind>unit|scale) (?P<value>[^\s;,]+)")
 
-#: Number of reasons in a sentence; the others are counted.
+#: Number of reasons in a sentence.
 _NAMED = 3
 
 
 @frozen
 class NoiseVerdict:
-    """The verdict on a recording.
-
-    Attributes
-    ----------
-    grade
-        ``good``, ``look`` or ``not-noise``.
-    sentence
-        The grade in one sentence, with its reasons.
-    axes
-        The axes whose numbers are not wrong.
-    """
+    """The verdict on a recording; `axes` are the axes whose numbers are not wrong."""
 
     grade: Grade
     sentence: str
@@ -87,7 +74,7 @@ def remedy(findings: Iterable[Finding]) -> str:
 
 
 def unit_option(findings: Iterable[Finding], reading: Mapping[str, object]) -> str:
-    """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``; empty if there is none.
+    """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``, otherwise an empty text.
 
     An option in `reading`, the settings of the run, is not returned again.
     """
@@ -109,9 +96,8 @@ def judge_findings(
 ) -> NoiseVerdict:
     """Return the verdict on a recording, from all findings about the log and its axes.
 
-    `axes` contains the names of all axes, such as ``gyro_x``, with or without a result. `errors` contains the
-    relative half-width of the interval of N by axis, if known. A record that is `too_short` can't show B and
-    K.
+    `axes` contains the names of all axes, with or without a result. `errors` contains the relative half-width
+    of the interval of N by axis, if known. A record that is `too_short` can't show B and K.
     """
     grave = _grave(findings)
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
@@ -137,7 +123,6 @@ def _grave(findings: Iterable[Finding], without: frozenset[str] = frozenset()) -
 
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
-    """Return the axes that none of the findings concerns."""
     return [
         name
         for name in axes
@@ -146,7 +131,7 @@ def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
 
 
 def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str:
-    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest interval of N."""
+    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest interval."""
     if not count:
         return ""
     text = f"{len(sound)} of {count} {'axis is' if count == 1 else 'axes are'} stationary noise"
@@ -155,12 +140,12 @@ def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str
 
 
 def percent(fraction: float) -> str:
-    """Return a positive fraction in percent with two digits, such as ``0.43 %`` or ``12 %``."""
+    """Return a positive fraction with two digits, such as ``0.43 %`` or ``12 %``."""
     return f"{float(f'{100 * fraction:.2g}'):g} %"
 
 
 def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
-    """Return the phrases of findings with their axes; if there are many, the first ones and a count."""
+    """Return the phrases of findings with their axes; the first ones and a count if there are many."""
     places: dict[str, list[str]] = {}
     for finding in findings:
         phrase = phrase_of(finding.code)
@@ -191,5 +176,4 @@ def _shortest(name: str, about: Sequence[str], axes: Sequence[str]) -> str:
 
 
 def _within(axis: str, name: str) -> bool:
-    """Return whether an axis has a name, or belongs to the sensor of that name."""
     return axis == name or axis.startswith(f"{name}_")

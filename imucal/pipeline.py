@@ -32,23 +32,21 @@ from imucal.screening import screen_values, worst_first
 
 #: Samples from which constant axes are refused early; samples per block, small enough for the cache.
 _BLOCK, _PART = 1 << 20, 1 << 15
-#: Memory of the analysis of an axis, in bytes per sample and constant; and the limit of all parallel axes
-#: together if the caller gives no number of workers.
+#: Memory of the analysis of an axis, in bytes per sample and constant; and the default limit of all parallel
+#: axes.
 _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
 #: Below this number of samples, screening is faster than forking.
 _LONG = 500_000
 #: Lazily loaded modules that every axis needs.
 _MODULES = ("scipy.fft", "scipy.special", "imucal.fitting.moments")
-#: The settings in the order of report.json; `reading` comes last.
+#: In the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
     *("max_gm", "clean", "second_opinion", "segments", "bins"),
 )
 
-#: Minimum number of measured temperatures.
 _MIN_TEMPERATURES = 16
 
-#: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
 
 
@@ -56,8 +54,8 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 class Settings(FitSettings):
     """Settings of `characterize`; see `imucal.fit` and `imucal.allan_curve`.
 
-    `reading` contains the options of reading the log as JSON values, so that the run can be repeated. With
-    `bins`, report.json contains the bins of each fit, which `imucal.pool` needs.
+    `reading` contains the options of reading the log as JSON values, for the report. With `bins`, report.json
+    contains the bins of each fit, which `imucal.pool` needs.
     """
 
     taus: str = "octave"
@@ -67,7 +65,6 @@ class Settings(FitSettings):
     reading: Mapping[str, object] = field(default_factory=dict)
 
     def document(self) -> dict[str, object]:
-        """Return the settings as JSON values."""
         return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
 
@@ -89,18 +86,15 @@ def characterize(
 
     Parameters
     ----------
-    recording
-        The samples.
     settings
         By default `Settings()`.
     progress
         Called with the number of finished axes, the number of all axes, and the name of the next one.
     workers
-        Maximum number of axes at a time, each in a forked child process; at least 1. By default the number
-        of processors (see ``IMUCAL_THREADS``), as far as 300 MB in addition to the samples suffice. Fewer if
-        they would exceed the memory of one step (see ``IMUCAL_MEMORY``); 1 if processes can't be forked
-        safely: not on Linux, with other threads, inside a child of other parallel work, under a debugger.
-        The result does not depend on it.
+        Maximum number of axes at a time, each in a forked child process; at least 1. By default the number of
+        processors (see ``IMUCAL_THREADS``), limited to 300 MB in addition to the samples and to the memory of
+        one step (see ``IMUCAL_MEMORY``); 1 if processes can't be forked safely: not on Linux, with other
+        threads, inside a child of other parallel work, under a debugger. The result does not depend on it.
 
     Raises
     ------
@@ -152,7 +146,6 @@ def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
 
 
 def _moved(findings: Sequence[Finding]) -> bool:
-    """Return whether a screening found that the IMU was not at rest."""
     return any(finding.code in {"motion", "touch"} and finding.level == "error" for finding in findings)
 
 
@@ -203,7 +196,6 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
-    """Return the number of axes at a time: as requested or one per processor, limited by memory."""
     if wanted is not None and wanted < 1:
         raise ArgumentError(f"workers must be at least 1, got {wanted}")
     largest = max((series.n for series in recording.series), default=0)
@@ -212,7 +204,7 @@ def _workers(recording: Recording, wanted: int | None) -> int:
 
 
 def _reasons(failures: list[Finding]) -> str:
-    """Return why axes could not be analysed; axes with the same reason are listed together."""
+    """Return why axes could not be analysed, axes with the same reason together."""
     axes: dict[str, list[str]] = {}
     for failure in failures:
         name = failure.axis or ""
@@ -226,7 +218,7 @@ def _characterize_axis(
     finite = series.finite()
     if not finite.n:
         raise DataError(f"{series.name}: no finite samples among {series.n}")
-    # The fit itself refuses a short constant axis; this saves time and memory for a long one.
+    # Saves time and memory for a long axis.
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)
     at_samples = _temperature_at(finite, temperature)
@@ -245,7 +237,7 @@ def _characterize_axis(
         findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     overview = Overview.of(finite)
-    # The samples are no longer needed; those in a temporary file can leave the memory.
+    # Samples in a temporary file can leave the memory.
     release(series.samples)
     return AxisReport(
         sensor=series.sensor,
@@ -264,7 +256,6 @@ def _characterize_axis(
 
 
 def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Finding, ...]:
-    """Return the findings of the fit, of the record's length and of the curve's ambiguity."""
     return (
         *result.findings,
         *findings_or_why_not(
@@ -281,10 +272,7 @@ def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Fi
 
 
 def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None) -> tuple[Finding, ...]:
-    """Return disagreements of a fit of the curve, and of a prediction of one half from the other.
-
-    If a check fails, the axis keeps its result.
-    """
+    """Compare with a fit of the curve, and predict one half from the other."""
     if any(finding.code == "spikes" for finding in first.findings):
         series = clean(series)[0]
     return findings_or_why_not(
@@ -308,7 +296,7 @@ def _moments(samples: FloatArray) -> tuple[float, float]:
 
 
 def _temperature_at(series: AxisSeries, temperature: Temperature | None) -> FloatArray | None:
-    """Return the temperature at each sample, interpolated linearly; None if it is hardly known."""
+    """Return the temperature at each sample, interpolated; None if it is hardly known."""
     if temperature is None:
         return None
     known, clock = np.isfinite(temperature.samples), temperature.clock

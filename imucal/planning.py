@@ -1,10 +1,9 @@
 """How long to record: the length for a given precision of each term, and the precision of a given length.
 
-Precision is relative: 0.1 means that the standard error (or, at another level, the half-width of the
-interval) is 10 % of the coefficient. It follows from numeric Fisher information, see
-`imucal.fitting.spectral.precision`. Above 10 % real intervals are wider, and a term whose interval reaches
-zero is only bounded. Both effects are included as measured for the default fit, which chooses its terms
-(`tests/benchmarks/planned.py`).
+A precision of 0.1 means that the standard error (or, at another level, the half-width of the interval) is 10
+% of the coefficient. It follows from numeric Fisher information, see `imucal.fitting.spectral.precision`.
+Above 10 % real intervals are wider, and a term whose interval reaches zero is only bounded; both as measured
+for the default fit (`tests/benchmarks/planned.py`).
 """
 
 import math
@@ -24,26 +23,24 @@ from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 from imucal.solvers import root, root_near
 
-#: Confidence level of an interval of one standard deviation on each side.
+#: One standard deviation on each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
-#: Default relative precision.
 _SHARP = 0.1
-#: Longest record, in s: ten years. Longer needs are infinite.
+#: Longest record, in s; longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
-#: First length in the search if there is no record, in s.
+#: First length in the search without a record, in s.
 _USUAL = 3600.0
-#: Natural logarithm of the standard error of a record without information.
+#: Logarithm of the standard error of a record without information.
 _NO_INFORMATION = 50.0
-#: Tolerance of a needed length and of the last secant step, in natural logarithm. That step may be longer: it
-#: lands far closer, and a record has whole samples.
+#: Tolerance of a needed length and of the last secant step, in natural logarithm. That step lands far closer.
 _TOLERANCE, _LAST_STEP = 1e-4, 5e-3
-#: A finding reports a record that is too short by at least this factor.
+#: A finding reports a record that is too short by this factor.
 _WORTH_SAYING = 1.05
 #: Relative standard error at which half of all records show a term, and the standard deviation of this limit.
-#: Flicker resembles both its neighbours and needs more than a walk. Measured at the price of chance.
+#: Flicker resembles both its neighbours and needs more than a walk.
 _DETECTABLE = {"B": (0.25, 0.13), "R": (0.25, 0.07)}
 _USUALLY_DETECTABLE = (0.305, 0.09)
-#: A length is enough for a term if this share of records shows it.
+#: Share of records that must show a term.
 ENOUGH_DETECTED = 0.8
 
 
@@ -52,9 +49,9 @@ class Need:
     """The length that a parameter such as ``N``, ``GM.sigma`` or ``GM.T`` needs.
 
     `value` is the coefficient in SI (a correlation time in s), or an upper bound if `bounded`. `needed_s` is
-    the length of record, in s, for the precision, long enough to show the term in four of five records;
-    infinite if no record shows it. `reached` is the relative precision of the present record, `shown` the
-    share of records of this length that show the term; the others bound it. Both are None without a record.
+    long enough for the precision and to show the term in four of five records; infinite if no record shows
+    it. `reached` is the relative precision of the present record, `shown` the share of records of this length
+    that show the term; None without a record.
     """
 
     name: str
@@ -94,18 +91,14 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Ask:
-    """Sampling rate, relative precision at a level, and the length of the present record, if any."""
-
     rate_hz: float
     precision: float
     level: float
     duration_s: float | None
-    #: Whether to search for a length only if the present record is too short.
     longer: bool = False
 
     @property
     def quantile(self) -> float:
-        """Half-width of the interval, in standard deviations."""
         from scipy.special import ndtri
 
         return float(ndtri((1 + self.level) / 2))
@@ -127,18 +120,18 @@ def plan(
     source
         The noise: a model, a fit, or a report (each of its axes).
     rate_hz
-        Sampling rate; a fit's or report's own by default.
+        Sampling rate; by default the rate of the fit or report.
     precision
-        Wanted half-width of the interval, over the coefficient.
+        Wanted half-width of the interval, relative to the coefficient.
     level
         Confidence level of that interval; by default one standard deviation.
     duration_s
-        Length of a record whose precision to compute too; the report's own by default.
+        Length of a record whose precision is computed; by default the length of the report's record.
 
     Raises
     ------
     ValueError
-        If an argument is out of range, or a model comes without a rate.
+        If an argument is out of range, or a model is given without a rate.
     """
     if not (precision > 0 and 0 < level < 1):
         raise ArgumentError(
@@ -166,7 +159,7 @@ def plan(
 
 
 def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
-    """Yield the axes of a report by name; axes of a sensor with the same fit as one, by the sensor's name."""
+    """Yield the axes of a report; equal axes of a sensor once, by the sensor's name."""
     for sensor, axes in report.by_sensor.items():
         if len(axes) > 1 and all(axis.fit is axes[0].fit for axis in axes):
             yield sensor.short, axes[0]
@@ -177,7 +170,7 @@ def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
 def resolution_findings(fit: NoiseFit, duration_s: float) -> tuple[Finding, ...]:
     """Return a finding such as ``K needs 6.2 h for ±10 %, …`` for each term that needs a longer record.
 
-    The precision is ±10 % (one standard deviation); for a bounded term, the upper bound is used.
+    For a bounded term, the upper bound is used.
     """
     needs = _fit_plan(fit, _Ask(fit.rate_hz, _SHARP, ONE_DEVIATION, duration_s, longer=True)).needs
     findings = []
@@ -211,7 +204,6 @@ def _two_digits(value: float) -> str:
 
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
-    """Return the needs of the estimated terms, and of the bounded terms at their bounds."""
     seen = [(e.term(e.value), False) for e in fit.estimates if e.value and e.drawn]
     unseen = [
         (e.term(e.high), True)
@@ -223,7 +215,6 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
-    """Return the needs of terms; a bounded term is added to the model alone."""
     wanted = ask.precision / ask.quantile
     needs: list[Need] = []
     for term, bounded in terms:
@@ -256,21 +247,18 @@ def _found(bound: float) -> float:
 
 
 def _share_detected(name: str, bound: float) -> float:
-    """Return the share of records whose interval excludes zero if the smallest standard error is `bound`."""
+    """Return the share of records whose interval excludes zero."""
     half, width = _DETECTABLE.get(name, _USUALLY_DETECTABLE)
     return 0.5 * math.erfc((bound - half) / (math.sqrt(2) * width))
 
 
 def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s: float) -> float:
-    """Return the length of record, in s, at which the smallest relative standard error is `enough`.
-
-    The search starts at `near_s`.
-    """
+    """Return the length of record, in s, at which the smallest relative standard error is `enough`."""
     target = math.log(enough)
 
     def excess(log_duration: float) -> float:
         bound = _bound(model, name, rate_hz, math.exp(log_duration))
-        # A record without information: finite, so that the search continues.
+        # Finite, so that the search continues.
         return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NO_INFORMATION
 
     low, high = math.log(2 / rate_hz), math.log(_LONGEST)

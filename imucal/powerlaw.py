@@ -1,18 +1,16 @@
 """The four power-law noises of one unit per sample, in closed form.
 
-The second-order statistics of a process with stationary increments follow from V(n), the generalised
-variance of the sum of n consecutive samples:
+The second-order statistics of a process with stationary increments follow from V(n), the generalised variance
+of the sum of n consecutive samples:
 
     avar(m) = (4 V(m) - V(2m)) / (2 m^2)
     V(n) = n^2 r(0) - sum over k < n of (n - k) D(k)
 
-with the mean square difference D(k) of samples k apart and the variance r(0), which cancels in
-avar and is 0 for noise without one.
+with the mean square difference D(k) of samples k apart and the variance r(0), which cancels in avar and is 0
+for noise without one. Units are per sample and rad/sample.
 
-Units are per sample: the sampling period is 1, and angular frequencies are in rad/sample.
-
-Source: Guerrier, Molinari, Stebler: Allan variance (MOAV, Def. 4.3); Greenhall & Riley (2003),
-"Uncertainty of stability variances based on finite differences".
+Source: Guerrier, Molinari, Stebler: Allan variance (MOAV, Def. 4.3); Greenhall & Riley (2003), "Uncertainty
+of stability variances based on finite differences".
 """
 
 from collections.abc import Callable
@@ -36,8 +34,8 @@ def odd_harmonic(n: FloatArray) -> FloatArray:
 class PowerLaw(Enum):
     """A noise with a power-law spectrum, per-sample variance parameter 1.
 
-    QUANTIZATION is the first difference of white noise of unit variance, WHITE has unit
-    variance, FLICKER has psd 1/(2 sin(w/2)), WALK sums white steps of unit variance.
+    QUANTIZATION is the first difference of white noise of unit variance, WHITE has unit variance, FLICKER has
+    psd 1/(2 sin(w/2)), WALK sums white steps of unit variance.
     """
 
     QUANTIZATION = "Q"
@@ -93,13 +91,12 @@ class PowerLaw(Enum):
     def dct_spectrum(self, n: int, first: IntArray, count: IntArray) -> FloatArray:
         """Return the mean over bins of E[X_k²], the expected square of orthonormal DCT-II ordinates; (b,).
 
-        Of n >= 2 samples, per unit variance parameter; `first` and `count` are the first ordinate and the
-        number of ordinates of each bin, shape (b,), of ordinates 1 … n-1.
+        Of n >= 2 samples, per unit variance parameter; `first` and `count`, shape (b,), are the first
+        ordinate and the number of ordinates of each bin, of ordinates 1 … n-1.
 
-        White noise and the random walk are exact, and their ordinates uncorrelated. Quantization is exact
-        with its two boundary values. Flicker is exact in the limit of many samples; its relative error is
-        below 0.05/n². Bins of up to 8 ordinates are summed; the mean over wider ones has relative error
-        below 3e-8 where the first ordinate is above 128. Cost O(b).
+        White noise and the random walk are exact, and quantization with its two boundary values. The relative
+        error of flicker is below 0.05/n². The mean over bins of more than 8 ordinates has relative error
+        below 3e-8 if the first ordinate is above 128. Cost O(b).
 
         Source: E[X_k²] = r_0-weighted cosine sum of the structure function; for flicker summed in closed
         form, with Si for the finite length.
@@ -117,7 +114,7 @@ class PowerLaw(Enum):
                 return _bin_mean(n, start, size, _walk_ordinate, _walk_wide)
 
 
-#: Bins of up to so many ordinates are summed one by one.
+#: Bins of up to this many ordinates are summed.
 _NARROW = 8
 
 
@@ -128,7 +125,7 @@ def _bin_mean(
     ordinate: Callable[[int, FloatArray], FloatArray],
     wide: Callable[[int, FloatArray, FloatArray], FloatArray],
 ) -> FloatArray:
-    """Average over bins: term by term where they are narrow, by an integral where they are wide."""
+    """Sum narrow bins term by term; integrate over wide ones."""
     mean = np.empty(first.shape)
     narrow = count <= _NARROW
     start, size = first[narrow], count[narrow]
@@ -146,7 +143,7 @@ def _mean_quantization(n: int, first: FloatArray, count: FloatArray) -> FloatArr
     half = np.pi / (2 * n)
     middle = half * (first + (count - 1) / 2)
     spread = np.sin(count * half) / (count * np.sin(half))
-    # 1 - spread loses its digits where the bin is narrow; its series does not.
+    # 1 - spread loses its digits in narrow bins; its series does not.
     square = (count * half) ** 2
     series = half**2 * (count**2 - 1) / 6 * (1 - (3 * square - 7 * half**2) / 60)
     lost = np.where(square < 1e-4, series, 1 - spread)
@@ -155,13 +152,13 @@ def _mean_quantization(n: int, first: FloatArray, count: FloatArray) -> FloatArr
 
 
 def _bin_ends(n: int, first: FloatArray, count: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return half the angle between ordinates, and half the angle at both ends of each bin."""
+    """Return half the angle between ordinates, and at both ends of each bin."""
     step = np.pi / (2 * n)
     return step, step * (first - 0.5), step * (first + count - 0.5)
 
 
 def _rise_of_slope(step: float, low: FloatArray, high: FloatArray, power: int) -> FloatArray:
-    """Return how much -step cos / (2 sin^power), an ordinate's slope, rises over each bin."""
+    """Return the change of -step cos / (2 sin^power), an ordinate's slope, over each bin."""
     first, last = (-step * np.cos(u) / (2 * np.sin(u) ** power) for u in (low, high))
     return np.asarray(last - first)
 
@@ -189,7 +186,7 @@ def _flicker_ordinate(n: int, k: FloatArray) -> FloatArray:
 
 
 def _flicker_wide(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
-    """Mean of 1/(2 sin) by its integral and first correction; the boundary's share at the middle."""
+    """Mean of 1/(2 sin) by its integral and first correction, plus the boundary term at the middle."""
     step, low, high = _bin_ends(n, first, count)
     integral = np.log(np.tan(high / 2) / np.tan(low / 2)) / (2 * step)
     mean: FloatArray = (integral - _rise_of_slope(step, low, high, 2) / 24) / count
@@ -197,7 +194,7 @@ def _flicker_wide(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
 
 
 def _flicker_boundary(n: int, k: FloatArray) -> FloatArray:
-    """Return what the ends of a series of n samples take from ordinate k of flicker.
+    """Return the boundary term of ordinate k of flicker in a series of n samples.
 
     With s, c = sin, cos(w/2): -(1/s - (s/c) ln cot(w/4)) / (pi n) of the spectrum 1/(2 s).
     """

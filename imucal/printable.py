@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 #: Unicode categories of control and direction characters.
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-#: Allowed control characters.
 _LAYOUT = frozenset("\n\t")
 
 
@@ -32,6 +31,5 @@ def _escaped(text: str, escape: Callable[[str], str]) -> str:
 
 
 def _json_escape(sign: str) -> str:
-    """Return the escapes of a character in UTF-16."""
     code = sign.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{code[i : i + 4]}" for i in range(0, len(code), 4))

@@ -1,13 +1,11 @@
 """Work in other processes: a child that answers questions, forked children; and optional work that may fail.
 
-A `ChildProcess` has limits of time and memory. Code that may hang, use all memory or crash runs there, and
-the caller gets an answer with the outcome.
+Code that may hang, use all memory or crash runs in a `ChildProcess`, with limits of time and memory.
 
-`side_by_side` runs a function on several items at a time; results are the same as one after the other.
-Threads would wait for the interpreter's lock, which is held half of the time. A forked child sees the data of
-its parent without a copy and sends back its result.
+`side_by_side` forks, because threads would wait for the interpreter's lock. A forked child sees the data of
+its parent without a copy.
 
-Side work only judges or draws a result: if it fails, the result is kept and a finding reports the failure.
+Side work only judges or draws a result: if it fails, a finding reports the failure.
 """
 
 import ctypes
@@ -41,26 +39,25 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from multiprocessing.context import ForkProcess
 
-#: done: it answered; failed: it raised; late: it took too long; ended: its process crashed or was killed.
+#: late: it took too long; ended: its process crashed or was killed.
 Outcome: TypeAlias = Literal["done", "failed", "late", "ended"]
-#: Memory that is limited: the whole address space, or private writable memory.
+#: The whole address space, or private writable memory.
 Counted: TypeAlias = Literal["addresses", "data"]
 
 _LENGTH = struct.Struct("<Q")
 _START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve; serve()"
 #: Seconds between checks that the parent is alive.
 _LOOK_S = 1.0
-#: Number of bytes of a child's standard error that are kept.
+#: Bytes of a child's standard error that are kept.
 _WORDS = 2000
 #: Name of the thread of `imucal.readers.checksums`.
 CHECKSUMS = "imucal checksums"
-#: Threads without locks that a child needs: ours by its name, and the class of rich's progress bars.
+#: Threads without locks that a child needs: ours, and the class of rich's progress bars.
 _HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
-#: Registry of the warnings of children that were shown, as Python has for each module.
+#: Warnings that were shown, as Python registers them for each module.
 _SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
-#: Warning of Python 3.12 and later about a fork in a process with threads.
+#: Warning of Python 3.12 and later.
 _FORK_WARNING = r".*multi-threaded, use of fork"
-#: Errors of calculations on unsuitable data.
 _NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
 
 T = TypeVar("T")
@@ -72,7 +69,7 @@ class Answer:
     """The outcome of a question, and the `value` that the function returned if it is done.
 
     `words` contains the type and text of the error if it failed, or the last output of a child that ended;
-    `code` is then its exit code, negative for a signal, as `subprocess.Popen.returncode`.
+    `code` is then its exit code, negative for a signal.
     """
 
     outcome: Outcome
@@ -130,7 +127,6 @@ class ChildProcess:
             except OSError:
                 answer = None
             except BaseException:
-                # Interrupted: the answer is no longer needed.
                 self.end()
                 raise
             finally:
@@ -162,7 +158,7 @@ class ChildProcess:
         return self._process
 
     def close(self) -> None:
-        """Kill the child, also while another thread waits for its answer; later questions are refused."""
+        """Kill the child, also while another thread waits for its answer."""
         self._closed = True
         if (process := self._process) is not None:
             process.kill()
@@ -172,7 +168,7 @@ class ChildProcess:
             raise ChildClosedError
 
     def end(self) -> str:
-        """Kill the process, if there is one; return the end of its standard error."""
+        """Kill the process; return the end of its standard error."""
         if self._process is not None:
             self._process.kill()
             # Close the pipes and fetch the exit code.
@@ -190,8 +186,7 @@ class ChildProcess:
 def own_path() -> list[str]:
     """Return the entries of `sys.path` that other users can't write to.
 
-    A module in a shared folder would run with the rights of this user. The folders of the interpreter and of
-    this package are always included.
+    A module in a shared folder would run with the rights of this user.
     """
     package = str(Path(__file__).parents[1])
     return [folder for folder in sys.path if folder == package or _is_private(Path(folder))]
@@ -205,7 +200,7 @@ def _is_private(folder: Path) -> bool:
     try:
         infos = [place.stat() for place in (folder, *folder.parents)]
     except OSError:
-        # It does not exist: anybody may create it.
+        # Anybody may create it.
         return False
     for own, above in itertools.pairwise(infos):
         kept = above.st_mode & stat.S_ISVTX and own.st_uid in {0, os.getuid()}
@@ -216,11 +211,10 @@ def _is_private(folder: Path) -> bool:
 
 def serve() -> None:
     """Answer questions on standard input until it ends; runs in the child."""
-    # The parent handles an interrupt: it kills the child.
+    # The parent kills the child after an interrupt.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=leave_with, args=(os.getppid(),), daemon=True).start()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    # Discard the output of libraries.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     while (question := _receive(sys.stdin.buffer)) is not None:
         try:
@@ -258,7 +252,7 @@ def _send(stream: BinaryIO, data: bytes) -> None:
 
 
 def _receive(stream: BinaryIO) -> bytes | None:
-    """Return the next message; None at the end of the stream."""
+    """Return the next message; None at the end."""
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None
@@ -270,9 +264,8 @@ def _receive(stream: BinaryIO) -> bytes | None:
 def may_fork() -> bool:
     """Return whether this process can fork safely.
 
-    It can't on other systems than Linux, whose libraries do not support it; in a child of `multiprocessing`;
-    with other Python threads, because their locks would stay locked in the child; under a debugger or a
-    profiler.
+    It can't on other systems than Linux; in a child of `multiprocessing`; with other Python threads, whose
+    locks would stay locked in the child; under a debugger or a profiler.
     """
     if not sys.platform.startswith("linux") or sys.gettrace() or sys.getprofile():
         return False
@@ -294,9 +287,9 @@ def side_by_side(
     """Return `work(item)` for each item, in their order.
 
     At most `workers` forked processes work at a time; if forking is not safe, this process does all items. If
-    an item fails or its process is killed, no further item is started there. This process then does that item
-    and the remaining ones, so an error is raised as in a loop. No child outlives the call. `done` is called
-    with the number of finished items and the first unfinished item, or None.
+    an item fails or its process is killed, this process does that item and the remaining ones, so an error is
+    raised as in a loop. No child outlives the call. `done` is called with the number of finished items and
+    the first unfinished item, or None.
     """
     found: dict[int, R] = {}
 
@@ -331,7 +324,7 @@ def _in_children(
     found: dict[int, R],
     notify: Callable[[], None],
 ) -> None:
-    """Add the results of children to `found`, until all are there or one fails."""
+    """Add results to `found`, until all are there or one fails."""
     processes: list[ForkProcess] = []
     in_hand: dict[Connection, int] = {}
     trim_memory()
@@ -353,7 +346,6 @@ def _in_children(
             if len(found) == len(items):
                 return
     finally:
-        # Children have nothing to clean up.
         for process in processes:
             process.kill()
         for process in processes:
@@ -361,7 +353,7 @@ def _in_children(
 
 
 def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
-    """Add a child to `processes` and return its pipe; None if the system refuses a further process."""
+    """Add a child to `processes` and return its pipe; None if the system refuses one."""
     context = multiprocessing.get_context("fork")
     # Block interrupts until the child is in the list. The child never gets one: its parent kills it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -380,14 +372,14 @@ def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProc
 
 
 def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
-    """Send the index of an item to a child; if the child is gone, reading its result will show it."""
+    """Send an index; if the child is gone, reading its result will show it."""
     in_hand[pipe] = index
     with suppress(OSError):
         pipe.send_bytes(b"%d" % index)
 
 
 class _Sender(pickle.Pickler):
-    """Pickles a result without the item: the parent has it."""
+    """Pickles a result without the item, which the parent has."""
 
     item: object
 
@@ -396,8 +388,6 @@ class _Sender(pickle.Pickler):
 
 
 class _Receiver(pickle.Unpickler):
-    """Unpickles a result of `_Sender` and inserts the item."""
-
     item: object
 
     def persistent_load(self, pid: object) -> object:  # noqa: ARG002 - there is one
@@ -425,7 +415,7 @@ def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent:
     try:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
-        # Exclude existing objects from garbage collection, which would write to pages shared with the parent.
+        # Garbage collection would write to pages shared with the parent.
         gc.freeze()
         while True:
             index = int(pipe.recv_bytes())
@@ -448,8 +438,8 @@ def try_side_work(
     """Return the result of `make` and no finding; or `otherwise` and a finding with the reason.
 
     A DataError and a failed calculation become a finding. So does a bug, so that it does not cost hours of
-    data; with IMUCAL_DEBUG it is raised. The text of the finding begins with `what`, such as ``The fit of the
-    Allan curve failed``.
+    data; with IMUCAL_DEBUG it is raised. The finding begins with `what`, such as ``The fit of the Allan curve
+    failed``.
     """
     try:
         return make(), ()

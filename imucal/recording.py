@@ -17,10 +17,9 @@ from imucal.frozen import frozen, frozen_alone
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 
-#: The axes of a sensor, in their order.
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 
-#: Share of missing samples from which the finding is a warning.
+#: A finding of more missing samples is a warning.
 _FEW = 1e-3
 #: Larger values are damage in any unit; their squares would overflow.
 ABSURD = 1e100
@@ -61,7 +60,7 @@ class AxisSeries(Displayed):
     axis: Axis
     samples: FloatArray
     clock: Clock
-    #: Whether all samples are known to be usable: every step asks, and one look is enough.
+    #: Whether all samples are usable, so that steps after the first skip the test.
     _known_finite: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -140,10 +139,7 @@ class AxisSeries(Displayed):
         return keep
 
     def between(self, start_s: float, end_s: float) -> "AxisSeries":
-        """Return the samples taken from `start_s` to before `end_s`, in s from the first sample.
-
-        Copies nothing.
-        """
+        """Return the samples from `start_s` to before `end_s`, in s from the first sample; copies nothing."""
         first, stop = self.clock.index_at(start_s), self.clock.index_at(end_s)
         return replace(self, samples=self.samples[first:stop], clock=self.clock.slice(first, stop))
 
@@ -163,9 +159,9 @@ class Temperature(ReadOnlyArrays):
 class LogFileInfo:
     """A file of a log, with its path as it was read, and its checksum.
 
-    A URL has neither user nor query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693) in hexadecimal
-    digits, as ``b2sum`` prints it; None if the file could not be read to its end. `etag` is the ETag of the
-    object behind a URL, or the time of its last change; None for a local file.
+    A URL has neither user nor query. `blake2b` is the BLAKE2b checksum of 64 bytes (RFC 7693), as ``b2sum``
+    prints it; None if the file could not be read to its end. `etag` is the ETag of the object behind a URL,
+    or the time of its last change.
     """
 
     path: str
@@ -181,9 +177,8 @@ class LogFileInfo:
 class ReadRange:
     """The part of a log that was read, over all its axes, gaps included.
 
-    `from_s` is the omitted time before it, in s from the first sample; `duration_s` is the time from the
-    first sample to the end of the last. `start_ns` and `end_ns` are its time stamps in ns of their epoch, or
-    None without stamps.
+    `from_s` is the omitted time before it, in s from the first sample. `start_ns` and `end_ns` are its time
+    stamps in ns of their epoch, or None without stamps.
     """
 
     from_s: float = 0.0
@@ -193,7 +188,6 @@ class ReadRange:
 
     @classmethod
     def of(cls, series: Sequence[AxisSeries], *, from_s: float = 0.0) -> "ReadRange":
-        """Return the range of at least one axis."""
         if (span := span_ns(series)) is None:
             return cls(from_s=from_s, duration_s=max(one.duration_s for one in series))
         start, end = span
@@ -239,8 +233,6 @@ class Recording(Displayed):
 
     Attributes
     ----------
-    source
-        Its origin.
     series
         The axes, gyroscope x, y, z first; the two sensors may have different clocks.
     temperature
@@ -262,7 +254,7 @@ class Recording(Displayed):
         DataError
             If there are no samples in this time.
         """
-        # Axes that share a clock object share it afterwards, too.
+        # Axes that share a clock object must share it afterwards, too.
         clocks = {id(one.clock): one.between(start_s, end_s).clock for one in self.series}
         cuts = [replace(one.between(start_s, end_s), clock=clocks[id(one.clock)]) for one in self.series]
         series = tuple(cut for cut in cuts if cut.n)
@@ -279,7 +271,6 @@ class Recording(Displayed):
             temperature = Temperature(samples=temperature.samples[first:stop], clock=clock.slice(first, stop))
         before = self.source.read.from_s if self.source.read is not None else 0.0
         source = replace(self.source, read=ReadRange.of(series, from_s=before + start_s))
-        # List the gaps of this part only.
         others = [finding for finding in self.findings if finding.code != "gaps"]
         findings = tuple(dict.fromkeys([*others, *gap_findings(one.clock for one in series)]))
         return replace(self, source=source, series=series, temperature=temperature, findings=findings)
@@ -334,7 +325,7 @@ class Recording(Displayed):
 
 
 def gap_findings(clocks: Iterable[Clock]) -> Iterator[Finding]:
-    """Yield a finding for each clock with missing samples, with the longest gap."""
+    """Yield a finding for each clock with missing samples."""
     for clock in {id(clock): clock for clock in clocks if clock.gaps}.values():
         gaps, share = clock.gaps, clock.missing / clock.grid_size
         longest = max(gaps, key=lambda gap: gap.missing)
@@ -352,5 +343,4 @@ def _sane(samples: FloatArray) -> NDArray[np.bool_]:
 
 
 def _as_text(path: str) -> str:
-    """Return a path as text for a report; bytes of a file name that are not UTF-8 are escaped."""
     return path.encode("utf-8", "backslashreplace").decode()

@@ -1,7 +1,7 @@
 """Limits of memory and threads: from the machine, its container, or environment variables.
 
 ``IMUCAL_MEMORY`` limits the memory of one step (``500M``, ``2G``), ``IMUCAL_THREADS`` the number of threads,
-including the threads of libraries.
+including library threads.
 """
 
 import os
@@ -21,7 +21,7 @@ _COLUMNS = 500_000_000
 _SHARE = 4
 _SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
 _PREFIXES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
-#: Variables that the matrix libraries read when they are loaded, and those of all libraries.
+#: Read by the matrix libraries when they are loaded, and by all libraries.
 MATRICES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES)
 
@@ -29,8 +29,7 @@ POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES
 def memory_limit() -> int:
     """Return the memory of one step in bytes: ``IMUCAL_MEMORY``, or a quarter of the available memory.
 
-    The available memory is the machine's, or the limit of its control group (a container, a job) if that is
-    smaller. Raises SettingError if ``IMUCAL_MEMORY`` is not a size.
+    Raises SettingError if ``IMUCAL_MEMORY`` is not a size.
     """
     size = size_setting(MEMORY)
     if size is not None:
@@ -54,7 +53,7 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
 
 
 def memory_there_is() -> int | None:
-    """Return the memory of the machine in bytes, or the limit of its control group if that is smaller."""
+    """Return the memory of the machine in bytes, or the smaller limit of its control group."""
     return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
 
 
@@ -81,10 +80,9 @@ def column_limit() -> int:
 
 
 def threads() -> int:
-    """Return the number of threads: ``IMUCAL_THREADS``, or the number of processors of this process.
+    """Return the number of threads: ``IMUCAL_THREADS``, or the processors that this process may use.
 
-    A control group (a container) may allow fewer processors. Raises SettingError if ``IMUCAL_THREADS`` is not
-    a positive integer.
+    Raises SettingError if ``IMUCAL_THREADS`` is not a positive integer.
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
@@ -122,7 +120,7 @@ def _physical() -> int | None:
 def control_group_limits(
     groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
 ) -> list[int]:
-    """Return the limits of memory, in bytes, of this process's control group and those above it.
+    """Return the memory limits, in bytes, of this process's control group and those above it.
 
     Source: Linux, Documentation/admin-guide/cgroup-v1/memory.rst and cgroup-v2.rst.
     """
@@ -133,7 +131,7 @@ def control_group_limits(
 def control_group_processors(
     groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
 ) -> list[int]:
-    """Return the processors that this process's control group and those above it allow, rounded up.
+    """Return the processors that the control groups allow, rounded up.
 
     Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
     """
@@ -148,7 +146,7 @@ def _numbers(
     """Yield the numbers in the files of a process's groups and those above, if all of them are limits.
 
     A line of `groups` is, for example, ``4:memory:/docker/1f``. With ``0::/user.slice`` all controllers share
-    their groups, and the files are the `unified` ones instead of the controller's own.
+    their groups, whose files are the `unified` ones.
     """
     for line in _text(groups).splitlines():
         _, controllers, path = (*line.split(":", 2), "", "")[:3]
@@ -163,7 +161,6 @@ def _numbers(
 
 
 def _text(file: Path) -> str:
-    """Return the text of a file; empty if it does not exist."""
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, ValueError):

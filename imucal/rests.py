@@ -1,12 +1,9 @@
 """at_rest: a drive -> a recording of its rests, whose joint fit is more precise than the longest rest's.
 
 The mean of an axis differs between rests because of gravity, the earth's rotation and changes of the supply.
-So each rest is shifted to the level of the longest. The fit multiplies the likelihoods of the rests, each
-with a free mean, and no difference of the Allan variance spans two rests. The differences between their means
-are not used.
-
-A screening assumes that a log is mostly at rest, which is wrong for a drive. Here the reference is the
-quietest stretch of each axis, then all windows that are about as quiet.
+So each rest is shifted to the level of the longest, and has a free mean in the fit. No difference of the
+Allan variance spans two rests. Unlike in a screening, the reference is the quietest stretch of each axis,
+because a drive is not mostly at rest.
 """
 
 import math
@@ -29,14 +26,14 @@ __all__ = ["at_rest"]
 
 #: Minimum length of a rest, in s and in samples.
 _SHORTEST_S, _MIN_SAMPLES = 20.0, 128
-#: Time omitted on both sides of a motion, in s and in samples: a car rocks on its springs for a while, and
-#: the fit treats shorter gaps as lost samples.
+#: Time omitted on both sides of a motion, in s and in samples: a car rocks for a while, and the fit treats
+#: shorter gaps as lost samples.
 _CLEAR_S, _CLEAR = 2.0, 33
-#: Largest number of rests, the longest ones: the fit has at most this many blocks.
+#: The longest rests; the fit has at most this many blocks.
 _MAX_RESTS = 48
 #: Length of the quietest stretch, in s; a window is quiet below this multiple of its variance.
 _STRETCH_S, _QUIET = 10.0, 4.0
-#: A rest is shaken, for example by an engine, above this multiple of the quietest rest's noise power.
+#: A rest is shaken above this multiple of the quietest rest's noise power.
 _SHAKEN = 1.5
 #: A gyroscope turns steadily if its mean differs this much from the other rests, in rad/s.
 _TURNED = math.radians(1.0)
@@ -44,7 +41,7 @@ _TURNED = math.radians(1.0)
 
 @frozen
 class _Stretch:
-    """A time without motion, from start to end in s; `why` it is not used, or an empty text."""
+    """A time without motion; `why` it is not used, or an empty text."""
 
     start_s: float
     end_s: float
@@ -89,14 +86,14 @@ def at_rest(recording: Recording) -> Recording:
 
 
 def _quiet(windows: Windows) -> Windows:
-    """Return the non-constant windows of an axis that are about as quiet as its quietest stretch."""
+    """Return the non-constant windows that are about as quiet as the quietest stretch."""
     count = max(8, round(_STRETCH_S / windows.length_s))
     limit = _QUIET * quietest(windows.variance, count)
     return windows.take((windows.variance > 0) & (windows.variance < limit))
 
 
 def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
-    """Return the times without motion of any axis, in order; a gap between blocks of a fit ends one."""
+    """Return the times without motion of any axis; a gap between blocks of a fit ends one."""
     moved = [(one.start_s, one.end_s) for one in disturbances_of(profiles)]
     tau0 = max(p.series.tau0 for p in profiles)
     clear = max(_CLEAR_S, _CLEAR * tau0)
@@ -112,7 +109,7 @@ def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
 
 
 def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[_Stretch]:
-    """Return the stretches, with a reason for those that are shaken, turned, or too many."""
+    """Add the reason to stretches that are shaken, turned, or too many."""
     long = [one for one in stretches if not one.why]
     if not long:
         return list(stretches)
@@ -133,10 +130,9 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
 
 
 def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArray, FloatArray]:
-    """Return the median variance and the mean of an axis in each stretch; NaN if it has no window there.
+    """Return the median variance and the mean of an axis in each stretch; NaN without a window.
 
-    The variance of a coarse axis depends on where its level is between two steps, so the square of a step is
-    added.
+    The variance of a coarse axis depends on its level between two steps, so the square of a step is added.
     """
     found = np.full((2, len(stretches)), np.nan)
     for column, one in zip(found.T, stretches, strict=True):
@@ -147,7 +143,7 @@ def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArr
 
 
 def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[int, Clock]) -> AxisSeries:
-    """Return the samples in spans of time (in s from the first sample), shifted to the level of the longest.
+    """Return the samples in `spans`, in s from the first sample, shifted to the level of the longest.
 
     `clocks` contains the shortened clocks: axes that share a clock still share one.
     """
@@ -165,7 +161,6 @@ def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[
     return replace(series, samples=samples[keep], clock=clock)
 
 
-#: Reason why a stretch is not used -> its text in the finding.
 _REASONS = {
     "short": f"shorter than {_SHORTEST_S:g} s",
     "shaken": "with more noise than the quietest, as from a running engine",
@@ -175,7 +170,6 @@ _REASONS = {
 
 
 def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration: float) -> Finding:
-    """Return the finding that lists the used rests, and the omitted parts with their reasons."""
     total = sum(one.length_s for one in rests)
     begins = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
     moving = duration - sum(one.length_s for one in stretches)

@@ -205,7 +205,6 @@ def _write_ros2_folder(path: Path, parts: Iterator[Rows]) -> None:
 
 
 def _fill(writer: Any, store: str, messages: Iterator[tuple[int, bytes]]) -> None:  # noqa: ANN401 - of rosbags
-    """Write messages with a writer of rosbags, using the types of a type store."""
     from rosbags.typesys import Stores, get_typestore
 
     with writer:
@@ -223,7 +222,6 @@ def _write_ros2_file(path: Path, parts: Iterator[Rows]) -> None:
     shutil.rmtree(folder)
 
 
-#: Suffix of a log -> function that writes it.
 WRITERS: dict[str, Callable[[Path, Iterator[Rows]], None]] = {
     ".csv": _write_csv,
     ".mcap": _write_mcap,

@@ -10,9 +10,8 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 
-#: Maximum number of steps of a search in a bracket; each at least halves it.
+#: Maximum number of steps of a search in a bracket.
 _MAX_STEPS = 200
-#: Maximum number of secants.
 _MAX_SECANTS = 12
 #: No variable is added if its product with the residuals is below this share of the largest product.
 _NO_GAIN = 1e-12

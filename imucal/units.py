@@ -107,7 +107,6 @@ class _Unit:
         return _Unit(self.factor * by.factor, self.rad + by.rad, self.m + by.m, self.s + by.s)
 
     def is_like(self, other: "_Unit") -> bool:
-        """Return whether both have the same dimension."""
         return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
 
 
@@ -273,14 +272,12 @@ def is_unit(text: str) -> bool:
 
 
 def _plain(text: str) -> str:
-    """Return a unit's spelling in small letters, without special signs and brackets."""
     for sign, plain in _SIGNS.items():
         text = text.replace(sign, plain)
     return _bare(text) if " per " not in text.lower() else text.strip().lower()
 
 
 def _shortened(text: str) -> str:
-    """Return a spelling with symbols instead of words."""
     for pattern, unit_name in _SPELLINGS:
         text = re.sub(pattern, unit_name, text)
     return text

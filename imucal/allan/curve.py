@@ -81,8 +81,8 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     def minimum(self) -> tuple[float, float]:
         """The lowest Allan deviation and its tau, in the sample unit and s.
 
-        Many tools call it "bias instability", but it is not B: see `imucal.noise.terms`.
-        Values with fewer than 2 degrees of freedom are ignored if there are others.
+        Many tools call it "bias instability", but it is not B: see `imucal.noise.terms`. Values with fewer
+        than 2 degrees of freedom are ignored if there are others.
         """
         sure = np.flatnonzero(~(self.edf < 2))
         index = sure if sure.size else np.arange(self.tau.size)

@@ -3,13 +3,12 @@
 The DCT-II ordinates of sampled noise are almost uncorrelated; for white noise and a random walk they are
 exactly uncorrelated. A few hundred sums of squared ordinates contain the spectral information of a log.
 
-Long records are split into many short transforms to save memory. SciPy caches 15 n bytes of sines for a
-transform of n samples. With n = rows * columns the tables are only as long as one factor, and each
-piece of work fits in the processor's cache.
+Long records are split into many short transforms, n = rows * columns, to save memory: SciPy caches 15 n bytes
+of sines for a transform of n samples. Each piece of work fits in the processor's cache.
 
 Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135; Bailey (1990), "FFTs in
-external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a real transform of the even
-samples, then the odd ones backwards: Makhoul (1980), IEEE Trans. ASSP 28, 27.
+external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a real transform of the even samples,
+then the odd ones backwards: Makhoul (1980), IEEE Trans. ASSP 28, 27.
 """
 
 import math
@@ -32,17 +31,15 @@ from imucal.recording import AxisSeries
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
-#: Shorter transforms are not split: their tables are small.
 LONG = 500_000
 #: Values per piece of work, and the minimum number of adjacent columns in it.
 _PIECE, _MIN_COLUMNS = 1 << 16, 16
-#: The first factor of n is near n to this power: the fastest, measured from 5e5 to 2e7.
+#: The exponent of n in `split`: the fastest, measured from 5e5 to 2e7.
 _SHARE = 0.43
-#: Ordinates squared at a time.
 _BLOCK = 65536
-#: Transforms are fast at any length up to the first number, or if no prime factor exceeds the second.
+#: Any length up to the first number is fast, and lengths without prime factors above the second.
 _QUICK, _PRIME = 65536, 127
-#: Angles of a ramp whose sines are computed; the other sines follow by angle addition.
+#: Angles of a ramp whose sines are computed; the others follow by angle addition.
 _TABLE = 1 << 12
 #: Largest fraction of the samples that `fast_length` drops.
 _CUT = 1e-4
@@ -65,7 +62,7 @@ def idct2(ordinates: FloatArray) -> FloatArray:
 def split(n: int) -> int:
     """Return the divisor of `n` nearest to n^0.43, used as the number of rows.
 
-    It is below the square root because access by column is strided and access by row is not.
+    It is below the square root because access by column is strided.
     """
     small = [divisor for divisor in range(1, math.isqrt(n) + 1) if n % divisor == 0]
     wanted = n**_SHARE
@@ -75,11 +72,11 @@ def split(n: int) -> int:
 def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     """Return the orthonormal DCT-II of `samples` minus `mean`, shape (n,); n should have small factors.
 
-    It takes n log n operations and 16 bytes per sample, half of them for the result. Rounding errors are
-    about 1e-15 of the largest ordinate, as for a transform in one piece.
+    It takes n log n operations and 16 bytes per sample. Rounding errors are about 1e-15 of the largest
+    ordinate.
 
-    Let v be the even samples followed by the odd ones in reverse order, V its Fourier transform, and
-    W = exp(-i pi k / 2n) V[k]. Ordinate k is the real part of W; ordinate n - k is minus its imaginary part.
+    Let v be the even samples followed by the odd ones in reverse order, V its Fourier transform, and W =
+    exp(-i pi k / 2n) V[k]. Ordinate k is the real part of W; ordinate n - k is minus its imaginary part.
     """
     n = samples.size
     rows = split(n)
@@ -88,7 +85,6 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
     half = (n + 1) // 2
     np.subtract(samples[::2], mean, out=result[:half])
     np.subtract(samples[1::2], mean, out=result[half:][::-1])
-    # Transform each column.
     values, inner = result.reshape(rows, columns), np.empty((rows // 2 + 1, columns), dtype=np.complex128)
     step = max(_MIN_COLUMNS, _PIECE // rows)
     for start in range(0, columns, step):
@@ -103,7 +99,7 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
         part = scipy.fft.fft(part, axis=1, overwrite_x=True)
         part *= shift
         place[:, start:stop] = part.real.T
-        # The mirrored values of row 0 and of the middle row are already in place.
+        # Row 0 and the middle row already have their mirrored values.
         first, last = max(start, 1), min(stop, (rows + 1) // 2)
         mirrored = place[::-1, rows - last + 1 : rows - first + 1]
         np.negative(part[first - start : last - start][::-1].imag.T, out=mirrored)
@@ -112,10 +108,7 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
 
 
 def four_step_idct(ordinates: FloatArray) -> FloatArray:
-    """Return the inverse of `four_step_dct` (the orthonormal DCT-III), shape (n,), by reversing its steps.
-
-    Overwrites `ordinates`.
-    """
+    """Return the inverse of `four_step_dct` (the orthonormal DCT-III), shape (n,). Overwrites `ordinates`."""
     n = ordinates.size
     rows = split(n)
     columns = n // rows
@@ -151,7 +144,7 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
 def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
     """Return exp(-2 pi i r (c + 1/4) / n) for rows r and columns c = 0 … columns - 1, shape (r, columns).
 
-    The first `few` columns times every `few`-th one need fewer exponentials.
+    Products of near and far columns need fewer exponentials.
     """
     few = math.isqrt(columns) + 1
     angle = (-2 * np.pi / n) * rows[:, np.newaxis]
@@ -176,7 +169,6 @@ class DctBins(ReadOnlyArrays):
 
     @property
     def size(self) -> int:
-        """Number of bins."""
         return self.first.size
 
     def parts(self) -> Iterator[tuple[slice, slice, IntArray]]:
@@ -198,8 +190,8 @@ class DctBins(ReadOnlyArrays):
 def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     """Return the bins for `n` samples, at least 2; an argument below its minimum is a ValueError.
 
-    Each of the ordinates 1 … `singles` (at least 1) has its own bin. Higher bins widen to `per_octave`
-    (at least 1) per octave.
+    Each of the ordinates 1 … `singles` (at least 1) has its own bin. Higher bins widen to `per_octave` (at
+    least 1) per octave.
     """
     if n < 2 or singles < 1 or per_octave < 1:
         raise ArgumentError(
@@ -218,7 +210,7 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """The samples of an axis, with cached transforms of long runs and cached numbers."""
+    """Samples with cached transforms of long runs and cached numbers."""
 
     samples: FloatArray
     known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
@@ -241,7 +233,7 @@ _SHARED: ContextVar[_Shared | None] = ContextVar("shared transform", default=Non
 def shared_transform(samples: FloatArray) -> Iterator[None]:
     """Let `dct_ordinates` transform the same run of `samples`, shape (n,), only once.
 
-    Intervals, spectrum and likelihood share the ordinates. Do not change the samples inside the context.
+    Do not change the samples inside the context.
     """
     shared = _SHARED.get()
     if shared and shared.samples.size == samples.size and shared.place(samples) == (0, samples.size):
@@ -270,9 +262,9 @@ def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> 
 def dct_ordinates(samples: FloatArray) -> FloatArray:
     """Return the orthonormal DCT-II ordinates k = 1 … n-1 of `samples`, shape (n-1,), in U.
 
-    The mean (ordinate 0) is removed first to keep precision. Lengths with large prime factors take up to
-    ten times as long; see `fast_length`. The ordinates of a shared transform are read-only. Fewer than 2
-    samples, or a value that is not finite, raise a DataError.
+    The mean is removed first to keep precision. Lengths with large prime factors take up to ten times as
+    long; see `fast_length`. The ordinates of a shared transform are read-only. Fewer than 2 samples, or a
+    value that is not finite, raise a DataError.
     """
     shared = _SHARED.get()
     place = shared.place(samples) if shared else None
@@ -328,7 +320,7 @@ def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
     table = step * np.arange(min(_TABLE, odd.size), dtype=np.float64)
     sine, cosine = np.sin(table), np.cos(table)
     for start in range(0, odd.size, _TABLE):
-        # Angle addition: computing every sine and cosine would take longer than a transform.
+        # Computing every sine and cosine would take longer than a transform.
         part = odd[start : start + _TABLE]
         angle = lowest + start * step
         s, c = np.sin(angle), np.cos(angle)
@@ -341,9 +333,8 @@ def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
 def fast_length(n: int) -> int:
     """Return the largest fast transform length up to `n` if it is within 1e-4 of `n`; if not, `n`.
 
-    Prime factors up to 127 take at most twice the time of a power of two, a large one ten times.
-    Dropping a fraction e of the samples moves an estimate by sqrt(e) of its standard error, here at most
-    0.01. Below 65536 samples every length is fast.
+    Prime factors up to 127 take at most twice the time of a power of two, a large one ten times. Dropping a
+    fraction e of the samples moves an estimate by sqrt(e) of its standard error, here at most 0.01.
     """
     if n < _QUICK:
         return n
@@ -381,8 +372,8 @@ def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
     """Return the log-binned psd of an axis; missing samples are skipped.
 
     The squared DCT-II ordinates of each unbroken run estimate the two-sided density without leakage from
-    drift. Runs are averaged bin by bin. The lowest eight frequencies have their own bins; higher bins
-    widen to `per_octave` per octave.
+    drift. Runs are averaged bin by bin. The lowest eight frequencies have their own bins; higher bins widen
+    to `per_octave` per octave.
 
     Raises
     ------

@@ -1,8 +1,7 @@
 """Compute the Allan curve of an axis: exactly, or with strides if the log does not fit in memory.
 
-With strides, factors below 8192 are exact. Larger ones use sums of 64, 128 … neighbouring samples, so that
-their differences start at most m/128 apart: values differ from the exact ones by about 0.2 % of the
-interval's width. The degrees of freedom account for this.
+With strides, factors below 8192 are exact. Larger ones use sums of 64, 128 … neighbouring samples: values
+differ from the exact ones by about 0.2 % of the interval's width. The degrees of freedom account for this.
 """
 
 import re
@@ -29,14 +28,13 @@ from imucal.errors import ArgumentError, DataError
 from imucal.recording import AxisSeries
 from imucal.resources import memory_limit
 
-#: Smallest number of start points per averaging time, and the first sum of neighbouring samples. Both are
-#: powers of two.
+#: Smallest number of start points per averaging time, and the first sum of neighbouring samples; powers of
+#: two.
 _DENSE, _THIN = 128, 64
-#: Named set of averaging times, and its default number per decade, as in data sheets.
+#: A named set of averaging times, and its default number per decade, as in data sheets.
 _DECADE, _PER_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?"), 10
-#: Bytes per sample used by the exact curve: the integral and the transform for the intervals.
+#: Bytes per sample of the exact curve: the integral and the transform for the intervals.
 _WORK = 32
-#: Samples of a mapped file read at a time.
 _PIECE = 1 << 20
 
 _OVERLAPPING = ESTIMATORS["overlapping"]
@@ -117,7 +115,7 @@ def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
 
 
 def _strided(series: AxisSeries, taus: str) -> AllanCurve:
-    """Return the curve in little memory, with large factors from sums of neighbouring samples.
+    """Return the curve in little memory.
 
     The differences of a factor m start at every s-th sample, with the power of two s at most m/128.
     """
@@ -156,7 +154,6 @@ def _strided(series: AxisSeries, taus: str) -> AllanCurve:
 
 
 def _finite_runs(series: AxisSeries) -> Iterator[tuple[int, int]]:
-    """Yield the first index and the end of each run of neighbouring finite samples."""
     for segment in series.clock.segments:
         start = segment.start
         for part in blocks(segment.stop - segment.start, series.samples):
@@ -219,11 +216,10 @@ def averaging_factors(
     """Return distinct averaging factors, increasing, shape (k,), k >= 1.
 
     `taus` is ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (20 per decade, evenly spaced in log,
-    rounded to distinct integers), ``all``, or averaging times in s, each rounded to a whole number of samples
-    of period `tau0` in s; others are a ValueError. `largest` is the estimator's largest factor and limits
-    ``all`` and lists. A listed time beyond it, or shorter than a sample, is a DataError that contains `name`.
-    ``octave`` and ``decade`` end at `drawn`, beyond which a value has about 2 degrees of freedom or fewer.
-    Both limits are at least 1.
+    rounded), ``all``, or averaging times in s, each rounded to a whole number of samples of period `tau0` in
+    s; others are a ValueError. `largest` limits ``all`` and lists. A listed time beyond it, or shorter than a
+    sample, is a DataError that contains `name`. ``octave`` and ``decade`` end at `drawn`, beyond which a
+    value has about 2 degrees of freedom or fewer.
     """
     if not isinstance(taus, str):
         return _from_seconds(taus, tau0=tau0, largest=largest, name=name)

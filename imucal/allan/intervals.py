@@ -46,15 +46,15 @@ from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 from imucal.solvers import non_negative
 
-#: Up to this many lags are summed one by one; more are summed on a graded grid.
+#: More lags than this are summed on a graded grid.
 _ALL_LAGS = 1024
 #: Lags kept one by one around each kink, and points per octave beyond them.
 _DENSE, _PER_OCTAVE = 24, 16
 #: Flicker's covariance falls as k^-4; this many averaging times contain all but 1e-6 of its squares.
 _FAR = 32
-#: The modified estimator is evaluated up to this factor; for larger factors its covariance is scaled.
+#: Above this factor the covariance of the modified estimator is scaled.
 _MODIFIED_LIMIT = 32
-#: Slope of the modified variance in log m, by law, for large m.
+#: Slope of the modified variance in log m, for large m.
 _MODIFIED_SLOPES: dict[PowerLaw, float] = {
     PowerLaw.QUANTIZATION: -3,
     PowerLaw.WHITE: -1,
@@ -63,9 +63,9 @@ _MODIFIED_SLOPES: dict[PowerLaw, float] = {
 }
 #: Above this ordinate a drift contributes less than 1e-6 of its squares.
 _DRIFT_ORDINATES = 128
-#: A drift must raise twice the log likelihood by this: the 95 % quantile of chi-squared with 1 dof.
+#: Minimum gain of twice the log likelihood: the 95 % quantile of chi-squared with 1 dof.
 _DRIFT_GAIN = 3.84
-#: Rounds of Fisher scoring, halvings of a step, and updates that compute the starting point.
+#: Fisher scoring: rounds, halvings of a step, and updates that compute the starting point.
 _ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
 #: Up to n divided by this, the passband contains enough ordinates to need no model.
 _CROSSOVER = 256
@@ -73,13 +73,11 @@ _CROSSOVER = 256
 _HALVED = 2.0
 #: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
 LIGHTEST = -1.2
-#: With fewer averages than this, the law of the previous averaging time is kept.
+#: With fewer averages, the law of the previous averaging time is kept.
 _MIN_AVERAGES = 30
-#: Largest exponent p of f^p of each law, increasing; larger exponents are quantization.
+#: Largest exponent p of f^p of each law; larger exponents are quantization.
 _EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
-#: Elements of a work array.
 _BLOCK = 32768
-#: Names of the methods.
 EDF_METHODS = ("hybrid", "model", "greenhall")
 
 
@@ -96,9 +94,8 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
 
     The scale of `model` does not matter. `terms` is the number M of averaged differences. `stride` is the
     step in samples between the differences of an overlapping estimator, a divisor of the averaging factor
-    `m`. For estimators of one integration the graded sum has a relative error below 1e-3 (tested against the
-    sum over all lags). The modified estimator above m = 32 uses the shape of its covariance at m = 32. Takes
-    about 0.2 ms.
+    `m`. For estimators of one integration the graded sum has a relative error below 1e-3. The modified
+    estimator above m = 32 uses the shape of its covariance at m = 32.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
@@ -122,7 +119,6 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
 
 @lru_cache(maxsize=128)
 def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return lags, shape (j,), their weights, and s(k) of each law of unit variance, shape (4, j)."""
     lags, weights = _lag_grid(m, min(span - 1, _FAR * m), stride, estimator.order)
     return lags, weights, np.array([_covariance(law, lags, m, estimator) for law in PowerLaw])
 
@@ -130,8 +126,7 @@ def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatA
 def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
     """Return lags from 0 to `last` and the weights that sum a smooth even function over them.
 
-    Every lag is kept near the kinks 0, m, … order m. Between them the grid is sparse, and the
-    trapezoid rule gives each point the weight of the lags around it.
+    Every lag is kept near the kinks 0, m, … order m; between them the grid is sparse.
     """
     steps = last // stride
     lags = np.arange(steps + 1)
@@ -155,7 +150,7 @@ def trapezoid_weights(lags: IntArray) -> FloatArray:
 def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave: int) -> IntArray:
     """Return distinct lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond.
 
-    Beyond, there are `per_octave` up to half way to the next kink, and 129 between the first kink and the
+    Beyond, there are `per_octave` up to half way to the next kink, and 129 in all from the first kink to the
     last.
     """
     octaves = max(np.log2((high - low) / dense), 0.0)
@@ -191,8 +186,8 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
     """Return the maximum-likelihood generic model of DCT-II ordinates.
 
     The lowest `ordinates`, from k = 1, shape (j,), determine the drift. `power` contains the sums of squared
-    ordinates in `bins`, shape (b,). Each bin adds to the score -log L = ½ Σ (n_b log S_b + P_b / S_b).
-    The drift is kept only if 2 log L increases by 3.84.
+    ordinates in `bins`, shape (b,). Each bin adds to the score -log L = ½ Σ (n_b log S_b + P_b / S_b). The
+    drift is kept only if 2 log L increases by 3.84.
 
     Source: Whittle (1953), with the exact E[X_k²] of the DCT-II instead of the psd.
     """
@@ -252,9 +247,9 @@ def score_variances(
     """Maximise the likelihood of a sum of spectra by Fisher scoring; return the variances and -log L.
 
     The spectrum is the sum of `basis`, shape (t, b), times the variances, shape (t,), plus `floor`. A bin has
-    the sum `power` of `count` squares. Each step is a weighted least-squares solution,
-    ``solve(basis / spectrum, level / spectrum, count)``, halved until -log L decreases. The search ends if a
-    step gains less than `close`.
+    the sum `power` of `count` squares. Each step is a weighted least-squares solution, ``solve(basis /
+    spectrum, level / spectrum, count)``, halved until -log L decreases. The search ends if a step gains less
+    than `close`.
     """
     variances, score = start, _score(start @ basis + floor, power, count)
     for _ in range(_ROUNDS):
@@ -274,7 +269,7 @@ def score_variances(
 
 
 def _start(basis: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
-    """Return a starting point by multiplicative updates, which keep variances positive and never diverge."""
+    """Return a starting point by multiplicative updates, which keep variances positive."""
     variances = np.array([np.quantile(level / law, 0.25) for law in basis]) / len(basis)
     variances += np.array([float((level * count).sum() / (law * count).sum()) for law in basis]) * 1e-6
     for _ in range(_UPDATES):
@@ -292,7 +287,7 @@ def _score(spectrum: FloatArray, power: FloatArray, count: FloatArray) -> float:
 
 
 def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)², shape (4,)."""
+    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)²."""
     root = np.sqrt(weight)
     return non_negative((basis * root).T, target * root)[0]
 
@@ -337,8 +332,8 @@ def _require_method(name: str) -> None:
 def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
     """Return the power law of the averages of `m` neighbouring samples, for each factor.
 
-    Source: Riley & Greenhall (2004), "Power law noise identification using the lag 1
-    autocorrelation", EFTF 18, eqs. 5-10.
+    Source: Riley & Greenhall (2004), "Power law noise identification using the lag 1 autocorrelation", EFTF
+    18, eqs. 5-10.
     """
     laws: list[PowerLaw] = []
     for factor in m.tolist():
@@ -366,7 +361,6 @@ def _exponent(values: FloatArray, differences: int = 0) -> float:
 def _of_models(
     models: Sequence[GenericModel], m: IntArray, terms: FloatArray, estimator: Estimator
 ) -> FloatArray:
-    """Return the degrees of freedom of each factor under its own model."""
     triples = zip(models, m.tolist(), terms.tolist(), strict=False)
     return np.array([model_edf(model, factor, number, estimator) for model, factor, number in triples])
 
@@ -376,11 +370,10 @@ def spectral_edf(
 ) -> FloatArray:
     """Return the degrees of freedom from the spectrum itself, without a model.
 
-    With G the spectrum of the differences, EDF = M (mean G)² / mean G². On average the squared power of a
-    bin of n_b ordinates is too large by the factor 1 + 2/n_b, which is divided out.
-
-    `power` contains the sums of squared DCT-II ordinates of `bins`, shape (b,). `m` and `terms`, shape (k,),
-    are the averaging factors and numbers M of differences of an overlapping estimator.
+    With G the spectrum of the differences, EDF = M (mean G)² / mean G². On average the squared power of a bin
+    of n_b ordinates is too large by the factor 1 + 2/n_b, which is divided out. `power` contains the sums of
+    squared DCT-II ordinates of `bins`, shape (b,). `m` and `terms`, shape (k,), are the averaging factors and
+    numbers M of differences of an overlapping estimator.
     """
     count = bins.count.astype(np.float64)
     level = power / count
@@ -397,10 +390,10 @@ def spectral_edf(
 def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
     """Return an estimator's response H and its square, averaged over each bin, shape (b,).
 
-    The variance is the mean of H S over all angular frequencies, with S the spectrum per sample. For
-    the Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². In bins wider than a ripple the ripple is
-    replaced by its mean: the mean of (2 sin)^(2j) is the central binomial coefficient of j.
-    The read-only result is cached for axes of one length.
+    The variance is the mean of H S over all angular frequencies, with S the spectrum per sample. For the
+    Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². In bins wider than a ripple the ripple is replaced by
+    its mean: the mean of (2 sin)^(2j) is the central binomial coefficient of j. The read-only result is
+    cached.
 
     Source: NIST SP 1065 (2008), eq. 65, for sampled data.
     """
@@ -463,8 +456,8 @@ def gappy_degrees_of_freedom(
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
     A series with gaps has no spectrum, so ``hybrid`` and ``model`` use the generic model nearest to the
-    curve. Its differences are as many as the windows; the degrees of freedom are reduced for the part of
-    the mean square that was subtracted. Another method is a ValueError.
+    curve. The result is reduced for the part of the mean square that was subtracted. Another method is a
+    ValueError.
     """
     _require_method(method)
     if method == "greenhall":

@@ -46,33 +46,32 @@ from imucal.errors import ArgumentError
 from imucal.frozen import frozen, frozen_alone
 from imucal.recording import AxisSeries
 
-#: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
+#: A few of these work arrays fit in a second-level cache of 1 MB.
 _BLOCK = 32768
 #: Factors up to this are computed block by block.
 _SMALL = 8192
-#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which
-#: are up to 50 times slower while other programs use the processors.
+#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which are
+#: up to 50 times slower while other programs use the processors.
 _ROW = 8192
-#: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4
-#: if that leaves at least the third number of windows.
+#: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4 if
+#: that leaves at least the third number of windows.
 _FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
-#: Runs of at least this many samples use the faster method for series without losses.
+#: Longer runs use the faster method for series without losses.
 _LONG = 8 * _ROW
 #: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
 _MEAN_GAPS, _LONGEST = 4, 256
 #: Places of the grid per FFT of the loss pattern.
 _CHUNK = 1 << 17
-#: Number of chunks that are enough to estimate the structure function of the samples.
+#: Chunks that are enough to estimate the structure function.
 _ENOUGH = 16
 
 
 @frozen
 class Estimator:
-    """One estimator of a deviation, with its `name` in `ESTIMATORS`.
+    """One estimator of a deviation.
 
     The samples are summed once (x) or twice (z). Differences of the given order start at every point if
-    `overlapping`, at every m-th if not. The variance is divided by `weight`, the sum of the squared
-    coefficients.
+    `overlapping`, at every m-th if not. `weight` is the sum of the squared coefficients.
     """
 
     name: str
@@ -100,7 +99,6 @@ class Estimator:
         return float(self.weight) * float(m) ** (2 * self.integrations)
 
 
-#: Name -> estimator.
 ESTIMATORS: dict[str, Estimator] = {
     estimator.name: estimator
     for estimator in (
@@ -162,7 +160,7 @@ def sum_of_squares(values: FloatArray) -> float:
 class SquareSum:
     """The sum of squares of a work array that is refilled block after block.
 
-    Rows are summed separately until the end, which saves a reduction per block.
+    Rows are summed at the end, which saves a reduction per block.
     """
 
     def __init__(self, work: FloatArray) -> None:
@@ -184,7 +182,6 @@ class SquareSum:
             self._tails += float(np.vecdot(tail, tail))
 
     def total(self) -> float:
-        """Return the sum so far."""
         return float(self._total.sum()) + self._tails
 
 
@@ -194,7 +191,7 @@ def _integral(samples: FloatArray, integrations: int) -> FloatArray:
     total = aligned(samples.size + integrations)
     total[:integrations] = 0.0
     last = [0.0] * integrations
-    # Reuse one work array: a new one costs a page fault for every 512 samples.
+    # A new array per block would cost a page fault for every 512 samples.
     work = aligned(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
         block = samples[start : start + _BLOCK]
@@ -242,7 +239,7 @@ def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatA
 
 
 def _column_sum(total: FloatArray, m: int, order: int) -> float:
-    """Return the sum of squared differences, over columns of start points in steps of m.
+    """Sum the squared differences over columns of start points in steps of m.
 
     A step needs one new chunk of the integral: the lower differences are kept from the previous step.
     """
@@ -287,9 +284,7 @@ def longest_run(clock: Clock) -> int:
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     """Return overlapping variances from windows that are at least half as filled as the whole series.
 
-    A value that is not positive after the correction is left out. Long runs take as long as a series without
-    losses; the rest about 3 ns per place of the grid and factor, 10 if losses are many. Memory: three
-    full-length arrays.
+    A value that is not positive after the correction is left out. Memory: three full-length arrays.
     """
     correlation, structure = _pattern(series)
     integrals, squares = _integrals(series)
@@ -332,7 +327,7 @@ def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> Gapp
 
 
 def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray) -> GappyVariances:
-    """Keep values with a difference that are positive; a constant series is zero throughout."""
+    """Keep positive values with a difference; a constant series is zero throughout."""
     keep = (terms >= 1) & ((avar > 0) | (raw == 0))
     m, avar, terms, raw = m[keep], avar[keep], terms[keep], raw[keep]
     inflation = np.divide(raw, avar, out=np.ones(m.size), where=avar > 0)
@@ -378,9 +373,9 @@ def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
 def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) -> float:
     """Return the variance of samples about their means in windows of `m` places, 0 if there is none.
 
-    `worth` is its weight in the result. The result's relative interval is at least 2 (3 m / 2n)^(1/2). The
-    spacing of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because
-    windows in between contain almost the same samples.
+    `worth` is its weight in the result, whose relative interval is at least 2 (3 m / 2n)^(1/2). The spacing
+    of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because windows
+    in between contain almost the same samples.
     """
     apart = max(min(m // 4, squares.size // _MIN_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
     within, freedom = 0.0, 0.0
@@ -439,7 +434,6 @@ def _pairs(
 
 
 def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool:
-    """Return whether the running number of samples grows by the same step over all `points`."""
     steps = {filled.item(at.stop - 1) - filled.item(at.start) for at in points}
     return len(steps) == 1 and not any(
         bisect_right(edges, at.start) < bisect_left(edges, at.stop - 1) for at in points

@@ -21,8 +21,8 @@ __all__ = ["check_calibration"]
 def check_calibration(found: Node, limits: Limits) -> CheckResult:
     """Judge a calibration.json: a row for each limit and parameter, and for each forbidden finding.
 
-    A limit is about the size of a parameter, whatever its sign. A LimitsError explains that all limits are
-    for noise, or that one does not fit raw counts.
+    A limit is about the absolute value of a parameter. Raises LimitsError if all limits are for noise, or one
+    does not fit raw counts.
     """
     source = found["source"]["path"].text()
     if are_of_noise(limits) and not limits.calibration:
@@ -54,7 +54,6 @@ def _finding(node: Node) -> Finding:
 
 
 def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
-    """Yield the verdicts on one limit of a calibrated sensor."""
     sensor = Sensor(limit.where.rpartition(".")[2])
     where, node = sensor.short, found[sensor.value]
     if node.value is None:
@@ -78,7 +77,7 @@ def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
 
 
 def _sizes(found: Node, sensor: Sensor, quantity: str) -> Iterator[tuple[str, Quantity | None]]:
-    """Yield the size of each parameter of a kind in SI, or the rms residual; None for what is not known."""
+    """Yield the size of each parameter of a kind, or the rms residual; None if it is unknown."""
     if quantity == "residual":
         yield quantity, _residual(found, sensor)
         return
@@ -102,7 +101,7 @@ def _sizes(found: Node, sensor: Sensor, quantity: str) -> Iterator[tuple[str, Qu
 
 
 def _residual(found: Node, sensor: Sensor) -> Quantity | None:
-    """Return the rms error of |f| in the rests, or of the direction after the turns; None without them."""
+    """Return the rms error of |f| in the rests, or of the direction after the turns."""
     if sensor is Sensor.ACCELEROMETER:
         sizes = [one["residual"].number() for one in found["rests"] if one["used"].value]
     else:

@@ -1,9 +1,8 @@
 """Check the noise parameters in the config file of a filter against the report of the sensor.
 
-The formats and the formulas of the keys are those of `imucal.report.exports`; the format of a file is the one
-with the most keys in it. A number passes if it is at least the number for the fitted values. Between this and
-the number for their limits, the record is too short to decide. A wrong number is compared with likely
-mistakes: a factor of the rate, degrees, g, a square, another term.
+Formats and formulas are in `imucal.report.exports`. A number passes if it is at least the number
+for the fitted values. Between this and the number for their limits, the record is too short to decide. A
+wrong number is compared with likely mistakes: a factor of the rate, degrees, g, a square, another term.
 """
 
 import math
@@ -29,22 +28,20 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
-#: Share of the required deviation that is enough: NEES is 1.2.
+#: Sufficient share of the required deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
 #: Multiples of the required coefficient above which a note follows, and above which it may be a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
-#: The fitted values without their limits.
 _VALUES = Caution(0.0, 0.0)
 #: Relative to the right coefficient: no sensor is this good; no bound is this far above the truth.
 _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
-#: Factor on the coefficient within which a number matches a mistake. It is smaller up to the last factor,
-#: because people make numbers larger on purpose.
+#: A number matches a mistake within this factor; smaller up to the last factor, because people make numbers
+#: larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
 #: Second explanation of a number that is 9.81 times too large: people multiply by ten.
 _ON_HABIT = ", or made ten times as large on purpose"
-#: Factors are equal if their natural logarithms differ by less.
+#: Largest difference of the natural logarithms of equal factors.
 _EQUAL = 1e-6
-#: Rates are equal if they differ by less.
 _SAME_RATE = 0.01
 
 _COMMENT = re.compile(r"(^|\s)#.*|;.*")
@@ -56,7 +53,7 @@ _NUMBER = re.compile(r"[^\s,\[\]\"']+")
 
 
 class Setting(NamedTuple):
-    """A key of a config file: file, line from 1, name, numbers as written, and text of the line."""
+    """A key of a config file: line from 1, numbers as written, and text of the line."""
 
     file: str
     line: int
@@ -71,7 +68,6 @@ class Setting(NamedTuple):
         return found if all(map(math.isfinite, found)) else ()
 
     def place(self, where: str) -> str:
-        """Return the axis or sensor, the place in the file and the key, for the start of a sentence."""
         return f"{where}: {self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
@@ -106,7 +102,7 @@ def read_settings(text: str, file: str = "") -> list[Setting]:
         if not value or value.startswith("!!"):
             section = name
         written = _NUMBER.findall(value)[: 1 if match["vehicle"] else None]
-        # OpenCV's matrices keep their numbers under a key of their own.
+        # OpenCV's matrices have their numbers under a key of their own.
         name = section if name == "data" and section else name
         found.append(Setting(file, number, name, tuple(written), " ".join([line, *more])))
     return found
@@ -128,7 +124,7 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     text = text_of(path, "the config file of a filter")
     settings, options = read_settings(text, path.name), _options(text)
     there = {setting.name for setting in settings}
-    # If several formats have the same keys, choose the one with the most other lines in the file.
+    # Of several formats with the same keys, choose the one with the most other lines in the file.
     own, target = max(
         ((read_settings(each.render(report, options)), each) for each in _formats(path, settings)),
         key=lambda each: len(there & {setting.name for setting in each[0]}),
@@ -138,7 +134,6 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
 
 
 def _options(text: str) -> ExportOptions:
-    """Return the options in imucal's comment in a file."""
     inflated = re.search(r"inflation: (.*); ALREADY", text)
     factors = re.findall(r"(\w+) \([^)]*\) x ([\d.e+-]+)", inflated[1]) if inflated else []
     axes = re.search(r"axes: (\w+)", text)
@@ -172,7 +167,6 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
 
 
 def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: float) -> Iterator[Row]:
-    """Judge the keys that contain the sampling rate in the exporter's own file."""
     names = {each.name: None for each in own if each.numbers == (rate_hz,)}
     for setting in (each for name in names for each in settings if each.name == name):
         if len(setting.numbers) != 1:
@@ -234,7 +228,7 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
 
 
 def _diagonal(setting: Setting) -> tuple[float, ...]:
-    """Return the number of a setting, or the diagonal of a square matrix; NaN if there is none."""
+    """Return the numbers of a setting, or the diagonal of a square matrix; NaN if there is none."""
     numbers = setting.numbers
     size = math.isqrt(len(numbers))
     square = size > 1 and size * size == len(numbers)
@@ -247,7 +241,7 @@ class _Wanted:
 
     `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number:
     the file's, or the exporter's if it is larger. `fitted` contains the largest fitted coefficient of each
-    term by its symbol.
+    term.
     """
 
     key: Key
@@ -261,7 +255,6 @@ class _Wanted:
     def of(
         cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
     ) -> "_Wanted":
-        """Return the required value of a key, given the keys of the sensor's other number."""
         rate_hz, pair = numbers.stream_hz, numbers.pair(axes)
         right = {"N": pair.white, "K": pair.walk}
         other = right["K" if key.symbol == "N" else "N"]
@@ -278,15 +271,15 @@ class _Wanted:
         if not 0 < number < math.inf:
             return "fail", "expected a positive number"
         over = (number / self.right) ** (1 / self.key.formula.power)
-        slip = self._slip(number)
+        mistake = self._mistake(number)
         if over < _ENOUGH:
-            return self._too_small(number, slip, over)
+            return self._too_small(number, mistake, over)
         times = f"{number / self.right:.3g} times too large"
-        if over > _SUSPECT and slip:
-            return "undecided" if slip.endswith(_ON_HABIT) else "fail", f"{times}: {slip}"
+        if over > _SUSPECT and mistake:
+            return "undecided" if mistake.endswith(_ON_HABIT) else "fail", f"{times}: {mistake}"
         return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
 
-    def _too_small(self, number: float, slip: str, over: float) -> tuple[Verdict, str]:
+    def _too_small(self, number: float, mistake: str, over: float) -> tuple[Verdict, str]:
         symbol, c = self.key.symbol, self.key.formula.inverse(number, self.numbers.stream_hz)
         times = f"{self.right / number:.3g} times too small"
         limits = Caution.at(LEVEL, self.axes[0].fit.level) if len(self.axes) == 1 else MEAN
@@ -300,8 +293,8 @@ class _Wanted:
         if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
             return "fail", f"{times}: {symbol} of the fit alone is {below}"
         if over < _ABSURD:
-            return "fail", f"{times}, absurd: {slip or 'no sensor is this good'}"
-        return "fail", f"{times}: {slip or below}"
+            return "fail", f"{times}, absurd: {mistake or 'no sensor is this good'}"
+        return "fail", f"{times}: {mistake or below}"
 
     def _covers(self, c: float, caution: Caution) -> bool:
         """Return whether a coefficient and the other number cover the spectra closely enough for a filter."""
@@ -315,20 +308,20 @@ class _Wanted:
         given = (white / options.factor("N")) ** 2 + walks
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
-    def _slip(self, number: float) -> str:
+    def _mistake(self, number: float) -> str:
         """Return the likely mistake behind a wrong number, or an empty text."""
         power = self.key.formula.power
 
         def off(other: float) -> float:
             return abs(math.log(number / other)) / power
 
-        other, message = min(self._slips(), key=lambda each: off(each[0]))
+        other, message = min(self._mistakes(), key=lambda each: off(each[0]))
         larger = (other / self.right) ** (1 / power)
         near = _NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else _NEAR
         return message if off(other) < math.log(near) else ""
 
-    def _slips(self) -> Iterator[tuple[float, str]]:
-        """Yield wrong numbers that people write, each with its explanation."""
+    def _mistakes(self) -> Iterator[tuple[float, str]]:
+        """Yield common wrong numbers, each with its explanation."""
         key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
         symbol = key.symbol
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)

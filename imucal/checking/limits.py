@@ -27,10 +27,9 @@ T = TypeVar("T")
 Side: TypeAlias = Literal["min", "max"]
 Undecided: TypeAlias = Literal["pass", "fail"]
 
-#: Levels of findings, the most severe last.
+#: The most severe last.
 GRAVE = ("info", "warning", "error")
 
-#: All codes of findings; a limits file with another code is refused.
 FINDING_CODES = frozenset(code_texts())
 
 
@@ -59,7 +58,6 @@ class FindingRules:
     allow: frozenset[str] = frozenset()
 
     def forbids(self, level: str, code: str) -> bool:
-        """Return whether a finding of this level and code fails the check."""
         if code in self.allow:
             return False
         return code in self.forbid or (self.level != "none" and GRAVE.index(level) >= GRAVE.index(self.level))
@@ -70,7 +68,7 @@ class Baseline:
     """Allowed changes of the coefficients of `terms` relative to an older report.
 
     The report is None if the caller gives it. `max_increase` and `max_decrease` are the largest relative
-    changes, such as 0.2; None allows any change.
+    changes; None allows any change.
     """
 
     report: Path | None = None
@@ -91,9 +89,9 @@ class Limits:
     undecided: Undecided = "pass"
 
 
-#: Terms of the model: their coefficients, sigma for GM.
+#: Coefficients of the terms; sigma for GM.
 TERM_QUANTITIES = tuple(TERMS)
-#: Quantities in the unit of the samples: the curve's lowest deviation, mean and spread of the samples.
+#: In the unit of the samples.
 SAMPLE_QUANTITIES = ("minimum", "mean", "std")
 _LOG_UNITS: dict[str, dict[str, float]] = {
     "rate": {"Hz": 1.0, "kHz": 1e3},
@@ -101,12 +99,11 @@ _LOG_UNITS: dict[str, dict[str, float]] = {
     "gaps": {"": 1.0},
     "missing": {"": 1.0, "%": 0.01, "ppm": 1e-6},
 }
-#: Quantities of a recording: rate, length, number of gaps, missing samples as a fraction.
 LOG_QUANTITIES = tuple(_LOG_UNITS)
 
 
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
-#: Quantities of a calibrated sensor, with the units of their limits, SI first.
+#: Units of limits of a calibration, SI first.
 CALIBRATION_UNITS: dict[Sensor, dict[str, dict[str, float]]] = {
     Sensor.GYROSCOPE: {
         "scale": {"": 1.0, "%": 0.01, "ppm": 1e-6},
@@ -197,7 +194,6 @@ def _required(section: str, axes: "_Value") -> dict[Sensor, tuple[Axis, ...]]:
 
 
 def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> Iterator[Limit]:
-    """Yield the limits of an axis, a sensor or the log."""
     of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
     entry.known(table, (*of_axes, *LOG_QUANTITIES), also=("axes",) if section in _SENSORS else ())
     sensor = _AXIS_NAMES.get(section) or (Sensor.GYROSCOPE if section == "log" else Sensor(section))
@@ -216,7 +212,6 @@ def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> It
 
 
 def _unit(written: "_Value", units: Mapping[str, float]) -> tuple[str, float]:
-    """Return the unit of a limit with its factor to SI."""
     unit = find_unit(written.text('text, such as "deg/h"'), units)
     if unit is None:
         written.refuse(repr(written.value), f"expected one of {', '.join(filter(None, units))}")
@@ -224,7 +219,7 @@ def _unit(written: "_Value", units: Mapping[str, float]) -> tuple[str, float]:
 
 
 def _calibration(entry: "_Value") -> Iterator[Limit]:
-    """Yield the limits of calibrated sensors: the largest size of each parameter.
+    """Yield the largest size of each parameter of calibrated sensors.
 
     They need a unit: without one, a limit of 2 would allow a scale error of 200 %.
     """
@@ -261,7 +256,7 @@ def _baseline(entry: "_Value", folder: Path) -> Baseline:
 
 @dataclass(frozen=True, slots=True)
 class _Value:
-    """A value of the file, the file's name, and its place, such as ``gyroscope.N.max``."""
+    """A value of the file and its place, such as ``gyroscope.N.max``."""
 
     value: object
     file: str

@@ -1,7 +1,7 @@
 """check: a report against limits -> verdicts, by the interval and not by the value.
 
 pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the interval
-contains the limit. Machines read the verdicts as JSON, as JUnit XML, or as GitHub's workflow commands.
+contains the limit.
 """
 
 from collections.abc import Iterable, Iterator
@@ -39,9 +39,9 @@ WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 class Row:
     """One verdict on an axis, a sensor or the ``log``, with a sentence.
 
-    `subject` is a symbol, a quantity, ``axes``, ``findings`` or ``N / baseline``. `side` (``min`` or
-    ``max``) and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if
-    nothing was measured. `instead` is the line that replaces a wrong or doubtful line of a config file.
+    `subject` is a symbol, a quantity, ``axes``, ``findings`` or ``N / baseline``. `side` (``min`` or ``max``)
+    and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if nothing was
+    measured. `instead` replaces a wrong or doubtful line of a config file.
     """
 
     where: str
@@ -67,8 +67,8 @@ class Row:
 class CheckResult:
     """The result of a check of a report: a row for each limit and axis.
 
-    `level` is the confidence level of the intervals. An undecided limit fails the check if
-    `undecided_fails`. `version` is the version of imucal, `noise` the verdict on the recording.
+    `level` is the confidence level of the intervals. An undecided limit fails the check if `undecided_fails`.
+    `noise` is the verdict on the recording.
     """
 
     source: str
@@ -80,20 +80,17 @@ class CheckResult:
 
     @property
     def verdict(self) -> Verdict:
-        """``fail`` if a row failed; otherwise ``undecided`` if a row is; otherwise ``pass``."""
+        """The worst verdict of the rows."""
         return min((row.verdict for row in self.rows), key=WORST_FIRST.index, default="pass")
 
     @property
     def passed(self) -> bool:
-        """Whether no row fails the check."""
         return not any(self.fails(row) for row in self.rows)
 
     def fails(self, row: Row) -> bool:
-        """Return whether a row fails the check."""
         return row.verdict == "fail" or (row.verdict == "undecided" and self.undecided_fails)
 
     def count(self, verdict: Verdict) -> int:
-        """Return the number of rows with a verdict."""
         return sum(row.verdict == verdict for row in self.rows)
 
 
@@ -162,7 +159,6 @@ def _older(rules: Baseline) -> Report:
 
 
 def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
-    """Yield a failure for each required axis that is missing."""
     there = {axis.name for axis in report.axes}
     found = ", ".join(axis.name for axis in report.axes) or "none"
     for name in dict.fromkeys(_wanted(report, limits)):
@@ -265,7 +261,6 @@ def _same_fit(now: AxisReport, before: AxisReport) -> bool:
 
 
 def _digits(axis: AxisReport) -> str:
-    """Return the estimates of an axis with all their digits."""
     return repr([asdict(estimate) for estimate in axis.fit.estimates])
 
 
@@ -293,7 +288,7 @@ _MEASURED = "value low high"
 
 
 def to_document(result: CheckResult) -> dict[str, object]:
-    """Return the verdicts as JSON values; an infinite limit of an interval is null."""
+    """Return the verdicts as JSON values; an infinite limit is null."""
     return {
         "schema": SCHEMA,
         **picked(result, "version source level verdict passed"),

@@ -95,7 +95,7 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(str(code), meaning) for code, (meaning, _) in EXIT_CODES.items()])
 
 
-#: Command -> its module, and the line that --help prints.
+#: Command -> its module, and its line of help.
 COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("info", "List the topics, rates, duration, units and gaps of a log."),
     "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
@@ -183,7 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _fill_streams() -> None:
-    """Replace closed standard streams, for which Python has None, by the null device."""
+    """Replace closed standard streams by the null device."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             # Keep them open: files opened later would otherwise get the standard descriptors.
@@ -204,7 +204,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         )
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of the output is gone, as in `imucal adev LOG | head`: print no message.
+        # The reader of the output is gone, as in `imucal adev LOG | head`.
         _drop_output()
         return 141
     except OSError as error:
@@ -278,8 +278,8 @@ def options_for(message: str) -> str:
     return " and ".join(filter(None, dict.fromkeys(asked)))
 
 
-#: This distribution, and one of another project with a package of the same name: pip installs both into one
-#: folder, where one overwrites files of the other.
+#: Another project has a package of the same name: pip installs both into one folder, where one overwrites
+#: files of the other.
 OURS, OTHER = "imucal-noise", "imucal"
 
 

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import click
 
-#: Title in ``--help`` -> names of the parameters below it; all others are below "Options".
+#: Title in ``--help`` -> names of the parameters below it; others are below "Options".
 _GROUPS = {
     "Output": "out as_json opened formats figure no_html no_report no_files datasheet npz junit github apply "
     "quiet verbose",
@@ -18,15 +18,13 @@ _GROUPS = {
     "Model": "model level method",
     "Advanced": "taus edf no_clean criterion weights segments bins",
 }
-#: Commands that read a report or a log; their help only mentions the options for logs.
+#: Their help only mentions the options for logs.
 _OF_REPORTS = {"export", "check", "drift", "plan", "compare"}
-#: A range such as ``[x>=1]``, which click adds to the help: the error message states it.
+#: A range such as ``[x>=1]``, which click adds to the help; the error message contains it.
 _RANGE = re.compile(r"  \[{0}\]|; {0}(?=\])".format(r"(?:[^\s;[]+<=?)?x(?:[<>]=?[^\s;\]]+)?"))
 
 
 class _Option(click.Option):
-    """An option whose help has no numeric range."""
-
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         record = super().get_help_record(ctx)
         return record and (record[0], _RANGE.sub("", record[1]))
@@ -97,8 +95,7 @@ def declared(function: Callable[..., None]) -> click.Command:
     """Make a click command from a function: the defaults of its arguments declare the parameters, in order.
 
     The docstring is the help. From the first line that ends in two colons, it is printed below the options
-    without wrapping. Arguments whose names start with an underscore are not passed; use `is_set` to read
-    them.
+    without wrapping. Arguments whose names start with an underscore are not passed; use `is_set`.
     """
     arguments = inspect.signature(function).parameters
     whole = _Together(function, {name: argument.default for name, argument in arguments.items()})
@@ -134,7 +131,7 @@ def option(declaration: str, kind: object = None, **more: Any) -> Any:  # noqa: 
 
 
 def flag(declaration: str, **more: Any) -> Any:  # noqa: ANN401
-    """Declare an option that is given or not."""
+    """Declare an option without a value."""
     return option(declaration, is_flag=True, **more)
 
 

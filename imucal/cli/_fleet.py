@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from imucal.fleet_report.answers import Ask
     from imucal.fleet_run import FleetPlan
 
-#: Number of failed logs that are listed per kind of failure.
 _NAMED = 3
 
 
@@ -77,7 +76,6 @@ def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> 
     print_standing(logs, out)
     failed = print_failures(logs)
     asked = store.manifest()
-    # Copies are done with their originals.
     waiting = set(asked.filter(asked["copy_of"].is_null())["path"]) - set(every["path"])
     if every.filter(status="ok").height and not waiting:
         page, last = (store.folder / name for name in ("fleet.html", "fleet.json"))
@@ -101,8 +99,7 @@ def write_files(
 ) -> None:
     """Write the report of a fleet; print its files (or only the page), its findings, and odd units.
 
-    The sentence about odd units is wrapped on a terminal; otherwise it is one line, which is easier to
-    search.
+    Without a terminal, the sentence about odd units is one line, which is easier to search.
     """
     from imucal.fleet_report import write_fleet
     from imucal.fleet_report.pages import verdict
@@ -161,7 +158,6 @@ def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
 
 
 def _patience(text: str) -> float | None:
-    """Return seconds, or None for auto."""
     if text == "auto":
         return None
     if not (seconds := seconds_of(text)):
@@ -177,9 +173,7 @@ def _shard(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-#: Types of the options of ``imucal fleet run``.
 PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
-#: Option of commands that accept a fleet.
 FLEET_MODEL = option("--fleet-model NAME  Sensor model, if the fleet has several.")
 
 
@@ -189,7 +183,7 @@ def is_fleet(path: str | Path) -> bool:
 
 
 def read_fleet(path: str | Path, model: str | None) -> "Fleet":
-    """Load one sensor model of a fleet without its logs, for exports, checks and comparisons."""
+    """Load one sensor model of a fleet without its logs."""
     from imucal.fleet_report.summary import load_model
 
     try:

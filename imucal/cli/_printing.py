@@ -43,7 +43,7 @@ def can_print(text: str, encoding: str | None = None) -> bool:
 
 
 def picked(value: object, names: str) -> dict[str, object]:
-    """Return attributes of a value as JSON values, by `imucal.report.json_node.picked`."""
+    """Return attributes of a value as JSON values."""
     from imucal.report import json_node
 
     return json_node.picked(value, names)
@@ -57,7 +57,6 @@ def print_note(text: object) -> None:
 
 #: Columns of the widest table, which fits a terminal, a mail and a log of CI.
 FULL = 80
-#: Texts are never wrapped to fewer columns.
 _MIN_WIDTH = 30
 
 
@@ -81,7 +80,7 @@ def wrapped(text: str, *, indent: int = 0) -> list[str]:
     return lines
 
 
-#: Level, code and sentence of a finding, without its axis.
+#: Level, code and sentence.
 FindingText: TypeAlias = tuple[str, str, str]
 _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
@@ -94,9 +93,9 @@ def finding_text(finding: Finding, text: str | None = None) -> FindingText:
     return finding.level, finding.code, " ".join(filter(None, parts))
 
 
-def sentence_of(axes: Sequence[str], said: FindingText) -> str:
+def sentence_of(axes: Sequence[str], message: FindingText) -> str:
     """Return ``[code] axes: sentence``, each axis once."""
-    _, code, text = said
+    _, code, text = message
     return f"[{code}]{''.join(f' {axis}' for axis in dict.fromkeys(axes))}: {text}"
 
 
@@ -179,13 +178,11 @@ def refuse(
     raise error
 
 
-#: Function that updates a progress bar, called with done, total and a word; None without a terminal.
+#: Called with done, total and a word; None without a terminal.
 _Update: TypeAlias = Callable[..., None] | None
 #: Narrowest terminal with space for the bar, its columns and the time left.
 _WIDE = 80
-#: Rich's columns for bytes.
 BYTES = ("DownloadColumn", "TransferSpeedColumn")
-#: Arguments of `progress` for the axis that is being fitted.
 FITTING = ("fitting {task.fields[word]:8}", "MofNCompleteColumn")
 
 

@@ -18,17 +18,14 @@ from imucal.remote.addresses import shown
 from imucal.report.json_node import Node
 from imucal.report.result import Report
 
-#: Description of a REPORT in the help of options that accept no log.
 REPORT = "report.json or its folder"
 
 
 def _model(sensor: Sensor, option_name: str, example: str) -> Any:  # noqa: ANN401 - declares a parameter
-    """Return the option for a model of a sensor."""
     text = f'{option_name} MODEL  Use this {sensor} model instead of a report, such as "{example}".'
     return option(text, model_of(sensor))
 
 
-#: The options of models instead of a report, which make sensor -> model.
 MODELS = together(
     lambda **texts: {Sensor(name): text for name, text in texts.items() if text},
     {
@@ -60,7 +57,6 @@ def _of_a_log(parameter: click.Parameter) -> None:
         parameter.help = f"{parameter.help} Required with a model."
 
 
-#: REPORT, with the options for reading a log and for models, which make a `LogRequest`.
 REPORT_OR_LOG = together(_request, {"request": replace(LOG, change=_of_a_log), "models": MODELS})
 
 

@@ -13,7 +13,7 @@ from imucal.units import duration, pretty
 
 #: Width of a column, and of the space between two: 80 in all. Narrower tables have one column.
 _COLUMN, _SPACE = 39, 2
-#: Spaces at which no line may break: between a number and its unit, and in ``3 h 2 min``.
+#: No line breaks between a number and its unit, or in ``3 h 2 min``.
 _KEPT = re.compile(r"(?<=\d) (?=[A-Za-z%])|(?<= h) (?=\d)|(?<= d) (?=\d)|(?<= min) (?=\d)")
 _Block = list[str]
 

@@ -126,7 +126,7 @@ def _axis(series: AxisSeries, how: dict[str, Any], *, level: float, spectrum: bo
 
 
 def _lines(axis: dict[str, Any]) -> list[str]:
-    """Return the CSV lines of one axis, with nine digits, more than an interval supports."""
+    """Return the CSV lines of one axis, with nine digits: more than an interval supports."""
     columns = zip(*axis["curve"].values(), strict=True)
     return [
         f"{axis['name']},{tau:.12g},{m},{adev:.9g},{low:.9g},{high:.9g},{edf:.6g}"

@@ -122,7 +122,6 @@ def _with_options() -> Iterator[None]:
     except DataError as error:
         if not error.remedy:
             raise
-        # An option has the name of the argument.
         name, *value = error.remedy
         typed = " ".join([f"--{name.replace('_', '-')}", *value])
         raise DataError(f"{error}; try {typed}") from error
@@ -174,6 +173,5 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
         error = DataError(f"{where}: {listed} found; --strict allows no warning")
     else:
         return
-    # The result was already printed on standard output.
     error.printed = True
     raise error

@@ -199,7 +199,7 @@ def _table(result: CheckResult) -> str:
     if result.count("undecided"):
         note = "; undecided fails" if result.undecided_fails else "; undecided doesn't fail"
     word, colour = ("PASS", "green") if result.passed else ("FAIL", "red")
-    # Wrap before colouring: colour codes have no width.
+    # Colour codes have no width.
     total = textwrap.wrap(f"{word}: {counts} (intervals at {result.level:.0%}{note})", width())
     total[0] = total[0].replace(word, click.style(word, fg=colour, bold=True), 1)
     return "\n".join(lines + total)

@@ -150,7 +150,7 @@ def _table(result: Comparison) -> str:
 
 
 def _lines(difference: Difference, *, narrow: bool) -> list[str]:
-    """Return a difference as a row of the table, or as two lines on a narrow terminal."""
+    """Return a difference as a row, or as two lines on a narrow terminal."""
     unit = DatasheetUnit(difference.unit, 1.0)
     if is_set("datasheet") and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)

@@ -18,7 +18,6 @@ from imucal.recording import AxisSeries, Recording, Sensor
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
 
-#: First part of the name of a disturbance that a fit removes -> its description.
 _SHAPES = {
     "exp": "a warm-up",
     "step": "a step",
@@ -26,7 +25,6 @@ _SHAPES = {
     "sin": "a cycle",
     "temperature": "the effect of temperature",
 }
-#: Values of --axis.
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
 

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 _FOLDER = Path("imucal-exports")
 
 
-#: Value of --to -> title.
 _TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 
@@ -183,7 +182,6 @@ Formats of a calibration, with noise numbers if it was made with --noise:
 
 
 def _write(texts: dict[str, str], out: Path | None, *, several: bool) -> None:
-    """Write or print the texts of files, by their names."""
     if out == Path("-"):
         if several:
             misuse("standard output takes one format; name a folder", "-o")
@@ -218,7 +216,6 @@ def _export_calibration(
 
 
 def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
-    """Raise a usage error for a format that needs a calibration."""
     for name in names:
         try:
             if name != "all":
@@ -254,7 +251,7 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
-    """Yield remarks: the kind of the numbers, those that are bounds, and sensors that the files lack."""
+    """Yield remarks on the kind of the numbers, on bounds, and on sensors that the files lack."""
     if warned := dict.fromkeys(
         f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect"}
     ):

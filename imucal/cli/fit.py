@@ -116,7 +116,7 @@ def command(
         click.echo(printable_json(dumps(to_document(report))), nl=False)
     else:
         echo(summary_table(report, datasheet=datasheet, forced=is_set("force"), columns=width()))
-    print_findings(_told(report))
+    print_findings(_printed_findings(report))
     missing: list[Finding] = []
     if not no_report:
         files = write_report(
@@ -160,7 +160,7 @@ def _written(folder: Path, names: Sequence[str], *, replaced: bool) -> str:
     return f"{'Replaced the report in' if replaced else 'Wrote'} {folder}: {', '.join([*first, *counted])}"
 
 
-def _told(report: "Report") -> Sequence["Finding"]:
+def _printed_findings(report: "Report") -> Sequence["Finding"]:
     """Return the findings to print; if a log has no numbers, only their cause, without consequences."""
     every = report.all_findings
     if is_set("force") or is_set("verbose") or report.verdict.axes:

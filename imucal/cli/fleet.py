@@ -1,7 +1,4 @@
-"""``imucal fleet``: the commands for many logs of many units.
-
-``run`` fits one noise model to many logs, ``report`` describes the units, and ``status`` lists the progress.
-"""
+"""``imucal fleet``: the commands for many logs of many units."""
 
 import contextlib
 import itertools
@@ -33,7 +30,6 @@ from imucal.cli.parameters import DURATION, FILE, LEVEL, PATH, QUIET, READING, S
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
 
-#: Command -> its module, and the line that --help prints.
 _COMMANDS = {
     "run": ("fleet:run", "Fit one noise model to many logs, on this machine or a cluster."),
     "report": ("fleet:report", "Describe the units of each sensor model: page, JSON, CSV."),

@@ -32,17 +32,13 @@ from imucal.remote.addresses import shown
 from imucal.screening import screen_units, worst_first
 from imucal.units import TIME_UNITS_NS, data_size, duration
 
-#: Schema of the output of ``--json``.
 SCHEMA = "imucal/info/1"
-#: Keys of a finding.
 _FINDING = "level code axis text advice"
-#: Recording of a topic, or the message of the error; None if the topic was not read.
+#: None if the topic was not read; a text is the message of the error.
 Reading: TypeAlias = Recording | str | None
-#: Advice for a folder of logs.
 _JOINED_WHERE = "imucal fit joins them if each continues the one before, or with --join."
 #: Logs up to this size, in bytes, are always read in full, which takes less than a second.
 _SMALL = 1 << 26
-#: The same for logs behind a URL, which must be downloaded.
 _SMALL_REMOTE = 1 << 20
 #: Largest number of samples of a log that is always read: compression may hide very many.
 _MANY = 4_000_000
@@ -91,7 +87,6 @@ def command(
 
 
 def _is_small(contents: LogContents, *, remote: bool) -> bool:
-    """Return whether a log has few bytes and few samples, so that it is read by default."""
     most = _SMALL_REMOTE if remote else _SMALL
     samples = sum(topic.count or 0 for topic in contents.imu_topics)
     size = max(contents.size_bytes or 0, contents.unpacked_bytes or 0)
@@ -112,7 +107,7 @@ def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> di
 
 
 def _log_document(contents: LogContents, found: dict[str, Reading]) -> dict[str, object]:
-    """Return the entry of a log: its contents, and the clocks and findings of the topics that were read."""
+    """Return the entry of a log, with the clocks and findings of the topics that were read."""
     return {
         **picked(contents, "path format compression unpacked_bytes size_bytes start_ns duration_s"),
         "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
@@ -200,12 +195,12 @@ def _fit(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[:left]}…{text[len(text) - (most - 1 - left) :]}"
 
 
-#: 1 January 1980 in ns. Earlier stamps are no dates: they count from the start of a computer or a sensor.
+#: 1 January 1980 in ns. Earlier stamps count from the start of a computer or a sensor.
 _NO_DATE = 315_532_800_000_000_000
 
 
 def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: bool) -> Iterator[str]:
-    """Yield the lines of a log: the table of topics, and the results for topics that were read."""
+    """Yield the table of topics, and the results for topics that were read."""
     yield from wrapped(contents.path)
     yield from wrapped(", ".join(_head(contents)), indent=2)
     topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]

@@ -1,7 +1,4 @@
-"""Parameters of commands: types that validate values, and options that several commands share.
-
-These include the LOG argument and the options for reading logs that lack information.
-"""
+"""Parameters of commands: types that validate values, and options that several commands share."""
 
 import functools
 import math
@@ -81,7 +78,6 @@ _COUNT = "count"
 
 
 def _unit_of(sensor: Sensor, text: str) -> str:
-    """Return the unit of a sensor's samples in an unambiguous spelling."""
     if text.strip().lower() in {_COUNT, f"{_COUNT}s"}:
         context = click.get_current_context(silent=True)
         if context is not None and context.info_name == "calibrate":
@@ -97,7 +93,6 @@ def _unit_of(sensor: Sensor, text: str) -> str:
     return text
 
 
-#: Names of sets of averaging times; other texts are lists.
 _TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 
 
@@ -123,7 +118,7 @@ def structure_of(text: str) -> str:
 
 
 def model_of(sensor: Sensor) -> Text:
-    """Return the type of a sensor's model: a text that was checked."""
+    """Return the type of a sensor's model."""
 
     def checked(text: str) -> str:
         from imucal.noise.model import NoiseModel
@@ -136,21 +131,16 @@ def model_of(sensor: Sensor) -> Text:
 
 #: Rate in Hz: no IMU is outside this range, and no product overflows.
 RATE = Number(1e-6, 1e9, unit="Hz")
-#: Confidence level; beyond these limits intervals are meaningless.
+#: Beyond these limits intervals are meaningless.
 LEVEL = Number(0.01, 0.999999, percent=True)
-#: A probability or a share, without 0 and 1.
 SHARE = Number(0, 1, min_open=True, max_open=True, percent=True)
 _SCALE = Number(min=0, min_open=True)
-#: Seconds, or a number with s, min, m, h or d.
 DURATION = Text("duration", seconds_of)
-#: The terms of a model.
 STRUCTURE = Text("structure", structure_of)
-#: Averaging times: the name of a set; the name of a set or a list of durations.
 TAU_SET, TAUS = Text("taus", functools.partial(_taus, lists=False)), Text("taus", _taus)
 
 
 PATH, FILE = click.Path(path_type=Path), click.Path(exists=True, dir_okay=False, path_type=Path)
-#: Formats of pictures that can be written.
 FORMATS = ("png", "svg", "pdf")
 
 TOPIC = option("--topic NAME  Topic to read; give one for each sensor if they are separate.", multiple=True)
@@ -190,7 +180,6 @@ def _sample_unit(sensor: Sensor) -> Text:
     return Text("unit", functools.partial(_unit_of, sensor))
 
 
-#: The LOG argument and the options of reading one, which make an `Asked`.
 READING = together(
     _asked,
     {
@@ -227,7 +216,7 @@ READING = together(
 
 @contextmanager
 def lent(logs: Sequence[str]) -> Iterator["LocalLogs"]:
-    """Lend logs as local files; downloads have a progress bar on a terminal."""
+    """Lend logs as local files; downloads have a progress bar."""
     from imucal.readers.remote_logs import local_logs
     from imucal.remote import is_url
 
@@ -252,7 +241,6 @@ class LogRequest:
     models: Mapping[Sensor, str] = field(default_factory=dict)
 
     def read(self) -> Recording:
-        """Read the log, with a progress bar on a terminal."""
         with lent(self.logs) as logs:
             return self._read(logs)
 
@@ -271,7 +259,7 @@ class LogRequest:
     def characterise(
         self, settings: "Settings", *, workers: int | None = None, rests: bool = False
     ) -> "Report":
-        """Read and characterise the log, or only its `rests`, with progress bars on a terminal."""
+        """Read and characterise the log, or only its `rests`, with progress bars."""
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
@@ -287,7 +275,7 @@ class LogRequest:
             return replace(report, source=replace(report.source, files=files))
 
     def settings(self) -> dict[str, object]:
-        """Return the settings of the run that are not defaults, as JSON values for the report."""
+        """Return the settings that are not defaults, as JSON values for the report."""
         asked = {**self.reading, "strict": self.strict, "skip_s": self.skip_s, "take_s": self.take_s}
         return {
             name: list(map(str, value)) if isinstance(value, tuple) else value
@@ -300,7 +288,6 @@ def _request(*, topic: tuple[str, ...], asked: Asked, join: bool, **others: Any)
     return LogRequest(logs=asked.logs, reading={"topic": topic, **asked.options, "join": join}, **others)
 
 
-#: The LOG argument and all options of reading it, which make a `LogRequest`.
 LOG = together(
     _request,
     {

@@ -21,7 +21,6 @@ from imucal.units import DatasheetUnit
 from imucal.units import duration as duration_text
 
 SCHEMA, REST_SCHEMA = "imucal/planning/1", "imucal/calibration-plan/1"
-#: Kind of a calibration's parameters -> its name in the table.
 _KINDS = {"scale": "scale", "misalignment": "misalignment", "bias": "bias", "g_sensitivity": "g-sensitivity"}
 
 
@@ -129,8 +128,8 @@ def _table(result: Plan) -> str:
             title += f", {describe_time(axis.duration_s)}"
         lines += ["", *wrapped(title)]
         if not narrow:
-            tells = "" if durations == {None} else f"{'this gives':>17}"
-            lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{tells}")
+            reached = "" if durations == {None} else f"{'this gives':>17}"
+            lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{reached}")
         for need in axis.needs:
             lines += _lines(axis.sensor, need, narrow=narrow)
     text = "\n".join(lines)
@@ -138,15 +137,15 @@ def _table(result: Plan) -> str:
 
 
 def _lines(sensor: Sensor | None, need: Need, *, narrow: bool) -> list[str]:
-    """Return a required duration as a row of the table, or as two lines on a narrow terminal."""
+    """Return a required duration as a row, or as two lines on a narrow terminal."""
     unit = _unit(sensor, need)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     time = describe_time(need.needed_s)
-    tells = _reached(need)
+    reached = _reached(need)
     if narrow:
-        needs = f"needs {time}{f', this gives {tells}' if tells else ''}"
+        needs = f"needs {time}{f', this gives {reached}' if reached else ''}"
         return [f"  {need.name:<10}{value} {unit.name}", *wrapped(needs, indent=4)]
-    return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{tells:>17}' if tells else ''}"]
+    return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{reached:>17}' if reached else ''}"]
 
 
 def _reached(need: Need) -> str:
@@ -171,7 +170,6 @@ def _unit(sensor: Sensor | None, need: Need) -> DatasheetUnit:
 
 
 def _plan_rests(report: Report, rests: int, rest_s: float, latitude: float | None, *, as_json: bool) -> None:
-    """Print the plan of a log with `rests` rests, as a table or as JSON."""
     rate = report.axes[0].rate_hz
     found = plan_rests(report_models(report), rests, rest_s=rest_s, rate_hz=rate, latitude=latitude)
     if as_json:
@@ -182,7 +180,6 @@ def _plan_rests(report: Report, rests: int, rest_s: float, latitude: float | Non
 
 
 def _rests_document(found: RestsPlan) -> dict[str, object]:
-    """Return a plan as JSON values, SI."""
     sensors = {"accelerometer": found.accelerometer, "gyroscope": found.gyroscope}
     return {
         "schema": REST_SCHEMA,

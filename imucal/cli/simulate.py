@@ -12,7 +12,7 @@ from imucal.noise import NoiseModel
 from imucal.recording import Sensor
 from imucal.units import G0
 
-#: Largest number of samples: six axes take 48 GB.
+#: Six axes take 48 GB.
 _MAX_SAMPLES = 1e9
 
 

@@ -1,8 +1,8 @@
 """The slow statistics of a fleet: computed once and kept in its store.
 
 A question contains all data of its answer, and a key: equal logs, labels and versions give equal keys. The
-workers of a run store the answers. A report, a check or a comparison reads them and computes only missing
-ones, for example after a change of labels.
+workers of a run store the answers. A report, a check or a comparison computes only missing ones, for example
+after a change of labels.
 """
 
 import hashlib
@@ -34,7 +34,6 @@ from imucal.resources import threads
 if TYPE_CHECKING:
     import polars as pl
 
-#: Model, sensor, axis and term.
 TermKey: TypeAlias = tuple[str, str, str, str]
 #: Largest relative difference of equal sampling rates.
 _SAME_RATE = 1e-3
@@ -44,15 +43,11 @@ _LOGS_IN_MEMORY = 5000
 #: Price at which more units are not worth it, and largest number of units considered.
 NEAR = 1.1
 _LARGEST_FLEET = 10_000
-#: Columns of a row of results that make a `LogValue`.
 _OF_LOG = tuple(field.name for field in fields(LogValue))
 
 
 class LogRows(Sequence[LogValue]):
-    """Values of many logs, made from their `rows` of results when one is needed.
-
-    The digest and the key of a question need only the rows.
-    """
+    """Values of many logs, created when one is needed: the key of a question needs only the `rows`."""
 
     def __init__(self, rows: "pl.DataFrame") -> None:
         # A term without a square has no growth either.
@@ -60,7 +55,6 @@ class LogRows(Sequence[LogValue]):
 
     @property
     def digest(self) -> str:
-        """A checksum of the values and their units."""
         numbers, units = self.rows.drop("unit").to_numpy(), self.rows["unit"].to_list()
         return hashlib.blake2b(numbers.tobytes() + json.dumps(units).encode()).hexdigest()
 
@@ -77,7 +71,7 @@ class LogRows(Sequence[LogValue]):
 
 @frozen
 class TermAnswer:
-    """The statistics of the units in one term: their `population`, with the tolerance bound.
+    """The statistics of the units in one term.
 
     `price` contains pairs: a number of units, and the ratio of their bound to the true quantile.
     `without_odd` is the bound without the odd units; None if no unit is odd, or too few are left.
@@ -98,11 +92,9 @@ class TermQuestion:
 
     @property
     def key(self) -> str:
-        """A checksum of the question."""
         return _key(TermAnswer, self.logs.digest, self.content, self.confidence)
 
     def answer(self) -> TermAnswer:
-        """Compute the statistics."""
         of = partial(population, content=self.content, confidence=self.confidence)
         found = of(self.logs)
         odd = {unit.unit for unit in found.units if unit.odd}
@@ -116,7 +108,7 @@ class TermQuestion:
 
 @frozen
 class UnitLogs:
-    """Several logs of one unit, of one term: whether they have one coefficient.
+    """The test whether several logs of one unit have one coefficient of a term.
 
     `p_value` belongs to this test alone; `differs` is adjusted for all units and terms of the fleet. `value`,
     `low` and `high` are from the joint fit, widened if the logs differ; value is None if the term is only
@@ -158,11 +150,9 @@ class UnitQuestion:
 
     @property
     def key(self) -> str:
-        """A checksum of the question."""
         return _key(UnitAnswer, self.unit, self.sensor, self.axis, self.symbols, self.logs)
 
     def answer(self) -> UnitAnswer:
-        """Test the logs, from their bins."""
         where = f"{Sensor(self.sensor).short}_{self.axis}"
         tests, findings = try_side_work(
             self._tests,
@@ -193,7 +183,7 @@ class UnitQuestion:
 
 
 Question: TypeAlias = TermQuestion | UnitQuestion
-#: Computes answers: questions -> their texts, None for a missing one.
+#: Questions -> their answers, None for a missing one.
 Ask: TypeAlias = Callable[[Sequence[Question]], Iterable[str | None]]
 Q = TypeVar("Q", TermQuestion, UnitQuestion)
 A = TypeVar("A", TermAnswer, UnitAnswer)
@@ -210,7 +200,6 @@ def answer_texts(questions: Sequence[Question]) -> list[str]:
 
 
 def _key(kind: type, *parts: object) -> str:
-    """Return a checksum of the parts of a question and the fields of its answer."""
     text = json.dumps([kind.__name__, [field.name for field in fields(kind)], *parts, __version__])
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -257,7 +246,6 @@ def unit_tests(
     for key, sensor, axis in store.axes().iter_rows():
         if key in units and (units[key][0], sensor, axis) in symbols:
             logs.setdefault((*units[key], sensor, axis), []).append(key)
-    # Question -> model.
     asked = {
         UnitQuestion(
             unit=unit,
@@ -299,7 +287,7 @@ def _reader(kind: Any) -> Any:  # noqa: ANN401 - of any type
     """Return the function that converts JSON to a type; None for a type that JSON contains itself.
 
     A type is a dataclass, a tuple of any length of one type, a pair of plain values, an optional type, or
-    plain. Most fields are plain and need no conversion.
+    plain.
     """
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind).items()
@@ -316,8 +304,8 @@ def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confid
     """Return the median ratio of the bound of two or more units to the quantile that it bounds.
 
     For units without error, the bound is k deviations above the mean in the logarithm, and the quantile z.
-    With a `spread` between units, in the logarithm, the ratio is exp(spread (k - z)). Source:
-    Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3).
+    With a `spread` between units, in the logarithm, the ratio is exp(spread (k - z)). Source: Krishnamoorthy
+    & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3).
     """
     from scipy.special import nctdtrit, ndtri
 

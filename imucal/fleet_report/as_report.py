@@ -22,7 +22,6 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 
 FleetValue: TypeAlias = Literal["tolerance", "median"]
-#: Texts of the verdicts.
 _VERDICTS: dict[Verdict, str] = {
     "pass": "as a unit of the fleet",
     "fail": "unlike the units of the fleet",
@@ -39,7 +38,7 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
     fleet
         From `imucal.load_fleet`.
     model
-        Name of the sensor model; may be left out where there is one.
+        Name of the sensor model; may be omitted if there is only one.
     value
         Of each term: the ``tolerance`` bound, which is the number for the config of every unit, or the
         ``median`` unit with its interval.
@@ -49,7 +48,7 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
     ChoiceError
         If there is no such model, or several and none is named.
     DataError
-        If the bound is asked for and there are fewer than three units.
+        If `value` is ``tolerance`` and there are fewer than three units.
     ValueError
         If `value` is unknown.
     """
@@ -104,7 +103,6 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
         bound, low = found.tolerance, min(found.quantile, found.tolerance)
         limits = Interval(value=bound, low=low, high=bound)
     if TERMS[term.symbol].repeatable:
-        # The median of the logs' correlation times, and their 95 % range.
         times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
         low, middle, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
         time = Interval(value=middle, low=low, high=high)
@@ -125,8 +123,8 @@ def check_fleet(
     """Return a row for each common term of each axis: a comparison with the range of the next unit.
 
     A term passes if its whole interval is in this range. It fails if the probability of this difference in a
-    unit of the model is below `alpha`, adjusted for all terms (Holm 1979): so a unit of the fleet fails with
-    this probability. Other terms are undecided, and so are terms of fewer than three units.
+    unit of the model is below `alpha`, adjusted for all terms (Holm 1979). Other terms are undecided, and so
+    are terms of fewer than three units.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
+"""The files of a fleet's report: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
 
-All numbers of JSON and CSV are in SI, in a fixed order. ``schema/fleet-1.schema.json`` describes the layout;
-an incompatible change raises its number.
+All numbers of JSON and CSV are in SI. An incompatible change of ``schema/fleet-1.schema.json`` raises its
+number.
 """
 
 import csv
@@ -31,7 +31,6 @@ _COLUMNS = (
     *("logs_differ", "median", "spread", "within", "prediction_low", "prediction_high", "tolerance"),
     *("median_low", "median_high", "bounded"),
 )
-#: Attributes in the document, for `picked`.
 _LIMITS, _FINDING = "value low high", "level code axis text"
 _POPULATION = "logs content confidence median bounded spread within prediction quantile tolerance"
 
@@ -81,7 +80,7 @@ def fleet_document(fleet: Fleet) -> JsonObject:
 
 
 def fleet_csv(fleet: Fleet) -> str:
-    """Return the text of ``fleet.csv``: a row per model, term, axis and unit, with its population."""
+    """Return ``fleet.csv``: a row per model, term, axis and unit, with its population."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(_COLUMNS)
@@ -143,15 +142,15 @@ def write_fleet(
     """Write the report of a fleet; return the files, ``fleet.json`` first.
 
     Each file is replaced as a whole. ``fleet.json`` is removed first and written last: if it exists, all
-    files belong to one report. Of two writers, one waits. A picture or page that can't be drawn is left
-    out, also if there is an old one, and ``fleet.json`` contains a finding.
+    files belong to one report. If two processes write, one waits. A picture or page that can't be drawn is
+    left out, also if there is an old one, and ``fleet.json`` contains a finding.
 
     Parameters
     ----------
     fleet
         From `imucal.load_fleet`.
     out
-        The folder; the fleet's own where none is given.
+        The folder; by default the fleet's own.
     pictures, html
         Whether to write PNGs and the page.
     tell

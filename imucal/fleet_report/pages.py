@@ -1,7 +1,6 @@
 """The text of a fleet's report: numbers, the verdict, ``fleet.html``, and tables in a notebook.
 
-The page needs neither a network nor a script. The templates contain its layout; the functions here format
-numbers in data-sheet units and in SI.
+The page needs neither a network nor a script.
 """
 
 import base64
@@ -32,17 +31,16 @@ _LISTED_LOGS, _LISTED_MODELS = 500, 9
 Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
 
 
-#: Smallest p-value that is printed.
 _MIN_P = 1e-4
 
 
 def sheet_unit(term: FleetTerm) -> DatasheetUnit:
-    """Return the unit that data sheets print a term in."""
+    """Return a term's unit in data sheets."""
     return TERMS[term.symbol].datasheet_unit(term.sensor)
 
 
 def _both(write: Callable[[Quantity], str], plain: Quantity, sheet: DatasheetUnit) -> Markup:
-    """Return the text of a coefficient, given in SI, in the unit of data sheets and in SI."""
+    """Return a coefficient, given in SI, in both units."""
     return both_units(write(plain.scaled(sheet.factor, sheet.name)), write(plain))
 
 
@@ -67,7 +65,7 @@ def median_text(term: FleetTerm) -> Markup:
 
 
 def alone(term: FleetTerm, value: float) -> Markup:
-    """Return a number with three digits and its unit, in both units: ``0.342 deg/√h``."""
+    """Return a number with three digits in both units: ``0.342 deg/√h``."""
     keep = Markup('<span class="keep">{}</span>').format
     plain = Quantity(value=value, low=value, high=value, unit=term.unit)
     return _both(lambda q: keep(_rounded_up(q)), plain, sheet_unit(term))
@@ -90,7 +88,7 @@ def _kept(text: str) -> Markup:
 
 
 def _rounded_up(one: Quantity) -> str:
-    """Return a bound with three digits and its unit, rounded up so that it stays one."""
+    """Return a bound with three digits, rounded up so that it stays one."""
     exponent = numbers.power_of_ten(one)
     scaled = (one.value or one.high) * 10.0**-exponent
     return numbers.with_unit(numbers.rounded_up(scaled, 3), exponent, one.unit)
@@ -132,7 +130,7 @@ def loose_text(fleet: Fleet) -> str:
 
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
-    """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
+    """Return the grade of a fleet and a sentence on odd units and logs that do not count."""
     parts, chance = _odd_units(fleet)
     if failed := sum(bool(log.left_out) for log in fleet.logs):
         parts.append(f"{failed} of {len(fleet.logs)} logs do{'es' * (failed == 1)} not count")
@@ -182,7 +180,7 @@ def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
 
 
 def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
-    """Return the page, with the pictures that are drawn; the same fleet always gives the same text."""
+    """Return the page with pictures; the same fleet always gives the same text."""
     loose = fleet.loose[:_LISTED_LOGS]
     return _filled(
         "fleet.html",
@@ -198,7 +196,6 @@ def render_fleet_page(fleet: Fleet, pictures: Pictures | None = None) -> str:
     )
 
 
-#: Functions for the templates.
 _FORMATS: tuple[Callable[..., object], ...] = (
     *(with_limits, loose_value, median_text, alone, between, percent, p_text, by_term),
     *(bound_name, price_text, loose_text, verdict, numbers.term_name),
@@ -206,13 +203,12 @@ _FORMATS: tuple[Callable[..., object], ...] = (
 
 
 def _filled(template: str, **values: object) -> Markup:
-    """Return a filled template, which may call the functions that format numbers."""
     texts = {function.__name__: function for function in _FORMATS}
     return render(template, package="imucal.fleet_report", **texts, **values)
 
 
 def text_of(fleet: Fleet) -> str:
-    """Return a summary of a fleet, in at most twelve lines."""
+    """Return a summary of at most twelve lines."""
     lines = [f"Fleet of {len(fleet.logs)} logs in {fleet.folder}: {verdict(fleet)[1]}"]
     for model in fleet.models[:_LISTED_MODELS]:
         many = f"{len(model.units)} units, {len(model.logs)} logs, {len(model.terms)} terms"
@@ -222,7 +218,7 @@ def text_of(fleet: Fleet) -> str:
 
 
 def html_of(fleet: Fleet) -> Markup:
-    """Return the page's table of the number for the config of each term and axis."""
+    """Return the page's table of numbers for configs."""
     table = _filled("config.html", models=fleet.models)
     return render("notebook.html", table=table, caption=verdict(fleet)[1])
 

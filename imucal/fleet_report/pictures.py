@@ -1,7 +1,4 @@
-"""The pictures of a fleet, as files and on its page.
-
-Units sorted by each term, models side by side, and units against terms.
-"""
+"""The pictures of a fleet: units sorted by each term, models side by side, and units against terms."""
 
 import io
 import math
@@ -40,7 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DPI = 110
-#: Colour of the tolerance bound.
 _BOUND = "#8a5200"
 #: Largest number of units with names; height of a row, and largest height of a panel, in inches.
 _NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
@@ -49,9 +45,9 @@ _LABEL: Style = {"fontsize": LABEL_SIZE, "color": INK}
 _NEAR: Style = {"fontsize": SMALL_SIZE, "textcoords": "offset points"}
 #: Width of a band of 95 %, in standard deviations.
 _BAND_SDS = 2 * 1.96
-#: A whisker or bound reaches no farther below the lowest value than this factor.
+#: A whisker or bound ends this factor below the lowest value.
 _BELOW = 3.0
-#: Fonts with the signs of many languages, as systems have them; the last one has a box for any other.
+#: Installed fonts with the signs of many languages; the last one has a box for any other.
 _FONTS = (
     *("Noto Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei"),
     *("PingFang SC", "Hiragino Sans", "Apple SD Gothic Neo", "Microsoft YaHei", "Yu Gothic", "Malgun Gothic"),
@@ -97,7 +93,6 @@ def drawn_as(draw: Callable[[], "Figure"], forms: Sequence[str]) -> dict[str, by
     families = [*rcParams["font.family"], *(name for name in _FONTS if name in installed)]
     settings: Any = {"font.family": families, "svg.fonttype": "none", "svg.hashsalt": "imucal"}
     with rc_context(settings), warnings.catch_warnings():
-        # A box is drawn instead.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         figure = draw()
         for form in forms:
@@ -127,7 +122,6 @@ def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
 
 
 def _key(figure: "Figure", columns: int, *, bound: bool = True) -> None:
-    """Draw the legend of the marks at the bottom."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -175,7 +169,7 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
 
 
 def models_figure(models: Sequence[SensorModel]) -> "Figure":
-    """Return each term of each axis: a row a model, a dot a unit, the median and the next unit's band."""
+    """Return each term of each axis: a row per model, a dot per unit, the median and the next unit's band."""
     groups: dict[tuple[str, str], list[tuple[str, FleetTerm]]] = {}
     for model in models:
         for term in model.terms:
@@ -187,7 +181,7 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
         unit = sheet_unit(own[0][1])
         lows, highs = zip(*(span(term) for _, term in own), strict=True)
         for i, (_, term) in enumerate(own):
-            # One unit for all models of a term.
+            # One unit for all models.
             _draw_strip(place, term.population, i, unit.factor, min(lows))
         place.set_yticks(range(len(own)), [title for title, _ in own], **_SMALL)
         _log_axis(place, own[0][1], unit, min(lows) * unit.factor, max(highs) * unit.factor)
@@ -200,13 +194,12 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
 
 
 def _draw_strip(axes: "Axes", found: Population, row: int, factor: float, lowest: float) -> None:
-    """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
     if found.prediction:
         low, high = (max(limit, lowest) * factor for limit in found.prediction)
         axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
     if found.middle:
         axes.plot([found.middle * factor] * 2, [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
-    # Three lanes keep units of one value apart.
+    # Three lanes keep equal units apart.
     lanes = [(row + 0.18 * (j % 3 - 1), unit) for j, unit in enumerate(found.units)]
     _draw_marks(axes, lanes, factor)
 
@@ -214,9 +207,9 @@ def _draw_strip(axes: "Axes", found: Population, row: int, factor: float, lowest
 def _draw_marks(
     axes: "Axes", rows: Iterable[tuple[float, UnitValue]], factor: float, least: float = 0.0
 ) -> None:
-    """Draw a dot for each unit; a diamond for an odd one, an open triangle for a bound.
+    """Draw a dot per unit: a diamond for an odd one, an open triangle for a bound.
 
-    With `least`, intervals are drawn; intervals of bounds start there.
+    Intervals are drawn if `least` is given; intervals of bounds start there.
     """
     kinds: dict[tuple[bool, bool], list[tuple[float, UnitValue]]] = {}
     for row in rows:
@@ -300,7 +293,7 @@ def sorted_units(term: FleetTerm) -> list[UnitValue]:
 
 
 def span(term: FleetTerm) -> tuple[float, float]:
-    """Return the limits of a term's scale: all values, the band and the bound, and most of the whiskers."""
+    """Return the limits of a scale, which may cut whiskers."""
     found = term.population
     values = [unit.value or unit.high for unit in found.units]
     values += [found.median.value, *(found.prediction or ()), *([found.tolerance] if found.tolerance else ())]
@@ -312,7 +305,7 @@ def span(term: FleetTerm) -> tuple[float, float]:
 
 
 def labelled_ticks(low: float, high: float) -> tuple[list[float], list[str], str]:
-    """Return places, their labels, and the power of ten that goes before the unit, such as ``10⁻³ ``."""
+    """Return places, labels, and the power of ten before the unit, such as ``10⁻³ ``."""
     places = _round_ticks(low, high)
     power = math.floor(math.log10(min(places)) + 1e-9)
     if -2 <= power <= 3:
@@ -324,7 +317,7 @@ def labelled_ticks(low: float, high: float) -> tuple[list[float], list[str], str
 
 
 def _round_ticks(low: float, high: float) -> list[float]:
-    """Return three to six round values between two limits; fewer where the limits are close."""
+    """Return three to six round values between two limits; fewer if the limits are close."""
     places = tick_places(low, high)[0]
     if len(places) >= 3 and high / low >= 3:
         return places[:: math.ceil(len(places) / 6)]

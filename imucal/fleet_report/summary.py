@@ -31,9 +31,8 @@ class FleetLog:
     """One log of a fleet; without labels `model` is empty and `unit` None.
 
     `status` is ``ok`` or the kind of failure, with its `reason`; `verdict` is good, look, not-noise or empty,
-    and `findings` are codes. `seconds` and `rate_hz` are None if it was not read. `report` is the folder of
-    its own report, relative to the fleet's folder, or empty. `left_out` is the reason why its numbers do not
-    count, or empty.
+    and `findings` are codes. `report` is the folder of its own report, relative to the fleet's folder, or
+    empty. `left_out` is the reason why its numbers do not count, or empty.
     """
 
     path: str
@@ -60,7 +59,7 @@ class FleetLog:
 class FleetTerm(TermAnswer):
     """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`.
 
-    `logs` are the values of the logs; `unit_logs` are the tests of units with several.
+    `unit_logs` are the tests of units with several logs.
     """
 
     sensor: Sensor
@@ -76,7 +75,6 @@ class FleetTerm(TermAnswer):
 
     @property
     def unit(self) -> str:
-        """SI unit of the coefficient."""
         return TERMS[self.symbol].unit(self.sensor)
 
     @property
@@ -110,7 +108,6 @@ class SensorModel:
 
     @property
     def title(self) -> str:
-        """The name, or ``Sensor``."""
         return self.name or "Sensor"
 
     def __getitem__(self, key: tuple[str, str]) -> FleetTerm:
@@ -123,7 +120,7 @@ class SensorModel:
 
 @frozen
 class LooseLog:
-    """A log without a unit's label: its own values, by axis and term."""
+    """A log without a unit's label, with its values by axis and term."""
 
     log: FleetLog
     values: Mapping[tuple[str, str], LogValue]
@@ -133,9 +130,9 @@ class LooseLog:
 class Fleet(Displayed):
     """The results of a fleet.
 
-    `folder` is the store, `models` are sorted by name, `logs` by path; `asked` is the number of requested
-    logs. `loose` are logs without a unit label, which are in no population, and `labels` is a pattern for
-    them. `findings` belong to the whole fleet; `version` is imucal's.
+    `folder` is the store; `asked` is the number of requested logs. `loose` are logs without a unit label,
+    which are in no population; `labels` is a pattern for them. `findings` belong to the whole fleet;
+    `version` is imucal's.
     """
 
     drawn_by: ClassVar[str] = "imucal.fleet_report.pages"
@@ -153,7 +150,7 @@ class Fleet(Displayed):
     def failures(self) -> dict[tuple[str, str], tuple[FleetLog, ...]]:
         """Logs that do not count, by status and reason; the most frequent first.
 
-        Reasons that differ only in numbers, such as a place in the file, are one group.
+        Reasons that differ only in numbers are one group.
         """
         groups: dict[tuple[str, str], list[FleetLog]] = {}
         for log in filter(lambda log: log.left_out, self.logs):
@@ -231,8 +228,6 @@ def _loaded(
     unit_logs: bool,
     ask: Ask | None = None,
 ) -> Fleet:
-    """Return a fleet with the chosen sensor models."""
-    # A copy of another log is counted with it.
     asked = store.manifest()["copy_of"].null_count()
     store.refuse_damage()
     table, ask = store.logs(), ask or answers.here
@@ -263,7 +258,7 @@ def _loaded(
 
 
 def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) -> str:
-    """Return the requested sensor model, or the only one; raise ChoiceError if there is none."""
+    """Return the requested sensor model, or the only one; otherwise raise ChoiceError."""
     found = [name for name in names if asked in {None, name}]
     if len(found) == 1:
         return found[0]
@@ -296,10 +291,7 @@ def _model(name: str, every: Iterable[FleetLog], terms: Iterable[tuple[str, Flee
 def _judged_together(
     found: Mapping[TermKey, tuple[LogRows, TermAnswer]], tests: Mapping[TermKey, Sequence[UnitLogs]]
 ) -> Iterator[tuple[str, FleetTerm]]:
-    """Yield the terms, each with the name of its model.
-
-    The tests of logs are adjusted for all units and terms.
-    """
+    """Yield the terms with the name of their model; tests of logs are adjusted for all units and terms."""
     chances = iter(adjusted([test.p_value for key in found for test in tests.get(key, ())]))
     for key, (logs, answer) in found.items():
         values: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
@@ -310,7 +302,7 @@ def _judged_together(
 
 def _log(row: Mapping[str, Any]) -> FleetLog:
     status, verdict = row["status"], row["verdict"] or ""
-    # Reasons are grouped: the path, which they begin with, is none.
+    # Group reasons without the path at their start.
     left_out = (row["reason"] or status).removeprefix(f"{row['path']}: ") if status != "ok" else ""
     findings = tuple(row["findings"] or ())
     if not left_out and verdict in ("not-noise", "empty"):

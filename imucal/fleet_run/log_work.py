@@ -1,6 +1,6 @@
 """Process the logs of a batch in a child process with limits of time and memory, and commit their rows.
 
-If a log hangs, crashes or needs too much memory, only the child ends, and the log is known.
+If a log hangs, crashes or needs too much memory, only the child ends.
 """
 
 import math
@@ -23,29 +23,29 @@ from imucal.remote import is_url
 from imucal.remote.stores import identify
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: Attempts for a log whose process ends: another log may have been the cause.
+#: Another log may be the cause of a process's end.
 _ATTEMPTS = 2
-#: Texts that Rust and C++ print if an allocation fails, before the process ends.
+#: Texts that Rust and C++ print if an allocation fails.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
 #: One step of reading a log may use the memory of the child divided by this.
 _SHARE = 4
-#: A first stamp is a date if it is after 1999: clocks that start with the sensor begin in 1970.
+#: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
-#: A row of the store's table of logs, with the log's rows of the tables ``results`` and ``bins``.
+#: A row of the table of logs, with its rows of the tables ``results`` and ``bins``.
 LogRow: TypeAlias = dict[str, Any]
 
 
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
     """Process logs in a child process and commit all or none of them; return how many failed.
 
-    Raises WriteError if the store can't be written; then these logs are not done.
+    Raises WriteError if the store can't be written.
     """
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 
 def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
-    """Write the rows of logs into the store; return how many have no usable numbers."""
+    """Commit the rows of logs; return how many have no usable numbers."""
     results, bins = ([one for row in rows for one in row.get(name, ())] for name in ("results", "bins"))
     FleetStore(settings.store).commit(rows, results, bins, shard=str(settings.shard[0]))
     return sum(has_failed(row["status"], row.get("verdict")) for row in rows)
@@ -73,7 +73,7 @@ def _memory_reason(settings: FleetSettings) -> str:
 
 
 def child_process(settings: FleetSettings) -> ChildProcess:
-    """Return a child process for logs, with one thread in all libraries and its share of memory."""
+    """Return a child process with one thread in all libraries and its share of memory."""
     # Dask makes its workers return all memory at once; to allocate it again costs a fifth of a fit.
     environment = {
         "MALLOC_TRIM_THRESHOLD_": None,
@@ -81,7 +81,6 @@ def child_process(settings: FleetSettings) -> ChildProcess:
         MEMORY: str(settings.memory // _SHARE),
         "MPLBACKEND": "agg",
     }
-    # Relative paths start at the folder of the run, if this machine has it.
     folder = settings.folder if Path(settings.folder).is_dir() else None
     return ChildProcess(environment=environment, counted="data", folder=folder)
 
@@ -121,7 +120,6 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         place = identify(task.place, keep=False) if is_url(task.place) else task.place
-        # A downloaded file is removed after use.
         with local_logs([place]) as logs:
             if (stamp := stamp_of(place)) is not None:
                 path = str(logs.paths[0])
@@ -135,7 +133,7 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     except DataError as error:
         ended = "no-data", str(error)
     except WriteError:
-        # The report can't be written: this is not an error of the log.
+        # Not an error of the log: the report can't be written.
         raise
     except (ImucalError, ValueError) as error:
         ended = "unreadable", str(error)
@@ -150,14 +148,12 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
 
 
 def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, key: str) -> LogRow:
-    """Return the entries of a log's row that follow from its samples."""
     from imucal.fitting.bins import pack
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize
     from imucal.readers import read
 
-    # Arguments of `imucal.read`, and the part to use.
     reading = dict(task.reading)
     skip_s, take_s = reading.pop("skip_s", 0.0), reading.pop("take_s", math.inf)
     recording: Recording = read(logs.paths[0], **reading)
@@ -167,7 +163,7 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
-    # One axis at a time: other processors work on other logs.
+    # Other processors work on other logs.
     report = characterize(recording, wanted, workers=1)
     results, bins, name = [], [], ""
     for axis in report.axes:

@@ -1,8 +1,7 @@
 """Find the logs of given names, recognise equal logs, and read labels from paths.
 
-Size and both ends of a file need two small reads and distinguish nearly all logs; the whole content is read
-only if they are equal. For a folder, which is a bag, all files count, but not their names. Ranges of a log
-behind a URL are requested; the log is downloaded when it is read.
+Size and both ends of a file distinguish nearly all logs; the whole content is read only if they are equal.
+For a folder, which is a bag, all files count, but not their names.
 """
 
 import functools
@@ -25,18 +24,17 @@ from imucal.remote.addresses import has_wildcards, name_of
 from imucal.remote.copies import fetched
 from imucal.remote.stores import expand, identify, store_of
 
-#: Endings of many other files: files in a folder with these endings are used only if they are named.
+#: In a folder, files with these common endings are used only if they are named.
 _VAGUE = (".txt", ".log", ".dat")
-#: Additional endings of compressed logs.
 _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
     ending + packed for form in FORMATS for ending in {*form.suffixes} - {*_VAGUE} for packed in _PACKED
 )
-#: Number of bytes at each end of a file in its edge checksum.
+#: Bytes at each end of a file in its edge checksum.
 _EDGE = 1 << 16
 #: Block size in bytes. The checksum of a log depends on it.
 _BLOCK = 1 << 20
-#: Number of parallel requests to stores; they wait most of the time.
+#: Parallel requests to stores, which wait most of the time.
 _AT_ONCE = 32
 
 
@@ -51,8 +49,8 @@ def find_logs(names: Iterable[str]) -> list[str]:
 
 
 def _logs_of(name: str) -> list[str]:
-    # A name with the ending of a log is a log: a store is not asked about each of a million, and a missing
-    # file is reported as a log that can't be read.
+    # A store is not asked about each of a million logs, and a missing file is reported as a log that can't be
+    # read.
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
@@ -72,7 +70,6 @@ def _logs_of(name: str) -> list[str]:
 
 
 def _matches(name: str) -> Iterator[str]:
-    """Yield the logs that match a name with wildcards."""
     suffix = Path(name).suffix
     # All files match *.txt; a star alone matches only files with the ending of a log.
     endings = ("",) if suffix and not glob.has_magic(suffix) else _ENDINGS
@@ -172,10 +169,8 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 def content_at(place: str) -> str:
     """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
 
-    A remote log is downloaded for it. Raises OSError or ReadError if the files can't be read.
-
-    It does not protect against forgery: a CRC runs at the speed of memory, but a cryptographic checksum of
-    all bytes took 3 to 5 % of the time of an uncompressed log.
+    A remote log is downloaded for it. Raises OSError or ReadError if the files can't be read. It does not
+    protect against forgery: a cryptographic checksum of all bytes would take 3 to 5 % of the time of a log.
     """
     if is_url(place):
         with fetched(place) as copy:
@@ -195,7 +190,6 @@ def _files(path: Path) -> list[Path]:
     return sorted(entry for entry in path.rglob("*") if entry.is_file()) if path.is_dir() else [path]
 
 
-#: Parts of a pattern: plain text, labels and wildcards.
 _PART = re.compile(r"\{(?P<label>[^{}]*)\}|(?P<wild>\*\*/?|[*?])|(?P<brace>[{}])|(?P<text>[^{}*?]+)")
 _LABEL = re.compile(r"(?!(?:path|options|copy_of)$)[A-Za-z_][A-Za-z0-9_]*")
 _WILD = {"**/": ".*", "**": ".*", "*": "[^/]*", "?": "[^/]"}
@@ -209,20 +203,20 @@ def label_pattern(pattern: str) -> re.Pattern[str]:
     It matches the end of a path, from any folder; a label is as short as possible. Raises ArgumentError for a
     pattern without a label, with a label twice, or with an unmatched brace.
     """
-    parts, slip, body = [*_PART.finditer(pattern)], "", ""
+    parts, mistake, body = [*_PART.finditer(pattern)], "", ""
     labels = [part["label"] for part in parts if part["label"] is not None]
     for part in parts:
         label = part["label"]
         if part["brace"]:
-            slip = f"an unmatched brace; {_SUCH}"
+            mistake = f"an unmatched brace; {_SUCH}"
         elif label is None:
             body += re.escape(part["text"]) if part["text"] else _WILD[part["wild"]]
         elif not _LABEL.fullmatch(label):
-            slip = f"{label!r} is not a label name; write for example {{unit}}"
+            mistake = f"{label!r} is not a label name; write for example {{unit}}"
         elif labels.count(label) > 1:
-            slip = f"{label!r} is duplicated; give each label its own name"
+            mistake = f"{label!r} is duplicated; give each label its own name"
         else:
             body += f"(?P<{label}>[^/]+?)"
-    if slip or not labels:
-        raise ArgumentError(f"labels {pattern!r}: {slip or f'no label; {_SUCH}'}")
+    if mistake or not labels:
+        raise ArgumentError(f"labels {pattern!r}: {mistake or f'no label; {_SUCH}'}")
     return re.compile(f"(?:^|.*/){body}$")

@@ -1,8 +1,7 @@
 """Batches of a fleet on an existing Dask cluster; work on this machine needs no Dask.
 
-The scheduler distributes work; results are in the store. So a lost scheduler costs only the batches in
-progress. All waits have a time limit: for connections and workers, for logs in the child processes of the
-workers, and for frozen workers in the scheduler (``distributed.scheduler.worker-ttl``).
+Results are in the store, so a lost scheduler costs only the batches in progress. All waits have a time limit;
+for frozen workers it is the scheduler's ``distributed.scheduler.worker-ttl``.
 """
 
 import ipaddress
@@ -21,17 +20,15 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Seconds that connecting, a first worker, and closing may take.
+#: Time limits in s of connecting, of waiting for a first worker, and of closing.
 CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
-#: Of a scheduler that nobody hears of any more for so many seconds, nothing more is expected.
+#: A scheduler that does not answer for this many seconds is lost.
 SILENCE_S = 30.0
-#: Batches in hand for each worker: one at work, the others on their way.
+#: Batches per worker: one in progress, the others on their way.
 WINDOW = 3
-#: Seconds between looks at time limits and at the connection.
+#: Seconds between checks of time limits and of the connection.
 _LOOK_S = 1.0
-#: Loggers of messages about workers.
 _NOISY = ("distributed", "tornado", "asyncio")
-#: Time limits of Dask's client.
 _TIMES = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
     "distributed.comm.timeouts.tcp": f"{SILENCE_S}s",
@@ -49,10 +46,9 @@ class Lost:
 
 
 def unprotected(address: str | None) -> str:
-    """Return a warning for the address of a cluster that others can reach; empty if nobody can.
+    """Return a warning for the address of a cluster that others can reach; otherwise an empty text.
 
-    Tasks of Dask are pickles: their sender runs code as the user of the workers. Dask's own
-    configuration has the certificates of ``tls://`` addresses.
+    Tasks of Dask are pickles: their sender runs code as the user of the workers.
     """
     parts = urlsplit(address or "inproc://")
     try:
@@ -68,7 +64,7 @@ def unprotected(address: str | None) -> str:
 
 
 class DaskWorkers(Generic[T, R]):
-    """The workers of a cluster, and the batches that they have in hand; see `imucal.fleet_run.running`."""
+    """The workers of a cluster, and their batches in progress; see `imucal.fleet_run.running`."""
 
     def __init__(self, client: "Client", where: str, work: Callable[[T], R]) -> None:
         self._client, self._where, self._work = client, where, work
@@ -77,7 +73,7 @@ class DaskWorkers(Generic[T, R]):
         self._asked, self._heard = -math.inf, time.monotonic()
 
     def room(self) -> int:
-        """Return how many more batches may be handed out; give up where nobody is heard of."""
+        """Return how many more batches may be submitted; raise EngineError if the scheduler is lost."""
         if time.monotonic() - self._asked >= _LOOK_S:
             self._asked, self._threads = time.monotonic(), 0
             if self._client.status == "running":
@@ -91,7 +87,7 @@ class DaskWorkers(Generic[T, R]):
         return WINDOW * max(self._threads, 1) - len(self.hands)
 
     def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
-        """Do batches as long as `take` returns any, and yield them with their results as they are done."""
+        """Submit batches while `take` returns any; yield them with their results as they finish."""
         from distributed import CancelledError, wait
 
         while True:
@@ -99,7 +95,7 @@ class DaskWorkers(Generic[T, R]):
                 self._submit(batch)
             if not self.hands:
                 return
-            # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
+            # A lost scheduler cancels its futures; a closed client raises ValueError.
             with suppress(TimeoutError, CancelledError, ValueError):
                 wait(list(self.hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
             for future in [future for future in self.hands if future.done()]:
@@ -114,10 +110,10 @@ class DaskWorkers(Generic[T, R]):
         self.hands[self._client.submit(self._work, batch, pure=False)] = batch
 
     def _outcome(self, future: "Future") -> R | Lost | None:
-        """Return the result of a batch that has ended; None where it is to be handed out again."""
+        """Return the result of a finished batch; None if it must be submitted again."""
         from distributed import KilledWorker
 
-        # Cancelled: the scheduler was lost; whether it comes back is seen at the next look.
+        # The scheduler was lost; the next check finds out whether it is back.
         if future.status == "cancelled":
             return None
         try:
@@ -127,18 +123,17 @@ class DaskWorkers(Generic[T, R]):
         except (TimeoutError, OSError) as error:
             if future.status != "error":
                 return None
-            # The work's own: another try would end the same, again and again.
+            # Another attempt would fail in the same way.
             return Lost(reason=f"its worker failed ({type(error).__name__}: {error})")
         return result
 
 
 @contextmanager
 def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T, R]]:
-    """Yield the workers of the cluster with the address of a scheduler.
+    """Yield the workers of the cluster of a scheduler.
 
-    `work` is what they do with a batch, in a time that it holds itself: a function of a module, which may be
-    a `functools.partial`. It is an EngineError if dask is missing, or the scheduler or all workers can't be
-    reached or are gone.
+    `work` processes a batch and limits its own time; a function of a module or a `functools.partial`. Raises
+    EngineError if dask is missing, or if the scheduler or all workers can't be reached or are lost.
     """
     try:
         import dask
@@ -157,7 +152,6 @@ def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T
             check_workers(client, address)
             yield workers
         finally:
-            # Cancel batches that have not started.
             with suppress(Exception):
                 client.cancel(list(workers.hands), force=True)
             with suppress(Exception):
@@ -165,7 +159,7 @@ def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T
 
 
 def check_workers(client: "Client", address: str) -> None:
-    """Wait for a worker; refuse those of another version of imucal."""
+    """Wait for a worker; raise EngineError if there is none, or one has another version of imucal."""
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
         found = client.run(_version, on_error="return")
@@ -180,13 +174,13 @@ def check_workers(client: "Client", address: str) -> None:
 
 
 def _version() -> str:
-    """Return imucal's version, as a worker has it."""
+    """Return the worker's version of imucal."""
     return __version__
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence log messages of distributed about its workers; lost workers are reported as errors."""
+    """Silence distributed's messages about workers; lost workers are reported as errors."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in _NOISY]
     levels = {logger: logger.level for logger in map(logging.getLogger, (*_NOISY, *names))}
     for logger in levels:

@@ -1,6 +1,6 @@
 """The settings and the plan of a fleet run: the requested logs that the store does not contain yet.
 
-Logs are given by name, or by a manifest: a CSV table with one row per log. Equal files are processed once.
+Logs are given by name, or by a manifest: a CSV table with one row per log.
 """
 
 import csv
@@ -29,29 +29,25 @@ from imucal.remote.addresses import shown
 from imucal.resources import memory_there_is, parse_size, threads
 from imucal.units import parse_sample_unit
 
-#: Default model and confidence level.
 MODEL, LEVEL = "N + B + K", 0.95
 #: Memory of the imported packages and a short log, in bytes.
 MIN_MEMORY = 300 << 20
 #: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
-#: Version of the packed bins in the store: `imucal.fitting.bins.PACKED_VERSION`, whose import is slow.
+#: `imucal.fitting.bins.PACKED_VERSION`, whose import is slow.
 _BINS = 2
-#: Final states: another attempt with the same file, settings and version would have the same result.
+#: Final states: another attempt would have the same result.
 _SETTLED = ("ok", "unreadable", "no-data")
-#: Columns of the store about a log.
 _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
 #: Usual speed in bytes/s on one core, and additional seconds per log.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
-#: Minimum number of batches per worker, so that all workers end together; number in a long run; and the
-#: factor by which its batches may last longer.
+#: Minimum number of batches per worker, so that all end together; number in a long run, whose batches may
+#: last longer by the last factor.
 _MIN_BATCHES, _BATCHES, _LONGER = 4, 40, 10
-#: Arguments of `imucal.read` that may be several texts.
 _SEVERAL = ("topic", "fields", "message_definition")
 
-#: Description of a column for messages, parser of its text, and test of the parsed value.
+#: A column's description for messages, parser of its text, and test of the parsed value.
 Column: TypeAlias = tuple[str, Callable[[Any], Any], Callable[[Any], object]]
-#: The action of the run for a log.
 State: TypeAlias = Literal["run", "again", "done", "copy"]
 
 
@@ -60,12 +56,11 @@ class LogTask:
     """A requested log and its state.
 
     `place` is the given path, relative to `FleetSettings.folder`, or a URL with its secrets, which is never
-    stored. `labels` contains the known labels. `reading` contains arguments of `imucal.read`, ``skip_s`` and
-    ``take_s`` as JSON values. `size` is in bytes, 0 if unknown.
+    stored. `reading` contains arguments of `imucal.read`, ``skip_s`` and ``take_s`` as JSON values. `size` is
+    in bytes, 0 if unknown.
 
     States: ``run``; ``again`` after a failure such as a time limit; ``done`` if the store contains it;
-    ``copy`` of another log with the same content, whose path is `copy_of`. A log of another shard is not
-    `own`.
+    ``copy`` of `copy_of`, a log with the same content. A log of another shard is not `own`.
     """
 
     place: str = field(repr=False)
@@ -83,7 +78,6 @@ class LogTask:
 
     @property
     def seconds(self) -> float:
-        """Usual time on one core, in s."""
         return _SECONDS + self.size / _BYTES_PER_S
 
 
@@ -91,9 +85,9 @@ class LogTask:
 class FleetSettings:
     """The settings of a run, from the arguments of `imucal.run_fleet`.
 
-    `store` is the folder of the fleet; relative paths start at `folder`; both are absolute. All fits have the
-    same `model` and `level`: models chosen per log would make logs differ although units do not. Without a
-    shard, `shard` is (0, 1). With `timeout_s` None, the time limit depends on the size of a log.
+    `store` and `folder`, at which relative paths start, are absolute. All fits have the same `model` and
+    `level`: models chosen per log would make logs differ although units do not. Without a shard, `shard` is
+    (0, 1). With `timeout_s` None, the time limit depends on the size of a log.
     """
 
     store: str
@@ -111,17 +105,15 @@ class FleetSettings:
     fresh: bool = False
 
     def key(self, content: str, reading: Mapping[str, object]) -> str:
-        """Return the key of a result, a hash of content, settings and versions."""
         text = json.dumps([content, self.model, self.level, reading, __version__, _BINS], sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def patience(self, task: LogTask) -> float:
-        """Return the time limit of a log in s."""
         return self.timeout_s or PATIENCE + PATIENCE_PER_MB * task.size / 1e6
 
 
 def has_failed(status: object, verdict: object) -> bool:
-    """Return whether a log has no usable numbers: it could not be analysed, or is not noise."""
+    """Return whether a log has no usable numbers."""
     return status != "ok" or verdict == "not-noise"
 
 
@@ -133,15 +125,12 @@ class FleetPlan:
 
     @property
     def tasks(self) -> list[LogTask]:
-        """The logs that this run does."""
         return self.own("run", "again")
 
     def own(self, *states: str) -> list[LogTask]:
-        """Return the logs of this run's shard, optionally only in some states."""
         return [log for log in self.logs if log.own and (not states or log.state in states)]
 
     def manifest(self) -> pl.DataFrame:
-        """Return the rows for the store's manifest."""
         free = sorted({name for log in self.logs for name in log.labels if name not in LABELS})
         reading = (json.dumps(log.reading, sort_keys=True) if log.reading else None for log in self.logs)
         rows = [
@@ -209,7 +198,7 @@ def _refuse_unless(right: object, text: str) -> None:
 
 
 def meant(column: Column, text: Any, name: str, error: type[Exception] = ValueError) -> Any:  # noqa: ANN401
-    """Return the parsed value; raise an error with the name, the value and what was expected."""
+    """Return the parsed value; raise `error` with the name, the value and what was expected."""
     what, parse, fits = column
     with suppress(ValueError, KeyError, TypeError):
         if fits(value := parse(text)):
@@ -224,7 +213,7 @@ def _unit_of(sensor: Sensor, such_as: str) -> Column:
 
 _ANY: Column = ("text", str, bool)
 _YES = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-#: Columns that are labels, and those that are arguments of `imucal.read`.
+#: Labels, then arguments of `imucal.read`.
 _COLUMNS: dict[str, Column] = {
     "temperature_c": ("a number", float, math.isfinite),
     "started": ("a date such as 2026-01-31 or 2026-01-31T12:00:00Z", str, datetime.fromisoformat),
@@ -259,9 +248,8 @@ def as_json(reading: Mapping[str, object]) -> dict[str, object]:
     return result
 
 
-#: Share of the machine's memory for all workers, and the memory in bytes if it is unknown.
+#: Share of the machine's memory for all workers; its memory in bytes if unknown.
 _SHARE, _UNKNOWN = 0.8, 2 << 30
-#: Argument -> its description, parser and test.
 _ARGUMENTS: dict[str, Column] = {
     "model": ("terms, such as N + B + K: auto depends on the log", str, lambda model: model != "auto"),
     "level": ("one between 0 and 1, such as 0.95", float, lambda level: 0 < level < 1),
@@ -276,14 +264,13 @@ _ARGUMENTS: dict[str, Column] = {
     "reading": ("arguments of imucal.read", as_json, lambda _: True),
     "reports": ("one of none, failed, all", str, ("none", "failed", "all").__contains__),
 }
-#: All arguments of a run: these, and three that need no test.
 ASKED = (*_ARGUMENTS, "labels", "scheduler", "fresh")
 
 
 def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSettings:
-    """Return the settings of a run from the arguments of `run_fleet` and their defaults.
+    """Return the settings of a run from the arguments of `run_fleet`.
 
-    The default model and level are those of the existing fleet. Each worker has an equal share of the memory.
+    The existing fleet determines the default model and level. Each worker has an equal share of the memory.
     A shard processes one log at a time. Raises ArgumentError if an argument is invalid, or if the fleet has
     another model or level; StoreError if its settings are damaged.
     """
@@ -303,7 +290,6 @@ def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSetting
 
 
 def _meant(name: str, value: Any) -> Any:  # noqa: ANN401 - of any argument
-    """Return the parsed value of an argument."""
     if name == "labels":
         label_pattern(value)
     try:
@@ -322,10 +308,9 @@ def planned(
     dry: bool = False,
     say: Callable[[str], object] = lambda _: None,
 ) -> FleetPlan:
-    """Return the plan for the logs of `names` (see `find_logs`) and of a `manifest`.
+    """Return the plan for the logs of `names` (see `find_logs`) and of a `manifest`, which has priority.
 
-    For a log in both, the manifest has priority. Without both, the logs of the store's manifest are used.
-    Labels in paths have priority over labels in the store.
+    Without both, the logs of the store's manifest are used. Labels in paths have priority over the store's.
 
     Damaged parts of the store are removed; a `dry` run raises StoreError instead. `say` receives notes on
     them, and on paths that do not match the labels. Raises ReadError if wildcards match nothing, a folder
@@ -353,7 +338,6 @@ def planned(
 
 
 def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
-    """Yield the logs of a store's manifest."""
     for row in manifest.drop("copy_of").iter_rows(named=True):
         path, reading = row.pop("path"), json.loads(row.pop("options") or "{}")
         labels = {name: value for name, value in row.items() if value is not None}
@@ -373,7 +357,6 @@ def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan
     stamps = stamps_of(places)
     contents = _contents(stamps, places, known)
     part, parts = settings.shard
-    # If none of equal files is done, the first one is used.
     first: dict[str, str] = {}
     logs = []
     for number, (path, log) in enumerate(zip(places, asked, strict=True), 1):
@@ -414,7 +397,7 @@ def _contents(
 def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterator[list[LogTask]]:
     """Yield tasks in batches of about `seconds` each; shorter if workers would be idle otherwise.
 
-    Batches of a long run are longer: each becomes a part of the store, and all parts are read at the end.
+    Batches of a long run are longer, because each becomes a part of the store.
     """
     total = sum(task.seconds for task in tasks)
     longer = min(total / (_BATCHES * workers), _LONGER * seconds)

@@ -1,10 +1,6 @@
 """Process the logs of a fleet on this machine or on a cluster, and commit the results.
 
-`run_fleet` is `imucal fleet run` without its output.
-
-`imucal.fleet_run.log_work` reads and characterises each log in a child process. On this machine, children
-communicate with this process through private pipes. In a cluster, each worker has one child; the logs of a
-lost batch are repeated one by one.
+In a cluster, each worker has one child process; the logs of a lost batch are repeated one by one.
 """
 
 import warnings
@@ -35,20 +31,15 @@ from imucal.fleet_run.plan import (
 )
 from imucal.processes import ChildProcess
 
-#: Length of a batch in s: on a cluster, where it costs time to distribute it, and on this machine.
+#: Length of a batch in s on a cluster, where distributing it takes time, and on this machine.
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
-#: Seconds between checks for an interrupt.
 _LOOK_S = 0.1
-#: Number of questions per batch.
 _QUESTIONS = 4
 
 
 @dataclass(slots=True)
 class RunCount:
-    """Progress of a run: number of `logs` and of `done` logs, with their sizes in bytes.
-
-    `failed` of the done logs have no usable numbers; `running` logs are being processed.
-    """
+    """Progress of a run; sizes in bytes. `failed` of the `done` logs have no usable numbers."""
 
     logs: int
     size: int
@@ -83,8 +74,8 @@ def run_fleet(
     continues with the others. It returns the fleet as `imucal.load_fleet` does. Logs that fail are in
     `Fleet.failures` and raise no error.
 
-    Logs are processed in child processes that import imucal but not the calling script. So a script needs no
-    ``if __name__ == "__main__"``, and this function works in a notebook.
+    Child processes import imucal but not the calling script. So a script needs no ``if __name__ ==
+    "__main__"``, and this function works in a notebook.
 
     Parameters
     ----------
@@ -98,15 +89,14 @@ def run_fleet(
     manifest
         A table of logs (CSV) with a column ``path``.
     model, level
-        Terms, and confidence level of all intervals: by default those of the folder, otherwise
-        ``N + B + K`` and 0.95.
+        Terms, and confidence level of all intervals: by default those of the folder, otherwise ``N + B + K``
+        and 0.95.
     jobs
         Number of logs at a time, each in its own process; by default one per processor.
     scheduler
-        Address of a Dask scheduler whose workers process the logs; a warning follows if others can reach
-        it.
+        Address of a Dask scheduler; a warning follows if others can reach it.
     shard
-        ``(i, n)``: process part i of n, from 1, one log at a time; ``(1, 1)`` is everything.
+        ``(i, n)``: process part i of n, from 1, one log at a time.
     memory
         Memory limit of a log in bytes, or a text such as ``2GB``; by default 80 % of the machine's memory,
         shared by the workers.
@@ -168,8 +158,7 @@ def run_plan(
 ) -> RunCount:
     """Process the logs of a plan and commit them to the store; `tell` is called whenever the count changes.
 
-    Raises WriteError if the store can't be written, and EngineError if the workers of a cluster can't be
-    reached or ended.
+    Raises WriteError, and EngineError if the workers of a cluster can't be reached or ended.
     """
     tasks = plan.tasks
     count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))
@@ -191,8 +180,8 @@ def run_plan(
     for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
         if isinstance(failed, Lost):
-            # Another log may be the cause: repeat each alone. A log that was alone gets one more attempt,
-            # because its worker may be the cause.
+            # Another log may be the cause: repeat each alone. A single log gets one more attempt, because its
+            # worker may be the cause.
             (task, *others) = batch
             if others or task.path not in lost:
                 lost |= set() if others else {task.path}
@@ -265,7 +254,6 @@ def _here(
                     free.append(child)
                     yield batch, future.result()
         finally:
-            # End the waiting of threads for an answer.
             for child in children:
                 child.close()
             pool.shutdown(cancel_futures=True)
@@ -274,7 +262,6 @@ def _here(
 
 
 def _on_worker(work: Callable[[T, ChildProcess], R], settings: FleetSettings, batch: T) -> R:
-    """Process a batch in a worker of a cluster."""
     child = child_process(settings)
     try:
         return work(batch, child)

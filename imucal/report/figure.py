@@ -1,8 +1,7 @@
-"""The pictures of a report: each axis by itself, and the three axes of a sensor together.
+"""The pictures of a report: each axis alone, and the three axes of a sensor together.
 
-They use matplotlib's object interface on the Agg canvas: no window, no pyplot, no global state. Each takes
-half a second, so forked processes draw them in parallel if possible. The smallest text has 9 px at a width of
-800 px.
+They use matplotlib's Agg canvas: no window, no pyplot, no global state. Forked processes draw in parallel if
+possible, because a picture takes half a second. The smallest text has 9 px at a width of 800 px.
 """
 
 import base64
@@ -43,25 +42,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: Formats of `render`.
 FORMATS = ("png", "svg", "pdf")
-#: Width of a picture, and heights of its parts, in inches.
+#: Inches.
 WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
-#: Grade -> colour of the verdict.
 _GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
-#: Left edge and width of the two plots, as fractions of the figure.
+#: Fractions of the figure.
 _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
 
 def check_format(form: str) -> None:
-    """Raise a ValueError if the format is not one of `FORMATS`."""
+    """Raise a ValueError for an unknown format."""
     if form not in FORMATS:
         raise ValueError(f"format {form!r} is not one of {', '.join(FORMATS)}")
 
 
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
-    """Return the picture of one axis: Allan deviation and psd with the fitted model and terms."""
+    """Return the Allan deviation and psd of one axis with the fitted model and terms."""
     figure, left, right = _figure(report, rows=4)
     fit, units = axis.fit, units_of(report, axis.sensor)
     recorded, structure = _recorded(axis), str(fit.model) or "no term shown"
@@ -82,7 +79,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
 
 
 def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
-    """Return one picture of the curves and psds of a sensor's axes; a ValueError if it has no axes."""
+    """Return the curves and psds of a sensor's axes; a ValueError if it has none."""
     axes = report.by_sensor.get(sensor)
     if not axes:
         raise ValueError(f"the report has no {sensor} axis")
@@ -96,12 +93,12 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     return figure
 
 
-#: Width and height in inches of a picture for one column of a paper, and its text size in points.
+#: One column of a paper in inches, and text size in points.
 _COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
 
 
 def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
-    """Return Allan deviations for one column of a paper: no title, no footer, text of 8 points."""
+    """Return Allan deviations for one column of a paper: no title, no footer."""
     from matplotlib.text import Text
 
     figure = new_figure(_COLUMN, _COLUMN_HEIGHT)
@@ -119,8 +116,7 @@ def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
 def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     """Return the content of a png, svg or pdf file; a ValueError for other formats.
 
-    The same report always gives the same png. Its palette of 256 colours is enough for lines on white, and
-    reduces the size to a third.
+    The same report always gives the same png. Its palette of 256 colours reduces the size to a third.
     """
     check_format(form)
     maker = f"imucal {version}".strip()
@@ -133,7 +129,6 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     return stream.getvalue()
 
 
-#: A white RGBA pixel as one number.
 _WHITE = np.uint32(0xFFFFFFFF)
 
 
@@ -144,7 +139,7 @@ def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
     canvas: Any = figure.canvas
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba()).view(np.uint32)[..., 0]
-    # To save time, quantize only the tenth of the pixels that are not white; white is the last colour.
+    # To save time, quantize only the tenth of the pixels that is not white; white is the last colour.
     inked = np.flatnonzero(pixels != _WHITE)
     ink = Image.fromarray(pixels.ravel()[inked].view(np.uint8).reshape(1, -1, 4), "RGBA").convert("RGB")
     ink = ink.quantize(255, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -159,7 +154,7 @@ def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
 
 
 def units_of(report: Report, sensor: Sensor) -> SheetUnits:
-    """Return the data-sheet units of a sensor's numbers."""
+    """Return the data-sheet units of a sensor."""
     return sheet_units([axis.fit for axis in report.by_sensor[sensor]])
 
 
@@ -169,7 +164,6 @@ def axis_title(axis: AxisReport) -> str:
 
 
 def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
-    """Return a figure with verdict and footer, and its two plots above space for `rows` lines of text."""
     bottom = _AXIS_ROOM + _ROW * rows + 0.1
     height = bottom + _PLOT_HEIGHT + _HEAD
     figure = new_figure(WIDTH, height)
@@ -178,7 +172,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
         for place, width in (_LEFT, _RIGHT)
     ]
     write_foot(figure, report.source.name, report.version)
-    # Pictures are often shared without the page, so each contains the verdict.
+    # Pictures are often shared without the page.
     lines = "\n".join(textwrap.wrap(report.verdict.sentence, 110))
     style: Style = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
     figure.text(0.988, 1 - 0.12 / height, lines, ha="right", va="top", **style)
@@ -196,7 +190,7 @@ def _recorded(axis: AxisReport) -> str:
 
 
 def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
-    """Return the rows under an overview: a name and a text for each axis; T is in the row of its term."""
+    """Return a name and a text for each axis; T is in the row of its term."""
     rows: dict[str, list[str]] = {}
     for row in seen.rows:
         key, _, time = row.key.partition(" ")
@@ -204,22 +198,21 @@ def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
             also = [f",  T {numbers.with_uncertainty(cell.si)}" if cell else "" for cell in row.cells]
             rows[key] = [text + more for text, more in zip(rows[key], also, strict=True)]
         else:
-            rows[key] = _told(row)
+            rows[key] = _row_texts(row)
             notes = [cell.note if cell and row.symbol else "" for cell in row.cells]
             if any(notes):
                 rows[f"{key} note"] = notes
     return [("" if key.endswith(" note") else key, texts) for key, texts in rows.items()]
 
 
-def _told(row: Row) -> list[str]:
-    """Return the texts of a row with their unit; all have the same power of ten."""
+def _row_texts(row: Row) -> list[str]:
     exponent = row.column(datasheet=True).exponent
     tell = numbers.with_uncertainty if row.symbol else numbers.with_interval
     return [tell(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
-    """Write the table, which is also the legend: its header contains the line of each axis."""
+    """Write the table, whose header is the legend."""
     from matplotlib.lines import Line2D
 
     height = figure.get_figheight()
@@ -237,20 +230,20 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
             figure.text(x, y, text, **style)
 
 
-#: Format that a page can show -> media type, the best first.
+#: Media types, the best first.
 _SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 @dataclass(slots=True)
 class Drawings:
-    """The pictures as name -> content, and a finding for each picture that failed."""
+    """The pictures as name -> content, and a finding for each that failed."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     failures: list[Finding] = field(default_factory=list)
 
     @property
     def addresses(self) -> dict[str, str]:
-        """File name without suffix -> data URL of the picture, for a page."""
+        """File stem -> data URL, for a page."""
         return {
             name.removesuffix(f".{form}"): f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
             for form, kind in reversed(_SHOWN_BY_PAGES.items())
@@ -265,7 +258,6 @@ def picture_names(report: Report, formats: Sequence[str], *, paper: bool = False
 
 
 def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
-    """Return the items with a picture: each axis and each sensor."""
     return (*report.axes, *report.by_sensor)
 
 
@@ -292,7 +284,7 @@ def draw(
     """Draw the pictures of a report in some formats.
 
     Up to `workers` processes draw at a time, by default `imucal.resources.threads`. `page` adds png if a page
-    can show none of the formats. `paper` adds pictures for papers, such as ``gyro-paper.pdf``.
+    can show none of the formats. `paper` adds pictures such as ``gyro-paper.pdf``.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
@@ -313,7 +305,6 @@ def draw(
 def _draw_one(
     report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], paper: bool
 ) -> Drawings:
-    """Return all files of an item; each figure is built once."""
     from matplotlib import rc_context
 
     made = cache(lambda figure: figure(report, item))

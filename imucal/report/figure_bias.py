@@ -1,7 +1,4 @@
-"""The files of a decomposition: a table, arrays, a document about all axes, and a picture.
-
-The picture shows averaged samples and the smoothed bias, with its parts below.
-"""
+"""The files of a decomposition: table, arrays, a document about all axes, picture of bias and parts."""
 
 import io
 import json
@@ -45,17 +42,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Heights of the plots and margins, in inches.
+#: Inches.
 _TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
 _LEFT, _RIGHT = 0.095, 0.985
-#: Number of points of a line, and of averages of the samples.
 _POINTS, _AVERAGES = 1500, 1000
 #: Half the width of the band, in standard errors.
 _BAND = 2.0
 
 
 def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
-    """Return the picture of the bias of an axis over time, in the units of data sheets."""
+    """Return the picture of an axis's bias over time, in the units of data sheets."""
     shown = [part for part in parts.components if part.key != "level"]
     # A single part equals the bias, except for a level.
     shown = shown if len(shown) > 1 else []
@@ -106,8 +102,6 @@ def averages(parts: Decomposition, width: int) -> tuple[FloatArray, FloatArray, 
 
 
 class _View:
-    """A decomposition in the picture's units."""
-
     def __init__(self, parts: Decomposition, scale: float, divisor: float) -> None:
         self.parts, self.scale, self.divisor = parts, scale, divisor
         self.place = np.unique(np.linspace(0, parts.n - 1, _POINTS).round().astype(np.int64))
@@ -133,7 +127,6 @@ def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
 
 
 def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
-    """Draw one part with its band and its name."""
     term = TERMS[part.key.rstrip("0123456789")]
     holds_level = term.symbol == "K"
     _, _, ends = _draw_line(axes, view, part, term.stroke, 1.3, centred=holds_level)
@@ -147,7 +140,7 @@ def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
 def _draw_line(
     axes: "Axes", view: _View, part: Component, stroke: Stroke, width: float, *, centred: bool
 ) -> tuple[Any, Any, list[FloatArray]]:
-    """Draw a part and its band; return line, band and the band's limits. `centred` subtracts the mean."""
+    """Return line, band and the band's limits. `centred` subtracts the mean."""
     off = float(part.value.mean()) if centred else 0.0
     value, error = (part.value[view.place] - off) * view.scale, part.error[view.place] * view.scale
     low, high = value - _BAND * error, value + _BAND * error
@@ -158,7 +151,6 @@ def _draw_line(
 
 
 def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> None:
-    """Set labels, light grid lines, and limits around the `drawn` values."""
     values = np.concatenate(drawn)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     room = 0.06 * (high - low) or 1.0
@@ -171,7 +163,7 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 
-#: Schema and name of the document, which marks the folder of a decomposition.
+#: The document marks the folder of a decomposition.
 SCHEMA, DOCUMENT = "imucal/decomposition/1", "decomposition.json"
 #: Largest number of rows of a table by default.
 _ROWS = 10_000
@@ -199,9 +191,9 @@ def write_decomposition(
 ) -> tuple[Path, ...]:  # fmt: skip
     """Write the files of one axis into a folder, each complete or not at all; return their paths.
 
-    The files are NAME.csv, NAME.png (or another of the `formats` png, svg, pdf) and, with `arrays`, NAME.npz
-    at the rate of the samples. The table has a row every `every_s` seconds, by default at most 10 000 rows.
-    `source` is the log's name, for the picture. Raises WriteError if a file can't be written.
+    The files are NAME.csv, NAME.png (or other `formats`: png, svg, pdf) and, with `arrays`, NAME.npz at the
+    rate of the samples. The table has a row every `every_s` seconds, by default at most 10 000 rows. `source`
+    is the log's name. Raises WriteError if a file can't be written.
     """
     name = parts.series.name
     made: dict[str, Callable[[], bytes]] = {f"{name}.csv": lambda: table(parts, every_s=every_s).encode()}
@@ -213,7 +205,7 @@ def write_decomposition(
 
 
 def write_document(document: JsonObject, out: Path) -> Path:
-    """Write the document about all axes, which marks the folder; return its path."""
+    """Write the document about all axes; return its path."""
     return _write(out / DOCUMENT, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
 
@@ -246,7 +238,6 @@ def table(parts: Decomposition, *, every_s: float | None = None) -> str:
 
 
 def _arrays(parts: Decomposition) -> bytes:
-    """Return the content of an npz file with all arrays at the rate of the samples."""
     held = {"time_s": parts.time_s, "samples": parts.samples, "residual": parts.residual}
     for part in (parts.bias, *parts.components):
         held |= {part.key: part.value, f"{part.key}_se": part.error}
@@ -273,7 +264,6 @@ def axis_document(parts: Decomposition, files: Sequence[Path]) -> JsonObject:
 
 
 def _component(part: Component) -> JsonObject:
-    """Return mean, deviation and range of a part, and its median standard error."""
     moved = zip(("mean", "std", "least", "greatest"), ("mean", "std", "min", "max"), strict=True)
     found = {name: float(getattr(part.value, method)()) for name, method in moved}
     return {"key": part.key, **found, "standard_error": float(np.median(part.error))}

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Fewest ordinates of the first point and of the others. Fewer would show single spikes; more would hide the
-#: slope at the lowest frequencies. 95 % of roots are within 0.45 to 1.55 and 0.61 to 1.39 times the truth.
+#: Fewest ordinates of the first point and of the others: fewer show single spikes, more hide the lowest
+#: slope.
 _MIN_FIRST_ORDINATES, _MIN_ORDINATES = 6.0, 12.0
 
 
@@ -55,9 +55,9 @@ class SmoothSpectrum:
 def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
     """Return an axis's spectrum; neighbouring bins are merged until each point averages 12 ordinates.
 
-    The ratio to the model is averaged, not the density, because averages of a steep density would be too
-    high. Limits are chi-squared at the level of the fit, with one degree of freedom per ordinate. Source:
-    Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18, for prewhitening by a model.
+    The ratio to the model is averaged, because averages of a steep density would be too high. Limits are
+    chi-squared at the level of the fit, with one degree of freedom per ordinate. Source: Blackman & Tukey
+    (1958), The Measurement of Power Spectra, sec. B.18.
     """
     from scipy.special import chdtri
 
@@ -76,7 +76,7 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
 
 
 def _shape(axis: AxisReport, frequency: FloatArray) -> FloatArray:
-    """Return the model's density, or 1 if there is no model; shape of `frequency`."""
+    """Return the model's density, or 1 where there is no model."""
     density = axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)
     return density if np.all(density > 0) else np.ones(frequency.size)
 
@@ -98,19 +98,18 @@ _BAND: Style = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
 
 
 class Drawn(NamedTuple):
-    """A term to draw as a line: its estimate, and the term with the value or the bound."""
+    """An estimate to draw as a line, with its value or its bound."""
 
     estimate: Estimate
     term: NoiseTerm
 
     @property
     def bounded(self) -> bool:
-        """Whether only its bound is known."""
         return self.estimate.value is None
 
 
 def term_entries(fit: NoiseFit, terms: list[Drawn], marked_symbols: set[str]) -> list[Any]:
-    """Return the legend's entries of the terms, one per symbol, with a mark if the plot has it."""
+    """Return the legend's entries, one per symbol, with a mark if the plot has it."""
     from matplotlib.lines import Line2D
 
     entries: Style = {}
@@ -129,7 +128,7 @@ def _read_off_mark(drawn: Drawn) -> Style:
 
 
 def drawn_terms(fit: NoiseFit) -> list[Drawn]:
-    """Return the lines to draw: each term of the fit, and each bound."""
+    """Return each term of the fit, and each bound."""
     found, terms = [], fit.drawn
     for estimate in fit.estimates:
         term = terms.get(estimate.key)
@@ -142,7 +141,7 @@ def drawn_terms(fit: NoiseFit) -> list[Drawn]:
 
 
 def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) -> str:
-    """Return ``N 0.4125 ± 0.0016 deg/√h``, then lines with T of a Gauss-Markov term and alternatives."""
+    """Return ``N 0.4125 ± 0.0016 deg/√h``, then lines with T and alternatives."""
     lines = [f"{estimate.key} {numbers.with_uncertainty(units.estimate(estimate, sensor))}"]
     if estimate.correlation_time is not None:
         time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
@@ -152,12 +151,12 @@ def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) 
     return "\n".join(lines)
 
 
-#: Largest ratio of the curve to the lower limit of the vertical axis, which shows read-offs below the curve.
+#: Read-offs up to this factor below the curve are inside the plot.
 _DEEPEST = 40.0
 
 
 def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
-    """Draw one axis's curve, model and terms in data-sheet units; return the entries of the legend."""
+    """Draw one axis's curve, model and terms; return the entries of the legend."""
     curve, rate, factor = fit.curve, fit.rate_hz, units.level.factor
     shown, terms = shown_points(curve), drawn_terms(fit)
     y_limits = _y_limits(curve.adev[shown] * factor, [each.term.read_off()[1] * factor for each in terms])
@@ -174,7 +173,7 @@ def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
         obstacles.append((tau, line, 0.7))
         labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
-    # Only terms with a mark have a label at a single point.
+    # Terms with a mark have a label at a single point.
     marked_symbols = {d.term.symbol for d, label in zip(terms, labels, strict=True) if not np.ndim(label.x)}
     (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
     axes.plot([at], [lowest * factor], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
@@ -203,7 +202,7 @@ def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUni
 
 
 def style_allan(axes: "Axes", unit: str, tau: FloatArray, y_limits: tuple[float, float]) -> None:
-    """Style the axes of Allan deviations in a unit, at averaging times in s, shape (k,)."""
+    """Style the axes of Allan deviations in `unit`, at averaging times `tau` in s."""
     style_axes(
         axes,
         x="averaging time τ (s)",
@@ -214,27 +213,26 @@ def style_allan(axes: "Axes", unit: str, tau: FloatArray, y_limits: tuple[float,
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
-    """Return the indices of points with at least 2 degrees of freedom; of all if fewer than 2 have these."""
+    """Return the indices of points with at least 2 degrees of freedom; all if fewer than 2 have these."""
     positive = curve.avar > 0
     sure = positive & ~(curve.edf < 2)
     return np.flatnonzero(sure if np.count_nonzero(sure) >= 2 else positive).astype(np.int64)
 
 
 def smooth_adev(fit: NoiseFit, m: IntArray, points: int = 200) -> tuple[FloatArray, FloatArray]:
-    """Return whole averaging factors, dense enough for a smooth line over `m`, and the model's deviations."""
+    """Return averaging factors, dense enough for a smooth line over `m`, and the model's deviations."""
     dense = np.unique(np.geomspace(m.min(), m.max(), points).round())
     return dense, np.sqrt(fit.model.avar(dense, rate_hz=fit.rate_hz))
 
 
 def smooth_root(axis: AxisReport, points: int = 200) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies over a spectrum, in Hz, and the root of the model's density, in U/√Hz."""
+    """Return frequencies in Hz and the root of the model's density, in U/√Hz."""
     found = axis.spectrum.frequency
     grid = np.geomspace(found[0], found[-1], points) if found.size else found
     return grid, np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz))
 
 
 def _y_limits(adev: FloatArray, heights: list[float]) -> tuple[float, float]:
-    """Return limits that include the curve, and read-offs up to a factor `_DEEPEST` below it."""
     bottom, top = limits(adev, below=2.2, above=2.2)
     deepest = bottom * 2.2 / _DEEPEST
     for height in heights:
@@ -252,7 +250,7 @@ def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list
     used, unused = np.intersect1d(shown, fit.used), np.setdiff1d(shown, fit.used)
     if used.size:
         name = f"Allan deviation ({curve.estimator})"
-        # Points are above the labels' white boxes, which would hide them.
+        # Above the labels' white boxes, which would hide points.
         entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **DOTS)
     if known.size:
         name = f"its {100 * fit.level:.4g} % interval"
@@ -283,7 +281,6 @@ def _term(
     in_view = (line > bottom * 1.1) & (line < top / 1.1) & (tau > left) & (tau < right)
     inside = np.flatnonzero(in_view)
     if not inside.size:
-        # The line is below the view; show at least the number.
         places = np.geomspace(left, right, 12)[1:-1]
         edge = np.full(places.size, bottom * (top / bottom) ** 0.01)
         return Label(f"{text} (below)", places, edge, stroke.light)
@@ -296,7 +293,7 @@ _NAMED_LINES = 3
 
 
 def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
-    """Draw one axis's spectrum, model and terms in data-sheet units; return the entries of the legend."""
+    """Draw one axis's spectrum, model and terms; return the entries of the legend."""
     smooth, factor = smooth_spectrum(axis), units.density.factor
     frequency, root = smooth.frequency, smooth.root * factor
     _style_psd(axes, units, axis.spectrum.frequency, root)
@@ -345,7 +342,6 @@ def _style_psd(axes: "Axes", units: SheetUnits, frequency: FloatArray, root: Flo
 
 
 def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
-    """Shade frequencies outside the band of the fit; return the entry of the legend."""
     band = axis.fit.goodness.band_hz
     if band is None:
         return []
@@ -376,14 +372,12 @@ def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) ->
 
 
 def _height(axis: AxisReport, line: Line) -> float:
-    """Return the height of the mark of a line, just above the peak of the spectrum."""
     nearest = np.argmin(np.abs(axis.spectrum.frequency - line.frequency_hz))
     around = axis.spectrum.psd[max(nearest - 1, 0) : nearest + 2]
     return float(np.sqrt(around.max()) * 1.12)
 
 
 def _response(axes: "Axes", axis: AxisReport) -> list[Label]:
-    """Mark the corner frequency of the output filter; return its label."""
     response = axis.fit.response
     left, right = axes.get_xlim()
     if response is None or not left < response.cutoff_hz < right:

@@ -33,16 +33,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Height of the picture and its margins, in inches.
+#: Inches.
 _HEIGHT, _HEAD, _FOOT, _SPACE = 4.3, 0.75, 0.75, 0.62
-#: Number of points of a line, and space for the first label as a fraction of the axis.
+#: Points of a line, and space for the first label as a fraction of the axis.
 _POINTS, _ROOM = 25, 0.36
-#: End of a contribution's name -> its colour.
 _PARTS = {"accelerometer": AXES["x"], "tilt": AXES["z"]}
 
 
 def drift_figure(report: Report, found: Drift) -> "Figure":
-    """Return the picture of a report's drift: one plot per kind of quantity, with the given times marked."""
+    """Return one plot per kind of quantity, with the given times marked."""
     asked = [point.time_s for point in found.quantities[0].points]
     fine = np.geomspace(min(asked), max(asked), _POINTS)
     lines = drift(report, sorted({*asked, *fine[1:-1].tolist()}), rest_s=found.rest_s)

@@ -1,11 +1,9 @@
 """The style of pictures: colours, text sizes, ticks of logarithmic scales, header and footer.
 
 Colours are from Okabe & Ito (2008), "Color universal design", darkened so that text on white is legible
-(contrast above 4.5). Every colour also has its own line style or marker. The colour of a term is an attribute
-of its class.
+(contrast above 4.5). Every colour also has its own line style or marker. Terms define their own colours.
 
-Matplotlib creates an object for every minor tick, hundreds for two log-log plots, and formats every power of
-ten with its formula parser. Here all minor ticks are one artist, which takes a tenth of the time.
+All minor ticks are one artist: matplotlib's own take ten times as long.
 """
 
 import math
@@ -30,25 +28,20 @@ if TYPE_CHECKING:
 INK = "#1c2733"
 DATA = Stroke("#33414f", "#c9d4df", ())
 MODEL = Stroke("#0063a3", "#5db6f2", ())
-#: Secondary text.
 FADED = "#66717d"
-#: Points and frequencies that the fit did not use.
+#: Not used by the fit.
 UNUSED = "#b4bcc5"
-#: Spectral lines.
 LEFT_OUT = "#b00020"
 GRID = "#e3e7ec"
-#: Spines and ticks.
 FRAME = "#9aa5b1"
-#: Axis -> its stroke in an overview.
 AXES: dict[str, Stroke] = {
     "x": Stroke("#b84300", "#ff9157", ()),
     "y": Stroke("#0063a3", "#5db6f2", (6, 2)),
     "z": Stroke("#00734f", "#36c99a", (2, 1.5)),
 }
 _SIZE = 9.0
-#: Length of a minor tick, as a fraction of the plot's width.
+#: As a fraction of the plot's width.
 _MINOR = 0.006
-#: Largest number of labelled ticks per axis.
 _MAX_TICKS = 8
 
 
@@ -91,7 +84,7 @@ def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
 
 
 def _multiples(low: float, high: float, digits: Iterable[int]) -> list[float]:
-    """Return all ``digit * 10^e`` between two limits, in increasing order, for whole e."""
+    """Return all ``digit * 10^e`` between two limits, in increasing order."""
     powers = [10.0**e for e in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
     return [digit * power for power, digit in product(powers, digits) if low <= digit * power <= high]
 
@@ -106,13 +99,11 @@ def tick_label(value: float) -> str:
     return power if factor == 1 else f"{factor:g}×{power}"
 
 
-#: Text sizes in points, for a figure 10 inches wide.
+#: Points, for a figure 10 inches wide.
 TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
-#: Keyword arguments of matplotlib's artists.
 Style: TypeAlias = dict[str, Any]
 LABEL_STYLE: Style = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
 LEGEND_STYLE: Style = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
-#: Points of a curve.
 DOTS: Style = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
 
 
@@ -141,14 +132,14 @@ def style_axes(
 
 
 def quiet_frame(axes: "Axes") -> None:
-    """Keep only the left and the lower side of the frame, below the curves."""
+    """Keep only the left and lower side of the frame."""
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(FRAME)
 
 
 def write_head(figure: "Figure", title: str, subtitle: str, *, below: float = 0.38) -> None:
-    """Write the title at the top left, and the subtitle `below` inches under the edge."""
+    """Write title and subtitle, which is `below` inches under the edge."""
     height = figure.get_figheight()
     style: Style = {"color": INK, "va": "top"}
     figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
@@ -167,7 +158,7 @@ def write_foot(figure: "Figure", source: str, version: str) -> None:
 
 
 def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, float]:
-    """Return limits around the positive `values`, with margins by the factors `below` and `above`."""
+    """Return limits around positive `values`, with margins by the factors `below` and `above`."""
     positive = values[np.isfinite(values) & (values > 0)]
     if not positive.size:
         return 0.1, 10.0
@@ -180,16 +171,15 @@ def stroked(stroke: Stroke, **style: object) -> Style:
 
 
 def marked(axis: Axis, **style: object) -> Style:
-    """Return the style of an axis's line in an overview, with its marker."""
+    """Return the style of an axis's line in an overview."""
     return stroked(AXES[axis], marker=MARKERS[axis], markerfacecolor="white", **style)
 
 
 def name_axes(axes: "Axes", reports: list[AxisReport], **style: object) -> None:
-    """Add a legend with the line of each axis in an overview."""
+    """Add a legend of the axes in an overview."""
     for axis in reports:
         axes.plot([], [], label=axis.axis, **marked(axis.axis, **style))
     axes.legend(loc="upper right", **LEGEND_STYLE)
 
 
-#: Axis -> its marker in an overview.
 MARKERS = {"x": "o", "y": "s", "z": "^"}

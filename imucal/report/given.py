@@ -1,7 +1,4 @@
-"""Reports of numbers that were not fitted to a record: a model of a data sheet, a bound over many units.
-
-Exports, comparisons, plans and checks accept them like the report of a log.
-"""
+"""Reports of numbers that were not fitted to a record: a data sheet's model, a bound over many units."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -20,9 +17,8 @@ from imucal.noise.terms import ALWAYS, TERMS, term_keys
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
-#: Method of the fits in such reports.
 GIVEN = "given"
-#: Assumed length of the record of a model, in s.
+#: Assumed length of the record, in s.
 _RECORD_S = 3 * 3600.0
 
 
@@ -62,7 +58,7 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
 
 
 def _estimates(model: NoiseModel) -> list[Estimate]:
-    """Return exact estimates of the terms of a model, and zero for other terms of `ALWAYS`."""
+    """Return exact estimates of a model's terms, and zero for other terms of `ALWAYS`."""
     found = []
     for key, term in zip(term_keys(term.symbol for term in model.terms), model.terms, strict=True):
         value, *times = term.values

@@ -1,7 +1,6 @@
 """`report.html`: one page that contains everything and opens without a network.
 
-Text, tables and pictures need no script. Plotly's basic script draws the interactive plots; the package and
-the page contain it compressed. The data of the plots are compact JSON: few digits, no repetition.
+Only the interactive plots need a script: Plotly's basic script, compressed in the page.
 """
 
 import base64
@@ -34,9 +33,9 @@ from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.units import duration, pretty
 
-#: Points of a smooth line, per plot.
+#: Points of a smooth line.
 _FINE = 60
-#: Gaps closer to each other than this fraction of the recording are drawn as one.
+#: Gaps closer than this fraction of the recording are drawn as one.
 _MERGED = 1 / 500
 #: A stretch is an outlier if its extreme is this many robust deviations from the median of its neighbours.
 _STANDS_OUT = 8.0
@@ -44,7 +43,7 @@ _NEIGHBOURS = 25
 
 
 def page_data(report: Report) -> str:
-    """Return the data of all plots as JSON; safe inside a script element."""
+    """Return the data of all plots as JSON, safe inside a script element."""
     strokes = {symbol: term.stroke for symbol, term in TERMS.items()}
     strokes |= {"data": DATA, "model": MODEL}
     document = {
@@ -62,8 +61,8 @@ def page_data(report: Report) -> str:
 def standing_out(overview: Overview, std: float) -> FloatArray:
     """Return the times of stretches with outliers, in s, shape (k,).
 
-    The extremes of a stretch are compared with their running median. The unit is the median absolute
-    deviation from it, scaled to a standard deviation, or an eighth of `std` if that is larger.
+    Extremes are compared with their running median, in units of the median absolute deviation scaled to a
+    standard deviation, or of an eighth of `std` if that is larger.
     """
     found = np.zeros(overview.time_s.size, dtype=bool)
     if found.size < _NEIGHBOURS:
@@ -128,7 +127,6 @@ def _curve(axis: AxisReport) -> JsonObject:
 
 
 def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, str]:
-    """Return the label of a term in both units, with the lines of the pictures."""
     si = f"{estimate.key} {numbers.with_uncertainty(numbers.si(estimate, sensor))}"
     sheet, *time = estimate_text(estimate, sensor, units).split("\n")
     return {"si": "<br>".join([si, *time]), "sheet": "<br>".join([sheet, *time])}
@@ -190,7 +188,6 @@ def _rounded(digits: int, **values: FloatArray) -> JsonObject:
 
 
 def _round(values: FloatArray, digits: int) -> list[float | None]:
-    """Return numbers with `digits` significant digits, None if they are not finite."""
     return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
@@ -203,7 +200,7 @@ def _fixed(values: FloatArray, std: float) -> list[float | None]:
 def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> str:
     """Return the page; the same report always gives the same text.
 
-    `drawings` are the pictures of the folder; without them the pictures are drawn here.
+    Without `drawings` the pictures are drawn here.
     """
     pictures = (drawings or figure.draw(report, ("png",))).addresses
     drifts = "Effect on a filter"
@@ -237,7 +234,6 @@ def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> s
 
 
 def _recorded(report: Report) -> Iterator[str]:
-    """Yield the duration and rate of each axis, and the start of the times if samples were skipped."""
     for axis in report.axes:
         yield f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
     if (read := report.source.read) is not None and read.from_s > 0:

@@ -1,7 +1,7 @@
 """`report.json` and `signal.json`: SI units, keys in a stable order; written and read back.
 
 ``schema/report-2.schema.json`` defines the layout. Increase the number in `SCHEMA` if an old reader would
-misunderstand a change. In version 1 the entry of an axis also contains its raw signal and its findings.
+misunderstand a change. In version 1 an axis also contains its raw signal and findings.
 """
 
 import json
@@ -54,12 +54,11 @@ from imucal.report.json_node import (
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Overview, Report
 
-#: Name and number of the layout.
 SCHEMA = "imucal/report/2"
 _READABLE = ("imucal/report/1", SCHEMA)
-#: Layout and name of the file of raw signals, which pictures need and scripts do not.
+#: Raw signals are in their own file: pictures need them, scripts do not.
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
-#: Digits of spectra and signals: enough for pictures, and the files are half as large.
+#: Digits of spectra and signals: enough for pictures, and half the size.
 _DIGITS = 8
 
 
@@ -138,7 +137,6 @@ def _segments(node: Node) -> Segments:
 
 
 def _bins(node: Node) -> Bins:
-    """Return the bins of a document; the lengths of the lists must be consistent."""
     version = node["version"].count()
     if version != BINS_VERSION:
         node["version"].fail(f"found {version}", f"{BINS_VERSION}, as this version of imucal writes")
@@ -232,7 +230,7 @@ _PAIR = layout_of(FilterNumbers, "horizon_s step_s white walk basis ratios")
 
 
 def to_document(report: Report) -> JsonObject:
-    """Return the whole report as JSON values, with keys in a stable order."""
+    """Return the whole report as JSON values."""
     return _object(
         {
             **_header(report),
@@ -245,14 +243,14 @@ def to_document(report: Report) -> JsonObject:
 
 
 def axis_document(report: Report, axis: AxisReport) -> JsonObject:
-    """Return the document of one axis: the report's header, the findings about the axis, and its entry."""
+    """Return the header, the findings about the axis, and its entry."""
     about = {None, axis.sensor.short, axis.name}
     findings = [f for f in dict.fromkeys(report.all_findings) if f.axis in about]
     return _object({**_header(report), "findings": findings, **_axis_entry(report, axis)})
 
 
 def signal_document(report: Report) -> JsonObject:
-    """Return the raw signals that the pictures of a report show."""
+    """Return the raw signals."""
     axes = {
         axis.name: {field.name: _rounded(getattr(axis.overview, field.name)) for field in fields(Overview)}
         for axis in report.axes
@@ -261,7 +259,6 @@ def signal_document(report: Report) -> JsonObject:
 
 
 def _summary(report: Report) -> JsonObject:
-    """Return axis -> term -> number, for usable axes."""
     return {
         axis.name: {
             term.key: {"status": term.status, **picked(term, "value low high"), "unit": unit}
@@ -295,7 +292,7 @@ def _header(report: Report) -> JsonObject:
 
 
 def _pair_entries(report: Report) -> Iterator[JsonObject]:
-    """Yield the numbers that cover each sensor's spectrum, for filters that coast for 1 min and for 5 min."""
+    """Yield the numbers for filters that coast for 1 min and for 5 min."""
     for sensor, axes in report.by_sensor.items():
         for pair in usual_pairs([axis.fit for axis in axes]):
             units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
@@ -304,15 +301,13 @@ def _pair_entries(report: Report) -> Iterator[JsonObject]:
 
 
 def _pair_document(pair: FilterNumbers) -> JsonObject:
-    """Return the two numbers for a filter, and their cost, as JSON values."""
     return _PAIR.write(pair, ratios=[{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios])
 
 
 def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
     """Return the entry of an axis; reading and writing it again changes nothing.
 
-    The file contains deviations. They are squared first: the root of a squared float is exact, but the square
-    of a root is not.
+    Deviations are squared first: the root of a squared float is exact, the square of a root is not.
     """
     curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
     spectrum = axis.spectrum
@@ -358,7 +353,7 @@ def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> JsonObject
     kind = TERMS[estimate.symbol]
     message: JsonObject = {"name": kind.name(sensor), "unit": kind.unit(sensor), "drawn": estimate.drawn}
     if len(kind.parameters()) > 1:
-        # Parameters of a filter's state: T, and phi and q of x[t+1] = phi x[t] + q w[t].
+        # State of a filter: x[t+1] = phi x[t] + q w[t].
         time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
         message["correlation_time"] = time and numbers.correlation_time(time)
         message["phi"] = term and term.phi(1 / fit.rate_hz)
@@ -388,9 +383,9 @@ def schema() -> JsonObject:
 
 @takes('imucal.load_report("folder")', path=(str, Path))
 def load(path: str | Path) -> Report:
-    """Read a report back; `path` is a ``report.json`` or the report's folder.
+    """Read a report back; `path` is a ``report.json`` or its folder.
 
-    The raw signals are read from ``signal.json`` in the same folder; without this file they are empty.
+    Raw signals are read from ``signal.json`` next to it; without this file they are empty.
 
     Raises
     ------
@@ -417,7 +412,7 @@ def _parsed(file: Path, expected: str) -> object:
 
 
 def from_document(document: object, *, file: str = "report") -> Report:
-    """Return the report of a JSON document, without raw signals, which are in a separate file.
+    """Return the report of a JSON document, without raw signals.
 
     Raises ReadError, with the name `file`, if the document has another schema.
     """
@@ -436,7 +431,6 @@ def from_document(document: object, *, file: str = "report") -> Report:
 
 
 def _with_signals(report: Report, file: Path) -> Report:
-    """Return the report with the raw signals of ``signal.json``."""
     root = Node(_parsed(file, "the signal.json that imucal writes"), str(file))
     root["schema"].text(SIGNAL_SCHEMA)
     signals = root["axes"].table()

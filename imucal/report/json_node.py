@@ -1,7 +1,7 @@
-"""JSON documents: nodes with a place in the document, layouts of dataclasses, and the text of a document.
+"""JSON documents: nodes with a place in the document, and layouts of dataclasses.
 
-``node["fit"]["method"].text()`` raises a `ReadError` with the place, the value and the expected type, so
-callers need not check types. A `Layout` reads and writes a dataclass. Numbers that are not finite are null.
+``node["fit"]["method"].text()`` raises a `ReadError` with the place, the value and the expected type. Numbers
+that are not finite are null.
 """
 
 import json
@@ -19,9 +19,7 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 
-#: Number of characters of a wrong value in a message.
 _MAX_TEXT = 40
-#: An object of a document.
 JsonObject: TypeAlias = dict[str, object]
 A = TypeVar("A")
 T = TypeVar("T", bound=np.generic)
@@ -36,7 +34,6 @@ class Node:
     place: str = ""
 
     def __getitem__(self, key: str) -> "Node":
-        """Return the value under `key`, which must be there."""
         table = self.table()
         if key not in table:
             keys = ", ".join(table) or "no keys"
@@ -44,17 +41,14 @@ class Node:
         return Node(table[key], self.file, f"{self.place}.{key}".lstrip("."))
 
     def __iter__(self) -> Iterator["Node"]:
-        """Yield the items of a list."""
         for index, item in enumerate(self._of("a list", list)):
             yield Node(item, self.file, f"{self.place}[{index}]")
 
     def fail(self, found: str, expected: str) -> NoReturn:
-        """Raise the error that names this place."""
         where = f"{self.file}: {self.place}" if self.place else self.file
         raise ReadError(f"{where}: {found}, expected {expected}; write the report again")
 
     def table(self) -> JsonObject:
-        """Return the value, which must be an object."""
         return self._of("an object", dict)
 
     def maybe(self, read: Callable[["Node"], A]) -> A | None:
@@ -62,18 +56,17 @@ class Node:
         return None if self.value is None else read(self)
 
     def text(self, *allowed: str) -> str:
-        """Return the value, which must be a text; one of `allowed` if given."""
+        """Return the text, one of `allowed` if given."""
         value = self._of("a text", str)
         if allowed and value not in allowed:
             self._refuse(" or ".join(f'"{choice}"' for choice in allowed))
         return value
 
     def texts(self) -> tuple[str, ...]:
-        """Return a list of texts."""
         return tuple(item.text() for item in self)
 
     def number(self, *, null: float | None = None) -> float:
-        """Return the value, which must be a number; `null` replaces null if given."""
+        """Return the number; `null` replaces null if given."""
         if self.value is None and null is not None:
             return null
         value = self._of("a number", float, int)
@@ -82,53 +75,48 @@ class Node:
         return float(value)
 
     def positive(self) -> float:
-        """Return the value, which must be a number above 0."""
         value = self.number()
         if value <= 0:
             self._refuse("a number above 0")
         return value
 
     def count(self) -> int:
-        """Return the value, which must be a whole number from 0."""
         value = self._of(expected := "a whole number from 0", int)
         if value < 0:
             self._refuse(expected)
         return value
 
     def integer(self) -> int:
-        """Return the value, which must be a whole number."""
         return self._of("a whole number", int)
 
     def pair(self) -> tuple[float, float]:
-        """Return a list of two numbers."""
         values = [item.number() for item in self]
         if len(values) != 2:
             self._refuse("a list of two numbers")
         return values[0], values[1]
 
     def array(self, *, like: int | None = None) -> FloatArray:
-        """Return a list of numbers, null as NaN, with `like` items if given; shape (k,)."""
+        """Return numbers, null as NaN, with `like` items if given; shape (k,)."""
         return self.sized(np.array([item.number(null=math.nan) for item in self], np.float64), like)
 
     def counts(self, *, like: int | None = None) -> IntArray:
-        """Return a list of whole numbers, with `like` items if given; shape (k,)."""
+        """Return whole numbers from 0, with `like` items if given; shape (k,)."""
         return self.sized(np.array([item.count() for item in self], dtype=np.int64), like)
 
     def matrix(self, size: int) -> FloatArray:
-        """Return a square list of lists of numbers, null as NaN; shape (size, size)."""
+        """Return numbers, null as NaN; shape (size, size)."""
         rows = [row.array(like=size) for row in self]
         if len(rows) != size:
             self._refuse(f"{size} rows")
         return np.array(rows, dtype=np.float64).reshape(size, size)
 
     def sized(self, array: NDArray[T], like: int | None) -> NDArray[T]:
-        """Return the array of this list; its size must be `like` if given."""
         if like is not None and array.size != like:
             self.fail(f"found a list of {array.size}", f"{like} items, like the other lists")
         return array
 
     def _of(self, expected: str, *kinds: type[A]) -> A:
-        """Return the value, which must have one of some types; a boolean is not a number."""
+        """Return the value if it has an expected type; a boolean is not a number."""
         if isinstance(self.value, bool) or not isinstance(self.value, kinds):
             self._refuse(expected)
         return self.value
@@ -139,12 +127,11 @@ class Node:
         self.fail(f"found {shown}", expected)
 
 
-#: Returns the attribute in a node.
 Reader: TypeAlias = Callable[[Node], Any]
 
 
 class Key(NamedTuple):
-    """A key of an object; `like` is the key of a list of the same length, `read` returns the attribute."""
+    """A key; `like` is the key of a list of the same length, `read` returns the attribute."""
 
     name: str
     optional: bool
@@ -161,7 +148,7 @@ class Layout(Generic[A]):
     keys: tuple[Key, ...]
 
     def read(self, node: Node, **known: object) -> A:
-        """Return the value of an object; `known` contains attributes that are not read from it."""
+        """Return the value; `known` contains attributes that are not in the node."""
         found: dict[str, Any] = dict(known)
         sizes: dict[str, int] = {}
         for key in self.keys:
@@ -175,7 +162,7 @@ class Layout(Generic[A]):
         return self.make(**found)
 
     def write(self, value: A, **others: object) -> JsonObject:
-        """Return the value as an object; `others` contains values of keys that are not attributes."""
+        """Return an object; `others` contains values of keys that are not attributes."""
         found: JsonObject = {}
         for key in self.keys:
             held = getattr(value, key.attribute) if key.attribute else None
@@ -185,12 +172,12 @@ class Layout(Generic[A]):
 
 
 def one_of(*allowed: str) -> Reader:
-    """Return a reader of some texts."""
+    """Return a reader of the allowed texts."""
     return lambda node: node.text(*allowed)
 
 
 def maybe(read: Reader) -> Reader:
-    """Return a reader that returns None for null."""
+    """Return a reader that accepts null."""
     return lambda node: node.maybe(read)
 
 
@@ -200,12 +187,12 @@ def list_of(read: Reader) -> Reader:
 
 
 def number_or(null: float) -> Reader:
-    """Return a reader of a number, or a replacement of null."""
+    """Return a reader of a number that replaces null."""
     return lambda node: node.number(null=null)
 
 
 OR_NAN, OR_INFINITE = number_or(math.nan), number_or(math.inf)
-#: Type of an attribute -> its usual reader; `layout_of` adds readers of dataclasses.
+#: `layout_of` adds readers of dataclasses.
 READERS: dict[object, Reader] = {
     str: Node.text,
     int: Node.count,
@@ -221,17 +208,15 @@ READERS: dict[object, Reader] = {
     tuple[float, float]: Node.pair,
     tuple[float, float] | None: maybe(Node.pair),
 }
-#: Class of a value -> its layout.
 _LAYOUTS: dict[type, Layout[Any]] = {}
 
 
 def layout_of(make: type[A], keys: str, **read: Reader) -> Layout[A]:
     """Return the layout of a dataclass and register it for values that contain the class.
 
-    A key has the form ``name?=attribute~like``. With the question mark it may be missing, and it is not
-    written if its value is None. Without ``=`` the attribute has the name of the key; with ``=`` alone there
-    is no attribute, and the caller of `Layout.write` gives the value. `read` has readers of keys whose types
-    are not in `READERS`.
+    A key has the form ``name?=attribute~like``. With the question mark it may be missing, and None is not
+    written. Without ``=`` the attribute has the name of the key; with ``=`` alone there is no attribute, and
+    the caller of `Layout.write` gives the value. `read` has readers of types that `READERS` lacks.
     """
     types: dict[str, Any] = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
     made = []
@@ -251,7 +236,7 @@ def layout_of(make: type[A], keys: str, **read: Reader) -> Layout[A]:
 
 
 def plain(value: object) -> object:
-    """Return `value` as JSON values: arrays as lists, values with a layout as objects, NaN as null.
+    """Return JSON values: arrays as lists, values with a layout as objects, NaN as null.
 
     Raises TypeError for other types.
     """
@@ -273,13 +258,13 @@ def plain(value: object) -> object:
 
 
 def picked(value: object, names: str) -> JsonObject:
-    """Return attributes of a value as JSON values; ``term=key`` puts the attribute `key` under ``term``."""
+    """Return attributes as JSON values; ``term=key`` puts the attribute `key` under ``term``."""
     pairs = (name.partition("=")[::2] for name in names.split())
     return {key: plain(getattr(value, attribute or key)) for key, attribute in pairs}
 
 
 def dumps(document: object) -> str:
-    """Return the text of a JSON document: one key a line, a list of plain values on one line."""
+    """Return the text of a document: one key a line, a list of plain values on one line."""
     return _text(document, "") + "\n"
 
 

@@ -1,7 +1,7 @@
 """Place labels next to their points, inside the plot and without overlap.
 
-Each label tries positions on circles of increasing radius around its anchor, and takes the position with the
-lowest cost. Positions are in display pixels, so the layout of the figure must be final.
+Each label tries positions on circles around its anchor and takes the cheapest. Positions are in display
+pixels, so the layout of the figure must be final.
 """
 
 import math
@@ -18,17 +18,16 @@ if TYPE_CHECKING:
     from matplotlib.backend_bases import RendererBase
     from matplotlib.text import Annotation
 
-#: Distances of a label's nearest edge from its anchor, in points.
+#: Distances from the anchor, in points.
 _DISTANCES = (7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0)
 _ANGLES = np.deg2rad([45, 315, 135, 225, 90, 270, 0, 180, 22, 338, 158, 202, 67, 293, 113, 247])
-#: Margin around a label and inside the frame, in points.
 _PAD = 2.5
 #: Cost of covering another label; leaving the plot costs ten times as much.
 _TAKEN = 1e3
 
 
 class Label(NamedTuple):
-    """A text for one point of the data (a mark), or for the best of k points of a line, shape (k,)."""
+    """A text for one point of the data (a mark), or for the best of k points of a line."""
 
     text: str
     x: float | FloatArray
@@ -50,14 +49,13 @@ class _Box(NamedTuple):
 
     @property
     def middle(self) -> FloatArray:
-        """Centre of the box, shape (2,)."""
         return np.array([(self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2])
 
     def grown(self, pad: float) -> "_Box":
         return _Box(self.x0 - pad, self.y0 - pad, self.x1 + pad, self.y1 + pad)
 
     def holds(self, points: FloatArray) -> int:
-        """Return the number of `points`, shape (k, 2), inside the box."""
+        """Return the number of `points`, shape (k, 2), inside."""
         x, y = points[:, 0], points[:, 1]
         return int(np.count_nonzero((x > self.x0) & (x < self.x1) & (y > self.y0) & (y < self.y1)))
 
@@ -71,11 +69,11 @@ def place_labels(
 ) -> list["Annotation"]:
     """Write `labels` where they cover least; the limits and the position of `axes` must be final.
 
-    `obstacles` are lines to avoid: x and y of the data, and the cost per covered point of the line.
+    `obstacles` are lines to avoid: x and y of the data, and the cost per covered point.
     """
     if not labels:
         return []
-    # The second `figure` leads from a subfigure to the whole figure.
+    # From a subfigure to the whole figure.
     figure = axes.figure.figure
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     scale = figure.dpi / 72
@@ -87,7 +85,7 @@ def place_labels(
     anchors = [axes.transData.transform(np.column_stack([label.x, label.y])) for label in labels]
     room.taken += [_Box(x, y, x, y).grown(4 * scale) for (x, y), *more in anchors if not more]
     written = []
-    # Marks first, those near the left or right side before others; labels of lines are more flexible.
+    # Marks near the left or right side first; labels of lines are more flexible.
     pairs = zip(labels, anchors, strict=True)
     for label, points in sorted(pairs, key=lambda pair: (len(pair[1]) > 1, room.freedom(pair[1]))):
         anchor, box = room.best(points, _size(axes, label.text, fontsize, renderer))
@@ -98,14 +96,11 @@ def place_labels(
     return written
 
 
-#: Cost of a position, its anchor, and the box of the text.
 _Place: TypeAlias = tuple[float, FloatArray, _Box]
 
 
 @dataclass(slots=True, kw_only=True)
 class _Room:
-    """Occupied boxes and lines, in pixels."""
-
     frame: _Box
     scale: float
     points: list[tuple[FloatArray, float]]
@@ -113,22 +108,20 @@ class _Room:
     leaders: list[FloatArray] = field(default_factory=list)
 
     def freedom(self, anchors: FloatArray) -> float:
-        """Return the smallest distance of an anchor from the left or right side."""
         x = anchors[:, 0]
         return float(np.minimum(x - self.frame.x0, self.frame.x1 - x).min())
 
     def best(self, anchors: FloatArray, size: tuple[float, float]) -> tuple[FloatArray, _Box]:
-        """Return the anchor and the box with the lowest cost for a text of `size`."""
         distances = _DISTANCES if len(anchors) == 1 else _DISTANCES[:4]
         near = (
-            (distance / 30, anchor, _beside(anchor, size, distance * self.scale, float(angle)))
+            (distance / 30, anchor, _box_near(anchor, size, distance * self.scale, float(angle)))
             for anchor in anchors
             for distance in distances
             for angle in _ANGLES
         )
         lowest, anchor, box = self._lowest(near)
         if lowest >= _TAKEN:
-            # No free position nearby: try the whole plot, with a long leader.
+            # No free position nearby.
             farther = self._lowest(self._anywhere(anchors, size))
             return (anchor, box) if lowest <= farther[0] else farther[1:]
         return anchor, box
@@ -150,7 +143,6 @@ class _Room:
                 yield float(away[nearest]) / 30 / self.scale, anchors[nearest], box
 
     def take(self, anchor: FloatArray, box: _Box) -> None:
-        """Mark a box and its leader as occupied."""
         self.taken.append(box.grown(_PAD * self.scale))
         leader = _leader(anchor, box)
         self.points.append((leader, 6.0))
@@ -161,7 +153,7 @@ class _Room:
         cost += _TAKEN * sum(box.overlaps(other) for other in self.taken)
         if cost:
             return cost
-        # The leader starts in the box of its own anchor, which therefore does not count.
+        # The leader starts in the box of its own anchor, which does not count.
         leader = _leader(anchor, box)
         others = [other for other in self.taken if not other.holds(anchor[None, :])]
         crossed = sum(other.holds(leader) for other in others)
@@ -170,7 +162,7 @@ class _Room:
 
 
 def _leader(anchor: FloatArray, box: _Box) -> FloatArray:
-    """Return points on the line from the anchor to the centre of the box, outside the box; shape (k, 2)."""
+    """Return points between anchor and box, shape (k, 2)."""
     steps = np.linspace(0, 1, 40)[:, None]
     line = anchor + steps * (box.middle - anchor)
     inside = (line[:, 0] > box.x0) & (line[:, 0] < box.x1) & (line[:, 1] > box.y0) & (line[:, 1] < box.y1)
@@ -178,7 +170,7 @@ def _leader(anchor: FloatArray, box: _Box) -> FloatArray:
 
 
 def _cross(one: FloatArray, other: FloatArray) -> bool:
-    """Return whether two straight lines cross; each is given by points on it, shape (k, 2)."""
+    """Return whether two straight lines cross, given by points, shape (k, 2)."""
     if len(one) < 2 or len(other) < 2:
         return False
     (a, b), (c, d) = one[[0, -1]], other[[0, -1]]
@@ -189,7 +181,7 @@ def _cross(one: FloatArray, other: FloatArray) -> bool:
     return side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b)
 
 
-def _beside(anchor: FloatArray, size: tuple[float, float], distance: float, angle: float) -> _Box:
+def _box_near(anchor: FloatArray, size: tuple[float, float], distance: float, angle: float) -> _Box:
     """Return the box whose nearest edge is `distance` from the anchor, in direction `angle`."""
     x = anchor[0] + math.cos(angle) * (distance + size[0] / 2)
     y = anchor[1] + math.sin(angle) * (distance + size[1] / 2)

@@ -18,9 +18,8 @@ __all__ = ["Markup", "both_units", "render"]
 def render(template: str, /, *, package: str = "imucal.report", **values: object) -> Markup:
     """Return a template of a package's folder ``templates``, filled with values.
 
-    Templates can extend, include and import templates of their own package and of this one. ``text_of(name)``
-    returns a file of the folder unchanged, for styles and scripts. None is shown as an empty text; a missing
-    value is an error.
+    Templates can extend, include and import those of their own package and of this one. ``text_of(name)``
+    returns a file of the folder unchanged. None is shown as an empty text; a missing value is an error.
     """
     return Markup(_environment(package).get_template(template).render(values))  # noqa: S704 - escaped
 
@@ -54,5 +53,5 @@ def _shown(value: object) -> object:
 
 
 def both_units(sheet: str | Markup, plain: str | Markup) -> Markup:
-    """Return a text in data-sheet units and in SI; the page shows one of the two."""
+    """Return a text in both units; the page shows one of the two."""
     return Markup('<span class="sheet">{}</span><span class="si">{}</span>').format(sheet, plain)

@@ -1,4 +1,4 @@
-"""Representations of recordings, curves, fits and reports in notebooks: text, HTML table, data frame."""
+"""Recordings, curves, fits and reports in notebooks: text, HTML table, data frame."""
 
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -18,16 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = ["frame_of", "html_of", "text_of"]
 
-#: Sensor, axes, length, samples and gaps of a clock.
 _Clock: TypeAlias = tuple[str, str, str, str, str]
-#: Largest number of lines of a text.
 _LINES = 12
-#: Largest number of rows of a curve's table; others are left out in the middle.
 _MAX_ROWS = 12
 
 
 def text_of(value: Displayed) -> str:
-    """Return a summary of a value, at most twelve lines."""
+    """Return a summary of at most twelve lines."""
     return "\n".join(_lines(value))
 
 
@@ -70,7 +67,6 @@ def _axis_report_lines(axis: AxisReport) -> Iterator[str]:
 
 
 def _axis_lines(seen: View) -> Iterator[str]:
-    """Yield one line per axis, with its terms."""
     terms = [row for row in seen.rows if row.symbol]
     for index, name in enumerate(seen.names):
         texts = [f"{key} {text}" for key, text in _cells(terms, index)]
@@ -78,14 +74,12 @@ def _axis_lines(seen: View) -> Iterator[str]:
 
 
 def _cells(rows: Iterable[Row], index: int) -> Iterator[tuple[str, str]]:
-    """Yield keys and texts of the cells of one column."""
     for row in rows:
         if cell := row.cells[index]:
             yield row.key, f"{numbers.with_interval(cell.sheet)} {cell.note}".rstrip()
 
 
 def _axes_of(recording: Recording) -> list[_Clock]:
-    """Return sensor, axes, length, samples and gaps of each clock."""
     rows: dict[int, _Clock] = {}
     for series in recording.series:
         sensor, name, length, samples, gaps = rows.get(id(series.clock), _axis_row(series))
@@ -102,12 +96,12 @@ def _axis_row(series: AxisSeries) -> _Clock:
 
 
 def html_of(value: Displayed) -> Markup:
-    """Return a value as an HTML table with its style sheet."""
+    """Return an HTML table with its style sheet."""
     return render("notebook.html", **_tables(value))
 
 
 def _tables(value: Displayed) -> dict[str, Any]:
-    """Return the values for the template: views of fits, or a caption, titles and rows of text."""
+    """Return views of fits, or a caption, titles and rows of text."""
     caption, *more = text_of(value).split("\n")
     match value:
         case Recording() | AxisSeries():
@@ -131,7 +125,7 @@ def _tables(value: Displayed) -> dict[str, Any]:
 
 
 def frame_of(value: Displayed) -> "pl.DataFrame":
-    """Return a value as a data frame: samples, points of a curve, or one row per term and axis; SI."""
+    """Return samples, points of a curve, or one row per term and axis, in SI."""
     import polars as pl
 
     match value:
@@ -159,7 +153,7 @@ def frame_of(value: Displayed) -> "pl.DataFrame":
 
 
 def _frame(seen: Iterable[View]) -> "pl.DataFrame":
-    """Return one row per term and axis: value (null if only a bound is known) and limits in both units."""
+    """Return one row per term and axis in both units; the value is null if only a bound is known."""
     import polars as pl
 
     parts = ("value", "low", "high", "unit")

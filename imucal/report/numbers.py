@@ -1,9 +1,7 @@
 """Format values for people: as many digits as the interval supports; bounds as ``< high``.
 
-Each sensor has one set of data-sheet units, so that no row and no plot mixes units.
-
-Rounding follows the Particle Data Group: an uncertainty whose three leading digits are below 355 keeps two
-digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
+Each sensor has one set of data-sheet units. Rounding: an uncertainty whose three leading digits are below 355
+keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
 """
 
 import math
@@ -21,11 +19,11 @@ from imucal.recording import Sensor
 from imucal.units import DATASHEET_UNITS, DatasheetUnit, pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-#: If the ratio of the sides is larger, the interval is printed instead of a symmetric uncertainty.
+#: Above this ratio of the sides, the interval is printed instead of a symmetric uncertainty.
 _ASYMMETRY = 1.25
-#: Numbers with more characters are written with an exponent.
+#: Longer numbers are written with an exponent.
 _LONGEST = 10
-#: Drifts below this, in degrees, metres or metres per second, are printed in thousandths.
+#: Drifts below this are printed in thousandths.
 _SMALL = 0.1
 
 
@@ -33,8 +31,7 @@ _SMALL = 0.1
 class Quantity:
     """A value with its limits and unit; `value` is None if only the bound `high` is known.
 
-    A quantity without an interval has ``low == value == high``. `drawn` is the coefficient in the model if
-    only a bound is known.
+    Without an interval, ``low == value == high``. `drawn` is the coefficient in the model of a bounded term.
     """
 
     value: float | None
@@ -45,22 +42,20 @@ class Quantity:
 
     @classmethod
     def of(cls, known: Any, unit: str = "") -> "Quantity":  # noqa: ANN401
-        """Return the quantity of an object with value and limits, such as an estimate."""
+        """Return the quantity of an object with value and limits."""
         return cls(value=known.value, low=known.low, high=known.high, unit=unit)
 
     @classmethod
     def exactly(cls, value: float) -> "Quantity":
-        """Return a number without interval and unit."""
         return cls(value=value, low=value, high=value)
 
     def scaled(self, factor: float, unit: str = "") -> "Quantity":
-        """Return the quantity in another unit: ``value * factor``."""
         value, drawn = (None if x is None else x * factor for x in (self.value, self.drawn))
         low, high = self.low * factor, self.high * factor
         return Quantity(value=value, low=low, high=high, unit=unit, drawn=drawn)
 
     def text(self) -> str:
-        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or only the number; without the unit."""
+        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or only the number."""
         value, low, high = self.value, self.low, self.high
         if value is not None:
             return f"{value:.6g}" if low == high else f"{value:.4g} [{low:.4g}, {high:.4g}]"
@@ -75,13 +70,13 @@ class Quantity:
 
 
 def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
-    """Return the Gauss-Markov term of an estimate with a value; None if the model lacks it."""
+    """Return the term of an estimate with a value; None if the model lacks it."""
     term = fit.drawn.get(estimate.key) if estimate.value is not None else None
     return term if isinstance(term, GaussMarkov) else None
 
 
 def term_name(symbol: str, sensor: Sensor | None) -> str:
-    """Return the usual name of a term for a sensor; its meaning if the sensor is unknown."""
+    """Return the usual name of a term; its meaning if the sensor is unknown."""
     return TERMS[symbol].name(sensor) if sensor else TERMS[symbol].description.meaning
 
 
@@ -101,12 +96,12 @@ def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
 
 
 def correlation_time(interval: Interval) -> Quantity:
-    """Return the correlation time of a Gauss-Markov term, in s."""
+    """Return a correlation time in s."""
     return Quantity.of(interval, "s")
 
 
 def drifted(point: DriftPoint, unit: str) -> Quantity:
-    """Return the drift of dead reckoning in deg, m/s or m, or thousandths; `unit` is rad, m/s or m."""
+    """Return a drift in deg, m/s or m, or thousandths; `unit` is rad, m/s or m."""
     known = Quantity.of(point, unit)
     if unit == "rad":
         known = known.scaled(math.degrees(1), "deg")
@@ -114,10 +109,7 @@ def drifted(point: DriftPoint, unit: str) -> Quantity:
 
 
 def minimum(fit: NoiseFit) -> Quantity:
-    """Return the curve's minimum and the curve's interval there, in SI.
-
-    The interval ignores that the lowest of many points was selected, so it is biased low.
-    """
+    """Return the curve's minimum and its interval, in SI; biased low, as the lowest of many points."""
     adev, tau = fit.curve.minimum
     low, high = fit.curve.confidence_interval(fit.level)
     at = int(np.flatnonzero(fit.curve.tau == tau)[0])
@@ -128,29 +120,20 @@ def minimum(fit: NoiseFit) -> Quantity:
 
 @frozen
 class SheetUnits:
-    """Units for a sensor's printed and drawn numbers.
-
-    `density` is for N and the root of a psd; `level` for Allan deviations, B and the sigma of Gauss-Markov
-    terms.
-    """
+    """Units of a sensor: `density` for N and roots of psds; `level` for Allan deviations, B and sigma."""
 
     level: DatasheetUnit
     density: DatasheetUnit
 
     def estimate(self, estimate: Estimate, sensor: Sensor | None) -> Quantity:
-        """Return an estimate's coefficient."""
         return datasheet(estimate, sensor)
 
     def minimum(self, fit: NoiseFit) -> Quantity:
-        """Return the lowest point of an axis's curve."""
         return minimum(fit).scaled(self.level.factor, self.level.name)
 
 
 def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
-    """Return the units of one sensor's fits: deg/h and deg/√h, or µg and m/s/√h.
-
-    If the sensor is unknown, values keep the unit of the samples.
-    """
+    """Return deg/h and deg/√h, or µg and m/s/√h; the unit of the samples if the sensor is unknown."""
     sensor = fits[0].sensor
     if sensor is None:
         return SheetUnits(level=DatasheetUnit("", 1.0), density=DatasheetUnit("", 1.0))
@@ -158,7 +141,7 @@ def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
 
 
 def alternatives(estimate: Estimate) -> str:
-    """Return ``or GM`` if the data fit another term as well, otherwise an empty text.
+    """Return ``or GM`` if another term fits as well, otherwise an empty text.
 
     With ``or GM, T > 310 s``, the terms do not differ for times up to T.
     """
@@ -167,12 +150,12 @@ def alternatives(estimate: Estimate) -> str:
 
 
 def seconds(value: float) -> str:
-    """Return a time in s with three digits and without an exponent, such as ``2620 s``."""
+    """Return a time with three digits and no exponent, such as ``2620 s``."""
     return f"{float(f'{value:.3g}'):.10g} s"
 
 
 def decimals(quantity: Quantity) -> int:
-    """Return the decimal places that the interval supports (negative: places before the point)."""
+    """Return the decimal places that the interval supports, possibly negative."""
     if quantity.value is None:
         return _places(quantity.high, 2)
     half = (quantity.high - quantity.low) / 2
@@ -180,17 +163,17 @@ def decimals(quantity: Quantity) -> int:
         return _places(quantity.value, 2)
     if half == 0:
         return _places(quantity.value, 4)
-    # Five digits are enough for readers, even if the interval is narrower.
+    # More than five digits help no reader.
     if half <= 1e-4 * abs(quantity.value):
         return _places(quantity.value, 5)
     exponent = math.floor(math.log10(half))
-    # One digit from 355 on; 950 and more round up to 1000, which leaves two.
+    # 950 and more round up to 1000, which leaves two digits.
     places = -exponent + (half / 10.0**exponent < 3.55)
     return max(places, _places(quantity.value, 2))
 
 
 def power_of_ten(quantity: Quantity) -> int:
-    """Return the exponent of the size; 0 for 0.01 to 99999 and for all values in data-sheet units."""
+    """Return the exponent of the size; 0 for 0.01 to 99999 and in data-sheet units."""
     if quantity.unit in DATASHEET_UNITS or not (math.isfinite(quantity.size) and quantity.size > 0):
         return 0
     exponent = math.floor(math.log10(quantity.size))
@@ -198,25 +181,24 @@ def power_of_ten(quantity: Quantity) -> int:
 
 
 def engineering_exponent(quantities: Iterable[Quantity]) -> int:
-    """Return one exponent, a multiple of three, for all `quantities`: it fits the largest value.
+    """Return one exponent, a multiple of three, that fits the largest value.
 
-    Bounds count only if there is no value, because a bound may be far above the values. The exponent is 0 in
-    data-sheet units: 0.0059 m/s/√h is easier to read than 5.9 in a unit of 1e-3 m/s/√h.
+    Bounds count only if there is no value: they may be far above the values. The exponent is 0 in data-sheet
+    units, because 0.0059 m/s/√h is easier to read than 5.9 in a unit of 1e-3 m/s/√h.
     """
     known = [q for q in quantities if math.isfinite(q.size) and q.size > 0]
     sizes = [q.size for q in known if q.value is not None] or [q.size for q in known]
     if not sizes or known[0].unit in DATASHEET_UNITS:
         return 0
     size = math.log10(max(sizes))
-    # Half a decade of tolerance: 0.54e-3 is easier to read than 540e-6, and 120e-6 than 0.12e-3.
+    # Half a decade of tolerance: 0.54e-3 is easier to read than 540e-6.
     return 0 if -2 <= size < 5 else 3 * math.floor((size + 0.5) / 3)
 
 
 def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
     """Return value and interval divided by ``10**exponent``, such as ``("0.2013", "[0.2010, 0.2016]")``.
 
-    A bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` if the model contains the term. Without
-    an interval the second text is empty.
+    A bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` if the model contains the term.
     """
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     if scaled.value is None:
@@ -233,7 +215,7 @@ def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
 def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
     """Return ``0.2013 ± 0.0003 deg/√h``, ``12.1 [11.2, 13.9] deg/h`` or ``< 0.12 deg/h/√h``.
 
-    `exponent` is the common power of ten of a row; by default the quantity's own.
+    `exponent` is a row's common power of ten, by default the quantity's own.
     """
     exponent = power_of_ten(quantity) if exponent is None else exponent
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
@@ -245,14 +227,14 @@ def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
 
 
 def with_interval(quantity: Quantity, *, exponent: int | None = None) -> str:
-    """Return ``0.2013 [0.2010, 0.2016] deg/√h`` or ``< 0.12 deg/h/√h``; `exponent` as above."""
+    """Return ``0.2013 [0.2010, 0.2016] deg/√h`` or ``< 0.12 deg/h/√h``."""
     exponent = power_of_ten(quantity) if exponent is None else exponent
     value, interval = compact(quantity, exponent=exponent)
     return with_unit(f"{value} {interval}".rstrip(), exponent, quantity.unit)
 
 
 def with_unit(body: str, exponent: int, unit: str) -> str:
-    """Return ``0.2013 ×10⁻⁵ deg/√h``, without the power of ten if `exponent` is 0."""
+    """Return ``0.2013 ×10⁻⁵ deg/√h``; no power of ten if `exponent` is 0."""
     return f"{body}{f' ×{ten_to(exponent)}' if exponent else ''} {pretty(unit)}"
 
 
@@ -262,7 +244,7 @@ def ten_to(exponent: int) -> str:
 
 
 def scientific(value: float) -> str:
-    """Return a number with three digits, such as ``0.0332`` or ``1.49 ×10⁻⁵``."""
+    """Return three digits, such as ``0.0332`` or ``1.49 ×10⁻⁵``."""
     if not (math.isfinite(value) and value):
         return f"{value:g}"
     # Take the exponent after rounding, which may carry into the next decade.
@@ -280,7 +262,6 @@ def _symmetric(quantity: Quantity) -> bool:
 
 
 def _places(size: float, digits: int) -> int:
-    """Return the decimal places that show `digits` significant digits of `size`."""
     if not (math.isfinite(size) and size):
         return 0
     exponent = math.floor(math.log10(abs(size)))
@@ -291,14 +272,13 @@ def _places(size: float, digits: int) -> int:
 
 
 def _bound(high: float) -> str:
-    """Return ``< high`` with two digits."""
     if not math.isfinite(high):
         return "unknown"
     return f"< {rounded_up(high, 2)}" if high else "0"
 
 
 def rounded_up(bound: float, digits: int) -> str:
-    """Return a bound with `digits` digits, rounded up so that it remains valid."""
+    """Return a bound rounded up to `digits` digits, so that it remains valid."""
     places = digits - 1 - math.floor(math.log10(bound))
     # The rounding error of a binary fraction must not turn 0.12 into 0.13.
     raised = math.ceil(bound * 10.0**places * (1 - 1e-12)) / 10.0**places
@@ -306,7 +286,7 @@ def rounded_up(bound: float, digits: int) -> str:
 
 
 def _in_powers(value: float, places: int) -> str:
-    """Return a number such as ``1.45e-9``, with the digits that `places` decimal places show, but 2 to 5."""
+    """Return a number such as ``1.45e-9``: the digits that `places` decimal places show, but 2 to 5."""
     exponent = math.floor(math.log10(abs(value)))
     mantissa, power = f"{value:.{min(max(places + exponent, 1), 4)}e}".split("e")
     whole, _, part = mantissa.partition(".")

@@ -16,11 +16,8 @@ from imucal.errors import WriteError
 
 __all__ = ["OutFolder", "has_schema", "held_by", "home_of"]
 
-#: Name of the scratch folder.
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
-#: Name of the incomplete document in the scratch folder.
 _BEGUN = "begun.json"
-#: Number of foreign files that a message names.
 _NAMED = 3
 
 
@@ -35,8 +32,6 @@ class OutFolder:
 
     Attributes
     ----------
-    path
-        The folder.
     what
         Name of the results in messages, such as ``imucal report``.
     document
@@ -77,7 +72,6 @@ class OutFolder:
                     raise WriteError(f"{file}: is a folder, expected a file of {self._results}; move it away")
 
     def check(self) -> None:
-        """Raise a WriteError if the folder is foreign or can't be written."""
         self.refuse_foreign()
         with self._translated():
             home = home_of(self.path)
@@ -86,10 +80,7 @@ class OutFolder:
                 raise OSError(wrong[0], os.strerror(wrong[0]))
 
     def write(self, contents: Mapping[str, bytes]) -> tuple[Path, ...]:
-        """Write files, the document first in `contents`; return their paths.
-
-        A WriteError if that is not possible, or if the folder is foreign.
-        """
+        """Write files, the document first in `contents`; return their paths. Raises WriteError."""
         self.refuse_foreign(contents)
         with self._translated(), self._scratch() as scratch:
             for name, content in contents.items():
@@ -100,7 +91,6 @@ class OutFolder:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Turn an OSError into a WriteError with advice."""
         try:
             yield
         except OSError as error:
@@ -114,12 +104,12 @@ class OutFolder:
 
     @contextmanager
     def _scratch(self) -> Iterator[Path]:
-        """Yield a scratch folder on the same file system; it is removed whatever happens."""
+        """Yield a scratch folder on the same file system, and remove it."""
         home = self.path if self.path.is_dir() else self.path.parent
         home.mkdir(parents=True, exist_ok=True)
         sweep(path for path in home.iterdir() if _SCRATCH.fullmatch(path.name))
         folder = home / f".imucal-{secrets.token_hex(8)}.tmp"
-        # Unlike mkdtemp, mkdir gives the folder the rights that the user's umask allows.
+        # Unlike mkdtemp, mkdir respects the user's umask.
         folder.mkdir()
         try:
             yield folder
@@ -128,7 +118,6 @@ class OutFolder:
                 shutil.rmtree(folder)
 
     def _publish(self, scratch: Path, names: Sequence[str]) -> None:
-        """Move the complete files to their places, then remove obsolete files."""
         if not self.path.exists():
             try:
                 scratch.rename(self.path)
@@ -164,7 +153,7 @@ class OutFolder:
 
 
 def has_schema(path: Path, schema: str) -> bool:
-    """Return whether a file is a JSON document with a schema, of any version."""
+    """Return whether a file is a JSON document of the schema, in any version."""
     try:
         found = json.loads(path.read_bytes()).get("schema")
     except (OSError, ValueError, AttributeError):
@@ -184,7 +173,7 @@ def held_by(out: Path) -> str:
 
 
 def home_of(out: Path) -> Path:
-    """Return the path itself if it exists, otherwise the nearest folder above it."""
+    """Return the path if it exists, otherwise the nearest folder above it."""
     return next(folder for folder in (out, *out.absolute().parents) if folder.exists())
 
 

@@ -1,7 +1,7 @@
-"""The sections of the page: the values for each template.
+"""The sections of the page.
 
-Numbers are given in data-sheet units and in SI; the page shows one or the other. The picture of an axis's
-noise over time has relative heights, so that it fits both units.
+Numbers are given in data-sheet units and in SI; the page shows one or the other. The noise over time has
+relative heights, which fit both.
 """
 
 import json
@@ -34,16 +34,15 @@ from imucal.report.result import AxisReport, Report
 from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
-#: Header and cells of a row.
 _Row: TypeAlias = tuple[str, list[str]]
-#: Level, code, advice and the part of the log to keep, by which findings are grouped.
+#: Findings are grouped by level, code, advice and the part of the log to keep.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 _NOTHING = "–"
 
 
 def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
-    """Return the pictures and the tables of both sensors; `pictures` is name -> data URL."""
+    """Return the pictures and both sensors' tables; `pictures` is name -> data URL."""
     tables = [
         (
             *(seen, axes[0], [f"{axis.rate_hz:.6g}" for axis in axes]),
@@ -65,12 +64,12 @@ def _states(seen: View, key: str) -> list[tuple[float, float] | None]:
 
 
 def findings_section(report: Report) -> Markup:
-    """Return all findings, errors first, grouped by advice."""
+    """Return all findings."""
     return listed_findings(_all_findings(report))
 
 
 def listed_findings(found: Iterable[tuple[str, Finding]]) -> Markup:
-    """Return pairs of axis and finding as a list of the page: errors first, one entry per advice."""
+    """Return pairs of axis and finding as a list: errors first, one entry per advice."""
     grouped: dict[_Kind, dict[str, list[str]]] = {}
     for axis, finding in found:
         kind = (finding.level, finding.code, finding.advice, finding.keep_s)
@@ -101,25 +100,23 @@ def _all_findings(report: Report) -> Iterator[tuple[str, Finding]]:
 
 
 def _names(axes: list[str], text: str) -> str:
-    """Return the axes, unless the sentence starts with them."""
     names = " ".join(dict.fromkeys(axis for axis in axes if axis))
     return "" if text.startswith(names) else names
 
 
 def _sentence(text: str) -> str:
-    """Return the text with a capital letter, unless it starts with a name, and with a full stop."""
     first = text.split(" ", 1)[0]
     text = pretty(text if "_" in first else text[:1].upper() + text[1:])
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
 def glossary_section() -> Markup:
-    """Return the explanation of the terms, in both units."""
+    """Return the explanation of the terms."""
     return render("terms.html", terms=TERMS.items(), sensors=tuple(Sensor))
 
 
 def method_section(report: Report) -> Markup:
-    """Return the description of the method: log, curve, fit and settings."""
+    """Return the description of log, curve, fit and settings."""
     return render(
         "method.html",
         source=report.source,
@@ -129,7 +126,7 @@ def method_section(report: Report) -> Markup:
 
 
 def axis_section(report: Report, axis: AxisReport, pictures: Mapping[str, str]) -> Markup:
-    """Return the plots of one axis with captions, and the curve as a table."""
+    """Return the plots of one axis, and the curve as a table."""
     units = units_of(report, axis.sensor)
     lowest = (units.minimum(axis.fit), numbers.minimum(axis.fit))
     return render(
@@ -156,16 +153,15 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
         yield f"{curve.tau[i]:.6g}", cells
 
 
-#: Width of the picture, height of a row, and margins, in user units of the SVG.
+#: User units of the SVG.
 _WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
-#: Limits of the half-height of a row, as a logarithm and as a ratio; larger deviations are cut.
+#: Limits of the half-height of a row, as a logarithm and as a ratio.
 _MIN_HEIGHT, _MAX_HEIGHT = 0.02, 4.0
-#: Largest number of steps between labelled times.
 _MARKS = 6
 
 
 def segments_figure(axis: AxisReport) -> Markup | None:
-    """Return N and the floor over time with a caption; None if the record was not cut into segments."""
+    """Return N and the floor over time; None if the record was not cut into segments."""
     segments = axis.fit.segments
     if segments is None or segments.white is None:
         return None
@@ -190,9 +186,9 @@ def segments_figure(axis: AxisReport) -> Markup | None:
 def _segments_row(
     segments: Segments, trace: Trace, name: str, top: int, *, whole: Estimate | None = None
 ) -> dict[str, object]:
-    """Return one row: a bar for each segment, the interval of the whole record, and a scale.
+    """Return one row: a bar per segment, the interval of the whole record, and a scale.
 
-    Heights are relative to the geometric mean of the trace's values.
+    Heights are relative to the geometric mean.
     """
     mean = float(np.exp(np.mean(np.log(trace.value))))
     band = (whole.low / mean, whole.high / mean) if whole else ()
@@ -226,10 +222,8 @@ def _ticks(reach: float) -> list[float]:
 
 
 def _times(segments: Segments) -> list[tuple[float, str]]:
-    """Return the positions and labels of some round times."""
     end = float(segments.end_s[-1])
     unit, name = (3600.0, "h") if end >= 2 * 3600 else (60.0, "min") if end >= 120 else (1.0, "s")
-    # 0.1, 0.2, 0.5, 1, 2, 5 and so on.
     steps = (part * 10.0**power for power in count(-1) for part in (1, 2, 5))
     step = next(s for s in steps if end / unit / s <= _MARKS)
     marks = step * unit * np.arange(math.floor(end / unit / step) + 1, dtype=np.float64)
@@ -239,7 +233,6 @@ def _times(segments: Segments) -> list[tuple[float, str]]:
 
 
 def _x(segments: Segments, seconds: FloatArray) -> list[float]:
-    """Return the horizontal positions of times."""
     end = float(segments.end_s[-1])
     places: list[float] = (_LEFT + seconds / end * (_WIDTH - _RIGHT - _LEFT)).round(1).tolist()
     return places
@@ -250,14 +243,14 @@ def drift_section(report: Report) -> Markup | None:
     if not report.verdict.usable or not report.axes:
         return None
     found = drift(report)
-    # The last quantity of a kind is the total of its parts.
+    # The last quantity of a kind is the total.
     last = {quantity.name.split(" ")[0].rstrip(","): quantity for quantity in found.quantities}
     titles = ["Error", *(f"after {duration(point.time_s)}" for point in found.quantities[0].points)]
     return render("drift.html", drift=found, quantities=last.values(), titles=titles, numbers=numbers)
 
 
 def downstream_section(report: Report) -> Markup:
-    """Return the numbers for config files with their formulas; no numbers if the data are not noise."""
+    """Return the numbers for config files with their formulas; none if the data are not noise."""
     if not report.verdict.usable:
         message = f"{report.verdict.sentence}. No filter should be given its numbers."
         return Markup("<p>{}</p>").format(message)
@@ -297,13 +290,13 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
 
 
 def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:
-    """Return ((sigma, T), axis) for the largest of the axes' slowest Gauss-Markov terms; None without any."""
+    """Return ((sigma, T), axis) of the largest of the axes' slowest Gauss-Markov terms."""
     known = ((chosen.slowest(axis), axis.axis) for axis in chosen.axes(sensor))
     return max((((term.sigma, term.T), axis) for term, axis in known if term), default=None)
 
 
 def _floors(fit: NoiseFit, units: SheetUnits) -> list[Markup]:
-    """Return B, 0.664 B, the curve's minimum, and the minimum divided by 0.664, as texts."""
+    """Return B, 0.664 B, the curve's minimum, and the minimum divided by 0.664."""
     flicker = (units.estimate(fit["B"], fit.sensor), numbers.si(fit["B"], fit.sensor))
     lowest = (units.minimum(fit), numbers.minimum(fit))
     columns = [

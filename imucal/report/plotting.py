@@ -35,9 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-#: Width and height of one plot, in inches.
+#: Inches.
 _WIDTH, _HEIGHT = 6.4, 4.2
-#: Largest number of stretches in the plot of a signal.
 _STRETCHES = 800
 
 
@@ -76,7 +75,6 @@ def plot(value: object, ax: "Axes | Sequence[Axes] | None" = None) -> "Axes | tu
 
 
 def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]":
-    """Return `count` axes: the given ones, or new ones in a new figure."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -94,7 +92,6 @@ def _places(ax: "Axes | Sequence[Axes] | None", count: int) -> "tuple[Axes, ...]
 
 
 def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
-    """Draw the signals or the curves of a sensor's axes, with a legend."""
     if isinstance(parts[0], AxisReport):
         draw_allan_overview(axes, parts, sheet_units([axis.fit for axis in parts]))
         name_axes(axes, parts)

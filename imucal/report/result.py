@@ -17,17 +17,16 @@ from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
 #: Shorter records, in s, do not show the errors of filters that coast for a minute, a fifth of this.
-_TELLS_S = 300.0
-#: Codes of findings about an axis without a result.
+_MIN_LENGTH_S = 300.0
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
 @frozen_alone
 class Overview(ReadOnlyArrays):
-    """The raw signal, small enough to draw: lowest and highest sample of each of k stretches, in U.
+    """The raw signal to draw: lowest and highest sample of each of k stretches, in U, not centred.
 
-    Shapes (k,). `time_s` is the middle of each stretch, in s from the first sample. Stretches in gaps contain
-    NaN. The mean is not removed.
+    Shapes (k,). `time_s` is the middle of each stretch, in s from the first sample. Stretches in gaps are
+    NaN.
     """
 
     time_s: FloatArray
@@ -36,16 +35,13 @@ class Overview(ReadOnlyArrays):
 
     @classmethod
     def none(cls) -> "Overview":
-        """Return an empty overview: without samples, or if the report was read without its signal file."""
+        """Return an empty overview."""
         empty = np.zeros(0)
         return cls(time_s=empty, low=empty, high=empty)
 
     @classmethod
     def of(cls, series: AxisSeries, *, stretches: int = 1000) -> "Overview":
-        """Return the lowest and highest sample of up to `stretches` equal stretches of time.
-
-        Stretches in gaps contain NaN. O(n), no copy of the samples.
-        """
+        """Return the extremes of up to `stretches` equal stretches of time. O(n), no copy of the samples."""
         clock = series.clock
         size = clock.grid_size
         if not size:
@@ -94,7 +90,6 @@ class AxisReport(Displayed):
 
     @property
     def unit(self) -> str:
-        """SI unit of the samples."""
         return self.sensor.unit
 
     def __getitem__(self, key: str) -> Estimate:
@@ -113,8 +108,6 @@ class Report(Displayed):
 
     Attributes
     ----------
-    source
-        The log.
     axes
         One entry per axis, gyroscope x, y, z first. An axis that can't be analysed is missing; `findings`
         names it.
@@ -161,7 +154,7 @@ class Report(Displayed):
 
     @property
     def _too_short(self) -> bool:
-        """Whether no axis shows B or K in a record that is too short for the coasting times of filters."""
+        """Whether a record too short for the coasting times of filters shows neither B nor K on any axis."""
         slow = [term for axis in self.axes for term in axis.fit.estimates if term.key in {"B", "K"}]
         unseen = bool(slow) and all(term.value is None for term in slow)
-        return unseen and any(axis.samples and axis.duration_s < _TELLS_S for axis in self.axes)
+        return unseen and any(axis.samples and axis.duration_s < _MIN_LENGTH_S for axis in self.axes)

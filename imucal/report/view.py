@@ -18,16 +18,12 @@ from imucal.report.result import AxisReport, Report
 
 __all__ = ["ROWS", "Cell", "Column", "Row", "Shown", "Subject", "View", "ordered_keys", "view", "views"]
 
-#: A column of a view: an axis of a report, or a fit without one.
 Subject: TypeAlias = AxisReport | NoiseFit
 
 
 @frozen
 class Cell:
-    """A quantity of one axis in data-sheet units and in SI; a bound if its value is None.
-
-    `note` is a remark: another term that fits as well, or the averaging time of the minimum.
-    """
+    """A quantity of one axis; `note` names another term that fits as well, or the time of the minimum."""
 
     sheet: Quantity
     si: Quantity
@@ -36,7 +32,7 @@ class Cell:
 
 @frozen
 class Shown:
-    """A cell as text: ``0.2013``, ``[0.2010, 0.2016]``, ``or GM``; a bound is ``< 0.12`` and no interval."""
+    """A cell as text: ``0.2013``, ``[0.2010, 0.2016]``, ``or GM``; a bound has no interval."""
 
     value: str
     interval: str
@@ -58,11 +54,10 @@ class Column:
 
 @frozen
 class Row:
-    """A quantity on every axis of a view, one cell each; None if an axis does not have it.
+    """A quantity on every axis of a view; None if an axis does not have it.
 
-    `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``. The correlation time
-    has the key ``GM1 T``, the lowest point of the curve the key ``minimum``, both without a symbol. Rows are
-    sorted by `place`: terms by rising slope (the index in `TERMS`), then other rows, the minimum last.
+    `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``. The keys ``GM1 T`` and
+    ``minimum`` have no symbol. Rows are sorted by `place`: terms by rising slope, the minimum last.
     """
 
     key: str
@@ -84,7 +79,6 @@ class Row:
 
     @property
     def columns(self) -> tuple[Column, Column]:
-        """Its texts in data-sheet units, and in SI."""
         return self.column(datasheet=True), self.column(datasheet=False)
 
 
@@ -95,10 +89,7 @@ def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
 
 @frozen
 class View:
-    """The results of one sensor as rows.
-
-    `names` are the names of the columns, such as x, y and z; `sensor` is None if it is unknown.
-    """
+    """The results of one sensor as rows; `names` are the names of the columns, such as x, y and z."""
 
     sensor: Sensor | None
     names: tuple[str, ...]
@@ -113,7 +104,7 @@ def views(report: Report) -> tuple[View, ...]:
 
 
 def view(subjects: Mapping[str, Subject]) -> View:
-    """Return the view of at least one axis or fit of a sensor, by the names of their columns."""
+    """Return the view of at least one axis or fit of a sensor, by the names of the columns."""
     found = tuple(subjects.values())
     fits = tuple(map(_fit_of, found))
     units = sheet_units(fits)
@@ -128,7 +119,7 @@ def view(subjects: Mapping[str, Subject]) -> View:
 
 
 def ordered_keys(seen: Sequence[View]) -> list[str]:
-    """Return the keys of the rows of several views in the order of the rows, each key once."""
+    """Return the keys of the rows of several views, each once, in order."""
     places = {row.key: row.place for each in seen for row in each.rows}
     return sorted(places, key=lambda key: (places[key], key))
 
@@ -159,7 +150,6 @@ def _terms(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
 
 
 def _minimum(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
-    """Yield the row of the lowest point of the curve."""
     cells = tuple(
         Cell(
             sheet=units.minimum(fit),
@@ -178,5 +168,4 @@ def _time(estimate: Estimate | None) -> Cell | None:
     return Cell(sheet=time, si=time)
 
 
-#: Functions that yield rows of some axes or fits, given the units of the sheet.
 ROWS: list[Callable[[Sequence[Subject], SheetUnits], Iterator[Row]]] = [_terms, _minimum]

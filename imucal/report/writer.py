@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from imucal.report.figure import Drawings
 
 _REPORT = "report.json"
-#: Files that this module writes, in any version and with any settings.
 _OWN = re.compile(r"report\.(json|html)|signal\.json|(gyro|accel)(_[xyz])?(-paper)?\.(json|png|svg|pdf)")
 
 
@@ -43,13 +42,13 @@ def write_report(
     out
         The folder. An existing report of imucal is replaced, other files are kept.
     formats
-        Formats of the pictures: ``png``, ``svg``, ``pdf``; empty for no pictures.
+        Formats of the pictures: ``png``, ``svg``, ``pdf``; empty for none.
     html
         Whether to write the page.
     paper
-        Whether to also draw curves for one column of a paper, such as ``gyro-paper.pdf``.
+        Whether to draw curves for one column of a paper, such as ``gyro-paper.pdf``.
     tell
-        Function that is called with the finding of each picture or page that was left out.
+        Called with the finding of each picture or page that was left out.
     workers
         Largest number of pictures drawn in parallel, as in `imucal.characterize`.
 
@@ -82,7 +81,6 @@ def _folder(out: str | Path) -> OutFolder:
 
 
 def _names(report: Report, pictures: Sequence[str]) -> tuple[str, ...]:
-    """Return the files of a report in order, report.json first."""
     stems = [*(axis.name for axis in report.axes), *(sensor.short for sensor in Sensor)]
     names = [_REPORT, "report.html", SIGNAL_FILE]
     for stem in stems:
@@ -93,7 +91,7 @@ def _names(report: Report, pictures: Sequence[str]) -> tuple[str, ...]:
 def _contents(
     report: Report, drawings: "Drawings", *, html: bool, tell: Callable[[Finding], None]
 ) -> dict[str, bytes]:
-    """Return name -> content of each file; page and report.json list the pictures that failed."""
+    """Return name -> content; page and report.json list the pictures that failed."""
     contents: dict[str, bytes] = dict(drawings.files)
     failures = tuple(drawings.failures)
     report = replace(report, findings=report.findings + failures)

@@ -14,8 +14,8 @@ from matplotlib.text import Text
 from imucal.arrays import FloatArray
 from imucal.report.labels import (
     Label,
-    _beside,
     _Box,
+    _box_near,
     _cross,
     _dense,
     _leader,
@@ -58,7 +58,7 @@ def test_boxes_that_touch_do_not_overlap() -> None:
 )
 def test_a_label_is_next_to_its_point(angle: float, box: tuple[float, ...]) -> None:
     """Its nearest edge is 3 away from the point (10, 20)."""
-    found = _beside(_points((10, 20))[0], (4.0, 2.0), 3.0, math.radians(angle))
+    found = _box_near(_points((10, 20))[0], (4.0, 2.0), 3.0, math.radians(angle))
     npt.assert_allclose([found.x0, found.y0, found.x1, found.y1], box, atol=1e-12)
 
 
@@ -133,13 +133,13 @@ def test_the_nearest_free_place_is_taken() -> None:
     room, anchor = _room(), _points((100, 50))
     at, first = room.best(anchor, _SIZE)
     assert at.tolist() == [100, 50]
-    assert first == _beside(anchor[0], _SIZE, 7.0, math.radians(45))
+    assert first == _box_near(anchor[0], _SIZE, 7.0, math.radians(45))
     room.points.append((_points(_middle(first)), 1.0))
-    assert room.best(anchor, _SIZE)[1] == _beside(anchor[0], _SIZE, 7.0, math.radians(315))
+    assert room.best(anchor, _SIZE)[1] == _box_near(anchor[0], _SIZE, 7.0, math.radians(315))
     # All that is nearer than 24 covers it.
     room.taken.append(_Box(*anchor[0], *anchor[0]).grown(20))
     _, far = room.best(anchor, _SIZE)
-    assert far in [_beside(anchor[0], _SIZE, 24.0, math.radians(angle)) for angle in range(360)]
+    assert far in [_box_near(anchor[0], _SIZE, 24.0, math.radians(angle)) for angle in range(360)]
 
 
 def test_a_line_is_labelled_where_it_is_free() -> None:
@@ -148,7 +148,7 @@ def test_a_line_is_labelled_where_it_is_free() -> None:
     room.points.append((_points(*((x, y) for x in range(0, 120, 4) for y in range(0, 100, 4))), 5.0))
     at, box = room.best(_points((30, 50), (60, 50), (160, 50)), _SIZE)
     assert at.tolist() == [160, 50]
-    assert box == _beside(at, _SIZE, 7.0, math.radians(45))
+    assert box == _box_near(at, _SIZE, 7.0, math.radians(45))
 
 
 @pytest.mark.parametrize("free", [(10, 10), (190, 90), (12, 90)])

@@ -25,15 +25,14 @@ __all__ = [
     "render",
 ]
 
-#: Files of the folder ``formats``, in the order of the list that users see.
+#: In the order of the list that users see.
 _FAMILIES = (
     *("visual", "gtsam", "lidar", "ros", "autopilots", "simulators", "kf_gins", "matlab"),
     "own_program",
 )
-#: Name of a downstream format -> format.
 TARGETS: dict[str, Target] = {target.name: target for target in read_targets(_FAMILIES)}
 
-#: Other programs' names, which typing errors do not explain -> text of the error message.
+#: Names of other programs that are no typing errors -> text of the error message.
 _OTHERS = {
     "isaac": "Isaac ROS is isaac-ros, Isaac Sim is isaac-sim",
     "orbslam2": "ORB-SLAM2 uses no IMU",

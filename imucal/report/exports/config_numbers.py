@@ -1,7 +1,7 @@
 """The numbers that go into a file: covering numbers or fitted coefficients, inflated on request.
 
-A filter with two numbers per sensor gets the covering pair of `imucal.prediction.filter_numbers`. The fitted
-N and K leave out bias instability, so a filter with them would be overconfident.
+The covering pair is from `imucal.prediction.filter_numbers`. The fitted N and K leave out bias instability,
+so a filter with them would be overconfident.
 """
 
 import math
@@ -30,12 +30,11 @@ AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
 Unidentified: TypeAlias = Literal["bound", "refuse"]
 Basis: TypeAlias = Literal["covered", "as-fitted"]
 
-#: Name of an inflation -> symbols of the terms that it multiplies.
+#: Name of an inflation -> symbols of its terms.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
-#: Symbols of the two numbers of most filters.
 COVERING = ("N", "K")
-#: Bank of Gauss-Markov processes for flicker noise: states per decade of correlation time, and the ratio of
-#: the time at which flicker and white noise are equal to the shortest T.
+#: Gauss-Markov processes for flicker noise: states per decade of correlation time, and the ratio of the time
+#: at which flicker and white noise are equal to the shortest T.
 _PER_DECADE, _MARGIN = 1.5, 10.0
 #: Ratio of the limits of N above which N is too uncertain for a filter.
 _VAGUE = 10.0
@@ -53,10 +52,10 @@ class ExportOptions:
     """The user's options for a downstream file.
 
     - `axis_policy`: for formats with one number per sensor: ``worst``, the largest of the axes; ``rms``, the
-      root of the mean variance; or one axis, ``x``, ``y`` or ``z``
+    root of the mean variance; or one axis, ``x``, ``y`` or ``z``
     - `inflate`: ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance)
     - `unidentified`: whether to write the upper ``bound`` of a term that was not detected, or to ``refuse``
-    - `topic`: topic to write in formats with a topic; None for the log's topic
+    - `topic`: topic in the file; None for the log's topic
     - `numbers`: ``covered``: white noise and walk that cover the fitted spectrum; ``as-fitted``: N and K
     - `horizon_s`: how long the filter may coast, in s; None for the format's usual value
     - `step_s`: interval between two updates of the filter, in s
@@ -84,7 +83,7 @@ class ExportOptions:
                 raise ValueError(f"inflation of {name} must be a positive number, got {factor}")
 
     def factor(self, symbol: str) -> float:
-        """Return the factor on a term's coefficient; 1 if the user inflates nothing."""
+        """Return the factor on a term's coefficient."""
         return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
 
 
@@ -95,15 +94,12 @@ DEFAULT_OPTIONS = ExportOptions()
 class Number:
     """One positive coefficient for a file, in SI, with the inflation applied.
 
-    - `symbol`: symbol of the term
-    - `value`: the coefficient
     - `covers`: whether `value` is from a covering pair; the other attributes describe the fitted coefficient
-    - `axes`: names of the axes that were used: one, or several with the policy ``rms`` or a covering pair
-    - `bounded`: names of the axes whose upper bound replaced the value
-    - `level`: confidence level of the interval or the bound
+    - `axes`: the axes that were used: one, or several with the policy ``rms`` or a covering pair
+    - `bounded`: the axes whose upper bound replaced the value
     - `interval`: confidence interval; None for a bound and for several axes
     - `excess`: ratio of a bound to the largest coefficient whose line stays below the measured Allan curve;
-      None for a value and for several axes
+    None for a value and for several axes
     - `alternatives`: symbols of terms that the record can't distinguish from this one
     - `origin`: description of a number that was not estimated from one record; otherwise empty
     """
@@ -150,7 +146,7 @@ class WithBias:
     """An axis as white noise N and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
 
     `white` is N in U/sqrt(Hz), `driving` the density of the noise that drives the bias, in U/sqrt(s), and
-    `correlation_time` T in s. `used` are the numbers from which they follow; `note` explains their origin.
+    `correlation_time` T in s. They follow from the numbers `used`; `note` explains their origin.
     """
 
     white: float
@@ -169,9 +165,8 @@ class WithBias:
 class Numbers:
     """The numbers of a report for one file format.
 
-    Every method raises `DataError` if the report lacks a number: a sensor or an axis is missing, or a term
-    was not detected and the user refused its bound. Formats iterate over `sensors`, because a log may contain
-    only one sensor.
+    Every method raises `DataError` if the report lacks a sensor or an axis, or if a term was not detected and
+    the user refused its bound. Formats iterate over `sensors`, because a log may contain only one sensor.
     """
 
     report: Report
@@ -189,26 +184,22 @@ class Numbers:
     def stream_hz(self) -> float:
         """Rate in Hz of a file with a single rate: the gyroscope's if the log has one.
 
-        A program with one rate reads both sensors as one stream of messages and interpolates the slower one.
-        The densities N and K do not depend on the rate; discrete numbers use the rate of the stream.
+        A program with one rate reads both sensors as one stream and interpolates the slower one.
         """
         return self.rate_hz(self.sensors[0])
 
     def axes(self, sensor: Sensor) -> tuple[AxisReport, ...]:
-        """Return the axes of a sensor; at least one."""
         if sensor not in self.report.by_sensor:
             raise self._missing(str(sensor))
         return tuple(self.report.by_sensor[sensor])
 
     def axis(self, sensor: Sensor, axis: Axis) -> AxisReport:
-        """Return one axis."""
         for candidate in self.axes(sensor):
             if candidate.axis == axis:
                 return candidate
         raise self._missing(f"{sensor.short}_{axis}")
 
     def triad(self, sensor: Sensor) -> tuple[AxisReport, AxisReport, AxisReport]:
-        """Return all three axes of a sensor."""
         return self.axis(sensor, "x"), self.axis(sensor, "y"), self.axis(sensor, "z")
 
     def rate_hz(self, sensor: Sensor) -> float:
@@ -234,7 +225,7 @@ class Numbers:
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, ...]:
-        """Return a number for each of the three axes, without the axis policy."""
+        """Return a number for each of the three axes."""
         return tuple(self._number([axis], symbol) for axis in self.triad(sensor))
 
     def pair(self, axes: Sequence[AxisReport], *, time_s: float | None = None) -> FilterNumbers:
@@ -309,7 +300,7 @@ class Numbers:
         )
 
     def gauss_markov(self, axis: AxisReport) -> dict[str, GaussMarkov]:
-        """Return key -> Gauss-Markov term (inflated) of an axis."""
+        """Return key -> inflated Gauss-Markov term."""
         return {
             e.key: GaussMarkov(sigma=e.value * self.options.factor(e.symbol), T=e.correlation_time.value)
             for e in axis.fit.estimates
@@ -317,14 +308,13 @@ class Numbers:
         }
 
     def slowest(self, axis: AxisReport) -> GaussMarkov | None:
-        """Return an axis's slowest Gauss-Markov term (inflated); None if it has none."""
+        """Return an axis's slowest Gauss-Markov term, inflated."""
         return max(self.gauss_markov(axis).values(), key=lambda term: (term.T, term.sigma), default=None)
 
     def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
         """Return each axis as white noise and a bias; all biases have the same correlation time T.
 
-        With covered numbers, try each fitted T and one far beyond the horizon; take the cheapest for all
-        axes. With fitted numbers, take the longest T; each axis keeps its driving noise.
+        With fitted numbers, T is the longest one; each axis keeps its driving noise.
         """
         if not self.covers:
             fitted = [self._fitted_bias(axis) for axis in axes]
@@ -386,7 +376,7 @@ class Numbers:
         """Return N and the process that best approximates the slower noise.
 
         The first that applies: a random walk that was detected as such, with a nominal T, because a short T
-        would limit its growth; the slowest Gauss-Markov term with its own T; the bound on K with a nominal T.
+        would limit its growth; the slowest Gauss-Markov term; the bound on K with a nominal T.
         """
         used, term, walk = [self.of(axis, "N")], self.slowest(axis), axis.fit["K"]
         if term is not None and (walk.value is None or walk.drawn is None):
@@ -449,7 +439,6 @@ def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMa
 
 
 def _joined(numbers: Sequence[Number], value: float) -> Number:
-    """Return one number with `value` for several axes."""
     if len(numbers) == 1:
         return replace(numbers[0], value=value)
     return Number(

@@ -1,7 +1,7 @@
 """One downstream format: its file, its keys and their formulas, and the comment at the top of the file.
 
-`formats/*.toml` define the formats as data: texts, keys, and a template of the file. The comment explains the
-origin of the numbers. Numbers are formatted for the consumers' own parsers.
+`formats/*.toml` define the formats as data: texts, keys, and a template of the file. Numbers are formatted
+for the consumers' own parsers.
 """
 
 import json
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def name_key(name: str) -> str:
-    """Return the letters and digits of a name in lower case; names are compared by these alone."""
+    """Return the letters and digits of a name in lower case, for comparisons."""
     return "".join(sign for sign in name.lower() if sign.isalnum())
 
 
@@ -45,9 +45,8 @@ def real(value: float) -> str:
     """Return a number with eight digits and a decimal point: ``200.0``, ``1.0e-05``.
 
     A factor just below 1, such as phi of a Gauss-Markov process, keeps all digits for its distance from 1.
-
-    The point makes both OpenCV's FileStorage and YAML 1.1 read a real number. Without it OpenCV reads ``200``
-    as an integer, and YAML reads ``1e-05`` as a string. Raises ValueError if the number is not finite.
+    Without the point, OpenCV's FileStorage reads ``200`` as an integer, and YAML 1.1 reads ``1e-05`` as a
+    string. Raises ValueError if the number is not finite.
     """
     if not math.isfinite(value):
         raise ValueError(f"only finite numbers can be written, got {value}")
@@ -59,7 +58,7 @@ def real(value: float) -> str:
 
 
 def decimal(value: float) -> str:
-    """Return a number without an exponent, for parsers that reject exponents: ``0.00001``."""
+    """Return a number for parsers that reject exponents: ``0.00001``."""
     digits = format(Decimal(real(value)), "f")
     return digits if "." in digits else digits + ".0"
 
@@ -74,7 +73,6 @@ def comment(lines: Iterable[str], sign: str = "#") -> str:
     return "\n".join(f"{sign} {one_line(line)}".rstrip() for line in lines)
 
 
-#: Units of the samples' rate of change.
 _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
 
 
@@ -144,12 +142,11 @@ class Key:
 
     @property
     def unit(self) -> str:
-        """Unit of the number."""
         return self.formula.unit.format(u=_GROWTH[self.sensor] if self.symbol == "K" else self.sensor.unit)
 
 
 class Entry(NamedTuple):
-    """A key with its number, or with a list of three numbers, one per axis."""
+    """A key with its number, or with one number per axis."""
 
     name: str
     sensor: Sensor
@@ -160,12 +157,10 @@ class Entry(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Origin of the number."""
         return self.numbers[0].note
 
     @property
     def remark(self) -> str:
-        """Unit and origin."""
         return f"{self.unit}; {self.note}"
 
     @property
@@ -194,10 +189,10 @@ class Target:
     - `documented`: key -> lowest and highest value that the consumer documents
     - `carries`: symbols of the terms that the format supports
     - `per_axis`: whether the file contains a number for each axis
-    - `own_rates`: whether each sensor has its own rate; otherwise both sensors share one stream
+    - `own_rates`: whether each sensor has its own rate
     - `notes`: further lines of the comment
     - `layout`: ``json``, ``xml``, ``opencv``, or the sign that starts a comment
-    - `horizon_s`: how long a filter may coast unless the user chooses otherwise, in s
+    - `horizon_s`: default time that a filter may coast, in s
     """
 
     name: str
@@ -233,7 +228,6 @@ class Target:
         return name_key(name) == name_key(self.name)
 
     def numbers(self, report: Report, options: ExportOptions) -> Numbers:
-        """Return the numbers of a report for this format."""
         return Numbers(
             report=report,
             options=options,
@@ -324,7 +318,6 @@ def _entries(numbers: Numbers, keys: Iterable[Key]) -> Iterator[Entry]:
 
 
 def _biased(numbers: Numbers, bias: str) -> dict[Sensor, list[WithBias]]:
-    """Return the axes of each sensor as white noise and a bias."""
     triads = {sensor: numbers.triad(sensor) for sensor in numbers.sensors}
     axes = [axis for triad in triads.values() for axis in triad]
     groups = [axes] if bias == "all axes" else [[axis] for axis in axes]
@@ -339,7 +332,6 @@ def template(text: str) -> "Template":
 
 
 def _format(name: str) -> str:
-    """Return the text of a file of the folder ``formats``."""
     return files("imucal.report.exports").joinpath("formats", name).read_text("utf-8")
 
 
@@ -360,7 +352,6 @@ def _environment() -> "Environment":
 
 
 def _spelled(value: object) -> object:
-    """Return a float, or a list of floats, as text."""
     if isinstance(value, float):
         return real(value)
     return f"[{', '.join(map(real, value))}]" if isinstance(value, list) else value
