@@ -325,6 +325,26 @@ def whole(
     print(f"{title}: {text}; {least}; {applied_in}; {size}; {shares}; refused {refused}", flush=True)
 
 
+def twice(
+    title: str,
+    seeds: range,
+    draw: Callable[[np.random.Generator], tuple[Truth, Log]],
+    noise: tuple[NoiseModel, NoiseModel],
+    codes: tuple[str, ...] = (),
+    *,
+    in_hand: bool = False,
+) -> None:
+    """Print coverage without a noise report and with the true one."""
+    for name, report in (("no report", None), ("report", models_of(noise))):
+
+        def run(
+            one: Log, _: np.random.Generator, report: dict[str, NoiseModel] | None = report
+        ) -> Calibration:
+            return calibrate(one.recording(), report, LATITUDE, gravity=GRAVITY, in_hand=in_hand)
+
+        whole(f"{title} {name}", seeds, draw, run, codes)
+
+
 def of_sensor(name: str) -> tuple[NoiseModel, NoiseModel]:
     """Return the noise of a sensor's accelerometer and gyroscope."""
     accel, gyro = map(NoiseModel.parse, SENSORS[name])
@@ -342,16 +362,9 @@ def hand(records: int, seed: int) -> None:
                 one = log(truth, noise, attitudes(count, rng), rng, latitude=LATITUDE)
                 return truth, held(one, truth, rng, size=size)
 
-            for name, report in (("no report", None), ("report", models_of(noise))):
-                whole(
-                    f"hand {size:g} {count} x 5 s {name}",
-                    range(seed, seed + records),
-                    draw,
-                    lambda one, _, report=report: calibrate(  # type: ignore[misc]
-                        one.recording(), report, LATITUDE, gravity=GRAVITY, in_hand=True
-                    ),
-                    ("beyond-noise", "rest-moved", "turn-wrong", "noise-differs"),
-                )
+            codes = ("beyond-noise", "rest-moved", "turn-wrong", "noise-differs")
+            title = f"hand {size:g} {count} x 5 s"
+            twice(title, range(seed, seed + records), draw, noise, codes, in_hand=True)
 
 
 def gauss_markov(records: int, seed: int) -> None:
@@ -418,16 +431,13 @@ def warming(records: int, seed: int) -> None:
             one = log(truth, noise, attitudes(18, rng), rng, latitude=LATITUDE)
             return truth, warmed(one, size, 60.0)
 
-        for name, report in (("no report", None), ("report", models_of(noise))):
-            whole(
-                f"warming {1e3 * size[0]:g} mm/s² {np.degrees(size[1]):.2g} deg/s {name}",
-                range(seed, seed + records),
-                draw,
-                lambda one, _, report=report: calibrate(  # type: ignore[misc]
-                    one.recording(), report, LATITUDE, gravity=GRAVITY
-                ),
-                ("warming", "beyond-noise"),
-            )
+        twice(
+            f"warming {1e3 * size[0]:g} mm/s² {np.degrees(size[1]):.2g} deg/s",
+            range(seed, seed + records),
+            draw,
+            noise,
+            ("warming", "beyond-noise"),
+        )
 
 
 def sensitivity(records: int, seed: int) -> None:
@@ -440,15 +450,7 @@ def sensitivity(records: int, seed: int) -> None:
             truth.G[:] = rng.normal(0, size, (3, 3))
             return truth, log(truth, noise, attitudes(14, rng), rng, latitude=LATITUDE)
 
-        for name, report in (("no report", None), ("report", models_of(noise))):
-            whole(
-                f"G of {np.degrees(size * GRAVITY):.2g} deg/s/g {name}",
-                range(seed, seed + records),
-                draw,
-                lambda one, _, report=report: calibrate(  # type: ignore[misc]
-                    one.recording(), report, LATITUDE, gravity=GRAVITY
-                ),
-            )
+        twice(f"G of {np.degrees(size * GRAVITY):.2g} deg/s/g", range(seed, seed + records), draw, noise)
 
 
 def frames(records: int, seed: int) -> None:

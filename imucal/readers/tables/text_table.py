@@ -4,23 +4,18 @@ The first lines determine the layout, and column names the sensors; polars parse
 columns raise an error that lists them. Each sensor may have a file, also in the zip or folder of a phone app.
 """
 
-import re
 import shlex
 import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
+from typing import Any, BinaryIO, TypeAlias, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-from imucal.arrays import BoolArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -28,9 +23,7 @@ from imucal.readers.compression import keep_freed_memory
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import GrowingColumn
 from imucal.readers.tables.columns import ColumnsError, NamedTable
-from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
 from imucal.readers.tables.dialects import find_json, name_columns
 from imucal.readers.tables.file_sets import FileHead, chosen_files
 from imucal.readers.tables.layout import (
@@ -39,7 +32,6 @@ from imucal.readers.tables.layout import (
     TextLayout,
     find_layout,
     is_number,
-    row_pattern,
     rows_of_tag,
     split_line,
 )
@@ -54,6 +46,7 @@ from imucal.readers.tables.tabular import (
     refuse_topics,
     with_more,
 )
+from imucal.readers.tables.text_blocks import BlockReader, Kind, kind_of
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
 from imucal.readers.ways_out import CURVES, LOGGERS, TEXTS, way_out
 from imucal.recording import Recording, Sensor, span_ns
@@ -97,7 +90,8 @@ def _other_rows(path: str, layout: TextLayout) -> str:
         return f"it has a row for each axis, expected a row per sample; type: {command}"
     cells = [cell for row in layout.rows[:3] for cell in row]
     for other in ",;\t":
-        several = any(sum(map(is_number, cell.split(other))) > 1 for cell in cells)
+        # A decimal comma makes two numbers of a cell.
+        several = any(sum(map(is_number, cell.split(other))) > 2 for cell in cells)
         if several and other != delimiter != BLANKS:
             marks, command = f"{delimiter!r} and {other!r}", f"tr {other!r} {delimiter!r} < {log} > log.csv"
             return f"its rows contain two separators, {marks}; type: {command}"
@@ -108,156 +102,6 @@ def _other_rows(path: str, layout: TextLayout) -> str:
 _MAX_COLUMNS = 500
 #: Advice for a file without samples.
 _ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
-
-Kind: TypeAlias = Literal["integer", "float"] | TextKind
-_TEXTS: tuple[Kind, ...] = get_args(TextKind)
-
-_QUOTED = re.compile(rb'"[^"\n]*"')
-_UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
-
-#: Extra column for cells beyond the layout.
-_LONGER = "longer"
-
-_COMMENTS = ("#", "%", "//", ";")
-
-
-@dataclass(slots=True, kw_only=True)
-class BlockReader:
-    """Reads the wanted columns of a text table, block by block.
-
-    `kinds` maps column indices to types. A row without a cell in a `needed` column is bad. `limit` is the
-    largest size of a column in memory, in bytes; `expected` is the number of rows. Dates with the year last
-    begin with the day if `by_day`. `good` and `bad` count rows.
-    """
-
-    layout: TextLayout
-    kinds: dict[int, Kind]
-    needed: frozenset[int]
-    rows: Rows = None
-    limit: int = 1 << 62
-    expected: int = 0
-    by_day: bool = False
-    good: int = 0
-    bad: int = 0
-    first_bad: str = ""
-    columns: dict[int, GrowingColumn] = field(init=False)
-    _pattern: re.Pattern[bytes] | None = field(init=False)
-    _mark: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.kinds = dict(sorted(self.kinds.items()))
-        self.columns = {
-            index: GrowingColumn(
-                np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
-            )
-            for index, kind in self.kinds.items()
-        }
-        self._pattern = row_pattern(self.rows, self.layout.delimiter) if self.rows else None
-        self._mark = "," if self.layout.delimiter == BLANKS else self.layout.delimiter
-
-    def add(self, block: bytes) -> None:
-        if self.layout.prepare is not None:
-            block = self.layout.prepare(block)
-        if self._pattern is not None:
-            block = b"\n".join(self._pattern.findall(block)) + b"\n"
-        block = self._plain(block)
-        if not block or block.isspace():
-            return
-        values, bad = self._values(self._parsed(block))
-        if bad.any():
-            self._count_bad(block.split(b"\n"), np.flatnonzero(bad))
-            values = {index: array[~bad] for index, array in values.items()}
-        self.good += len(next(iter(values.values())))
-        for index, column in self.columns.items():
-            column.append(values[index])
-
-    def _values(self, table: Any) -> tuple[dict[int, NDArray[Any]], BoolArray]:  # noqa: ANN401 - of polars
-        values: dict[int, NDArray[Any]] = {}
-        bad = np.zeros(table.height, np.bool_)
-        # Null counts are cached; a mask takes a tenth of the parsing time.
-        if table[_LONGER].null_count() < table.height:
-            bad |= table[_LONGER].is_not_null().to_numpy()
-        for index in self.needed or self.kinds:
-            if table[str(index)].null_count():
-                bad |= table[str(index)].is_null().to_numpy()
-        for index, kind in self.kinds.items():
-            series = table[str(index)]
-            if kind in _TEXTS:
-                cells, text = series.fill_null("").to_list(), cast("TextKind", kind)
-                values[index] = parse_texts(cells, text, by_day=self.by_day)
-                bad |= values[index] == NO_STAMP
-            else:
-                full = series.fill_null(0) if series.dtype.is_integer() and series.null_count() else series
-                values[index] = np.asarray(full.to_numpy())
-        return values, bad
-
-    def _plain(self, block: bytes) -> bytes:
-        """Convert a block for the parser: one delimiter, decimal points, no quotes."""
-        delimiter, mark = self.layout.delimiter, self._mark.encode()
-        commas = self.layout.decimal == ","
-        if delimiter == BLANKS:
-            block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
-            block = re.sub(rb"[ \t]+", b",", block)
-        elif b" " in block:
-            block = block.replace(mark + b" ", mark)
-            # Keep blanks inside a cell: joining two numbers would make another one.
-            if b" " in block:
-                block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
-        if self.layout.quoted:
-            inner = b"." if commas else b" "
-            block = _QUOTED.sub(lambda match: match[0][1:-1].replace(mark, inner), block)
-            # An unclosed quote makes its line one cell, which is not a number.
-            block = _UNCLOSED.sub(lambda match: match[0].replace(mark, b" "), block)
-        # With a comma as delimiter, decimal commas were in quotes.
-        if commas and delimiter != ",":
-            block = block.replace(b",", b".")
-        return block
-
-    def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
-        """Return a block as a polars table of the needed columns; unreadable cells are null.
-
-        Rows with too many cells have a value in the column `_LONGER`.
-        """
-        import polars as pl
-
-        names = [*map(str, range(self.layout.width)), _LONGER]
-        looked_at = sorted(self.needed | self.kinds.keys())
-        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
-
-        def parsed() -> pl.DataFrame:
-            return pl.read_csv(
-                self._mark.join(names).encode() + b"\n" + block,
-                separator=self._mark,
-                quote_char=None,
-                schema={name: types.get(self.kinds.get(at), pl.String) for at, name in enumerate(names)},
-                columns=[*map(str, looked_at), _LONGER],
-                ignore_errors=True,
-                truncate_ragged_lines=True,
-                encoding="utf8-lossy",
-            )
-
-        table = parsed()
-        integers = [str(index) for index, kind in self.kinds.items() if kind == "integer"]
-        if any(table[name].null_count() for name in integers):
-            types["integer"] = pl.Float64
-            floats = parsed()
-            for name in integers:
-                # Integers that a float would round are damaged stamps.
-                gained = floats[name].filter(table[name].is_null()).drop_nulls()
-                if gained.len() and bool((gained.abs() < 2**53).any()):
-                    table = table.with_columns(floats[name])
-        return table
-
-    def _count_bad(self, lines: Sequence[bytes], indices: NDArray[np.int64]) -> None:
-        """Count bad rows except blank lines, comments and headers; keep the first."""
-        header = self._mark.join(self.layout.headers).replace(" ", "")
-        texts = (lines[index].decode("utf-8", "replace").strip("\r") for index in indices.tolist())
-        found = [t for t in texts if t and not t.startswith(_COMMENTS) and t.replace(" ", "") != header]
-        self.first_bad = self.first_bad if self.bad or not found else found[0][:120]
-        self.bad += len(found)
-
-
-_INTEGER = re.compile(r"[+-]?\d{1,20}")
 
 
 def read_table(
@@ -342,7 +186,7 @@ def _reader(
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
     for time in times:
         text = time.kind == "text"
-        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices}
+        kinds |= {index: kind_of(layout.cells(index), text=text) for index in time.indices}
     # A row without its last cell was truncated, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
     if temperature is not None:
@@ -369,14 +213,6 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
         return layout
     width = Counter(map(len, cells)).most_common(1)[0][0]
     return replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
-
-
-def _kind(cells: Sequence[str], *, text: bool) -> Kind:
-    if text or any(map(is_text_stamp, cells)):
-        return text_kind(cells)
-    filled = [cell.strip("\"'") for cell in cells if cell]
-    integers = filled and all(_INTEGER.fullmatch(cell) and -(2**63) <= int(cell) < 2**63 for cell in filled)
-    return "integer" if integers else "float"
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:

@@ -5,7 +5,8 @@ import math
 import pytest
 
 from imucal.readers.tables.layout import BLANKS, TextLayout, row_pattern
-from imucal.readers.tables.text_table import BlockReader, Kind, _read_blocks
+from imucal.readers.tables.text_blocks import BlockReader, Kind
+from imucal.readers.tables.text_table import _read_blocks
 
 
 def reader(**changes: object) -> BlockReader:

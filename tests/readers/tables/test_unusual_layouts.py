@@ -98,6 +98,14 @@ def test_two_separators_become_one(tmp_path: Path) -> None:
     is_truth(read(tmp_path / "log.csv", columns="t=0,g=1:4,a=4:7", **SI))
 
 
+def test_decimal_commas_are_no_second_separator(tmp_path: Path) -> None:
+    """A table of a German spreadsheet without a header is read with its columns."""
+    columns = [[f"{value:.9f}".replace(".", ",") for value in column] for column in (TIME, *GYRO.T, *ACCEL.T)]
+    path = write(tmp_path / "log.csv", *columns, separator=";")
+    assert "the 7 columns have no header" in refused(path)
+    is_truth(read(path, columns="t=0,g=1:4,a=4:7", time_unit="s", **SI))
+
+
 def test_a_header_with_too_few_names_is_reported(tmp_path: Path) -> None:
     """The first row of numbers is listed, and the columns can be given."""
     path = write(tmp_path / "log.csv", TIME, *GYRO.T, *ACCEL.T, header="time,gx,gy,gz")
