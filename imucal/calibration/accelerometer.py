@@ -84,6 +84,11 @@ class AccelerometerFit(ReadOnlyArrays):
         """Unit vectors of the specific force, shape (m, 3)."""
         return np.asarray(self.f / np.linalg.norm(self.f, axis=1)[:, None])
 
+    @property
+    def ignored(self) -> FloatArray:
+        """Deviation of each parameter that a diagonal model ignores, 0 for free ones, shape (9,)."""
+        return _ignored(self.C, self.free)
+
 
 def derivatives(means: FloatArray, C: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return |f| of each rest, shape (m,), its derivatives in `PARAMETERS`, (m, 9), and in raw, (m, 3)."""
@@ -185,14 +190,12 @@ def _gauss_newton(
     free: BoolArray,
 ) -> AccelerometerFit:
     C, b = (np.array(value, dtype=np.float64) for value in start)
-    fixed = ~free
     for step_number in range(_STEPS + 1):
         norm, J, weights = derivatives(means, C, b)
         S0 = residual_covariance(weights, noise)
         S = S0 + gravity[1] ** 2
-        if fixed.any():
-            # An ignored misalignment of one radian changes C_kl by about C_ll.
-            ignored = J[:, fixed] * (np.diag(C)[LOWER[1]][fixed[:6]] * _IGNORED_MISALIGNMENT)
+        if not free.all():
+            ignored = J * _ignored(C, free)
             S = S + ignored @ ignored.T
         residual = norm - gravity[0]
         L = np.linalg.cholesky(S)
@@ -235,6 +238,11 @@ def _gauss_newton(
         # An unknown gravity must not make the scales look weak: it is reported by itself.
         statuses=observability(J * relative_size(C, gravity[0]), S0, free),
     )
+
+
+def _ignored(C: FloatArray, free: BoolArray) -> FloatArray:
+    # A misalignment of one radian changes C_kl by about C_ll.
+    return np.concatenate([np.diag(C)[LOWER[1]] * ~free[:6] * _IGNORED_MISALIGNMENT, np.zeros(3)])
 
 
 def relative_size(C: FloatArray, gravity: float) -> FloatArray:

@@ -239,6 +239,7 @@ def estimate_accelerometer(
                     checked=checked,
                     model="diagonal",
                 )
+    total = base + excess.tau**2 * np.eye(len(means)) + excess.kappa**2 * walk
     return AccelerometerEstimate(
         fit=fit,
         mixture=mixture,
@@ -246,7 +247,7 @@ def estimate_accelerometer(
         chi2=first.chi2,
         dof=first.dof,
         p=p,
-        covariances=covariances,
+        covariances=total,
     )
 
 

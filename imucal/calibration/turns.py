@@ -149,7 +149,8 @@ def direction_covariance(
 ) -> FloatArray:
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
-    The noise of the raw `means` moves a direction itself, and through C and b; both are treated jointly.
+    The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments that a
+    diagonal model ignores.
     `slopes`, shape (3, 3, 6), are derivatives of C in its lower triangle; another frame's add its rotation.
     """
     m = len(means)
@@ -161,7 +162,8 @@ def direction_covariance(
     by_parameter = (across @ by_parameter).reshape(3 * m, 9)
     gain = -fit.covariance @ np.linalg.solve(fit.residual_covariance, fit.jacobian).T
     weights = up @ fit.C
-    total = np.zeros((3 * m, 3 * m))
+    by_ignored = (by_parameter + by_parameter @ gain @ fit.jacobian) * fit.ignored
+    total = by_ignored @ by_ignored.T
     for axis in range(3):
         own = np.zeros((m, 3, m))
         own[np.arange(m), :, np.arange(m)] = across @ fit.C[:, axis]

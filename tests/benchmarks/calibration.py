@@ -3,7 +3,7 @@
     python tests/benchmarks/calibration.py [--records N] [--seed S] [--only PART...]
 
 Parts: accelerometer, gyroscope, faults, fixture, real; and, by the whole command, hand, gauss-markov, earth,
-warming, sensitivity, frames.
+warming, faces, sensitivity, frames.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from imucal.calibration.mean_covariance import mean_covariance, white_model
 from imucal.calibration.noise_source import _model
 from imucal.calibration.poses import RestMeans, Triad, half_differences, moved_rests, triad
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import prepare_turns
+from imucal.calibration.turn_data import Headings, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, _carry, _covariance, direction_covariance, fit_turns
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
@@ -165,20 +165,31 @@ def one_chain(one: Log, models: tuple[NoiseModel, NoiseModel], *, white: bool = 
     ]
     K_a, K_g = (np.array([mean_covariance(m, spans, rate_hz=RATE, samples=n) for m in own]) for own in used)
     fit = fit_accelerometer(rests[0].means, K_a, gravity=GRAVITY)
+    which, earth = np.arange(len(spans) - 1), earth_rate(LATITUDE)
+    plain = prepare_turns(data[1], rests[1], fit.up, which)
+    headings = Headings.of(plain, start_of(plain))
     rest = estimate_gyro_rest(
         rests[1].means,
         fit.f,
         K_g,
         walk_covariance(spans, rate_hz=RATE, samples=n),
         scale=np.eye(3),
-        earth=earth_rate(LATITUDE),
+        earth=earth,
         gravity=GRAVITY,
         checked=True,
+        headings=headings,
     )
     f = (one.accelerometer - fit.b) @ fit.C.T
     parts = f @ rest.G_apparent.T, fit.f @ rest.G_apparent.T
-    arrays = prepare_turns(data[1], rests[1], fit.up, np.arange(len(spans) - 1), parts)
-    noise = GyroNoise(models=tuple(used[1]), tau=np.zeros(3), rest_spans=spans, samples=n)
+    arrays = prepare_turns(data[1], rests[1], fit.up, which, parts)
+    noise = GyroNoise(
+        models=tuple(used[1]),
+        tau=np.zeros(3),
+        rest_spans=spans,
+        samples=n,
+        headings=headings,
+        horizontal=earth.horizontal_sigma,
+    )
     directions = direction_covariance(fit, rests[0].means, K_a)
     turns = fit_turns(arrays, noise, 0 * directions if white else directions)
     # Other tools do not widen intervals by the misfit.
@@ -440,6 +451,19 @@ def warming(records: int, seed: int) -> None:
         )
 
 
+def faces(records: int, seed: int) -> None:
+    """Print coverage for six or eight rests, which do not determine the accelerometer's misalignments."""
+    noise = of_sensor("consumer")
+    for count in (6, 8):
+
+        def draw(rng: np.random.Generator, count: int = count) -> tuple[Truth, Log]:
+            truth = Truth.draw(rng)
+            return truth, log(truth, noise, attitudes(count, rng), rng, latitude=LATITUDE)
+
+        codes = ("not-observable", "turn-wrong")
+        twice(f"{count} rests on the faces first", range(seed, seed + records), draw, noise, codes)
+
+
 def sensitivity(records: int, seed: int) -> None:
     """Print coverage for small g-sensitivities, which are not significant and then set to 0."""
     noise = of_sensor("consumer")
@@ -571,7 +595,7 @@ def main() -> None:
     parts = {
         "accelerometer": accelerometer, "gyroscope": gyroscope, "faults": faults, "fixture": fixture,
         "hand": hand, "gauss-markov": gauss_markov, "earth": earth, "warming": warming,
-        "sensitivity": sensitivity, "frames": frames,
+        "faces": faces, "sensitivity": sensitivity, "frames": frames,
     }  # fmt: skip
     parser.add_argument("--only", nargs="*", default=[*parts, "real"])
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Coverage of all parameters by the whole command: hand, Gauss-Markov noise, earth rate, warm-up, small G.
+"""Coverage of all parameters by the whole command: hand, Gauss-Markov noise, earth rate, warm-up, few rests.
 
 `tests/benchmarks/calibration.py` prints each group of parameters for 200 logs.
 """
@@ -72,6 +72,7 @@ CASES = {
     "a quiet gyroscope at the equator": Case(noise=QUIET, latitude=0.0),
     "a quiet gyroscope at an unknown latitude": Case(noise=QUIET, arguments={"latitude": None}),
     "a warm-up": Case(reported=False, change=lambda one, *_: warmed(one, (2e-2, 1e-3), 60.0)),
+    "too few rests for misalignments": Case(count=8),
     "a G that is not significant": Case(sensitivity=3e-6, count=14),
 }
 
