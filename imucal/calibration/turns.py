@@ -150,7 +150,7 @@ def direction_covariance(
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
     The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments that a
-    diagonal model ignores.
+    diagonal model ignores. `covariances`, shape (3, m, m), are of the means.
     `slopes`, shape (3, 3, 6), are derivatives of C in its lower triangle; another frame's add its rotation.
     """
     m = len(means)
@@ -163,7 +163,7 @@ def direction_covariance(
     gain = -fit.covariance @ np.linalg.solve(fit.residual_covariance, fit.jacobian).T
     weights = up @ fit.C
     by_ignored = (by_parameter + by_parameter @ gain @ fit.jacobian) * fit.ignored
-    total = by_ignored @ by_ignored.T
+    total: FloatArray = by_ignored @ by_ignored.T
     for axis in range(3):
         own = np.zeros((m, 3, m))
         own[np.arange(m), :, np.arange(m)] = across @ fit.C[:, axis]
