@@ -1,12 +1,10 @@
 """pool: several records of one unit -> one fit, from the bins stored with their fits.
 
-The likelihood is the product of the records' likelihoods, as for the blocks of one record between long gaps.
-Each term is tested for equality in all records. If a term differs, its estimate is the mean of the records,
-with an interval that includes their spread.
+The likelihood is the product of the records' likelihoods. Each term is tested for equality in all records. If
+a term differs, its estimate is the mean of the records, with an interval that includes their spread.
 
-Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial sensor
-calibration", fit several records of one sensor; Hartung & Knapp (2001), Statistics in Medicine 20, 1771, give
-the interval of the mean.
+Sources: Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial
+sensor calibration" (joint fit); Hartung & Knapp (2001), Statistics in Medicine 20, 1771 (interval).
 """
 
 import math
@@ -50,11 +48,10 @@ _PRECISE = 0.3
 class Homogeneity:
     """Test of whether records have the same coefficient of the term `key`, with the `symbol` of its kind.
 
-    `statistic` is twice the log-likelihood ratio of one coefficient for each record to one for all. Under
-    equality it is chi-squared with `dof` degrees of freedom; the statistic of a weak term is smaller, because
-    variances are not negative. `values` are the coefficients of the records in SI, 0 if the data prefer that.
-    `spread` is the relative standard deviation between records beyond chance. If a term `differs`, its
-    estimate is widened.
+    `statistic` is twice the log-likelihood ratio of one coefficient for each record to one for all, and is
+    chi-squared with `dof` degrees of freedom for equal records. `values` are the coefficients of the records
+    in SI, 0 if the data prefer that. `spread` is the relative standard deviation between records beyond
+    chance. If a term `differs`, its estimate is widened.
     """
 
     key: str
@@ -71,10 +68,9 @@ class Homogeneity:
 class PooledFit:
     """The noise model of one axis of one unit, from a number of `records`.
 
-    `model` contains the detected terms. `estimates` has an entry for each term of the given model and for N,
-    B and K. If the records differ, the limits are for the mean over records, and `widening` is the ratio of
-    their distance to the one of a common coefficient. `homogeneity` contains the test of each term except the
-    ramp; it is empty for a single record. `goodness` is the fit of the model to all records.
+    `model` contains the detected terms; `estimates` also has N, B and K. If the records differ, the limits
+    are for the mean over records, and `widening` is the ratio of their distance to the one of a common
+    coefficient. `homogeneity` contains the test of each term except the ramp; it is empty for one record.
     """
 
     sensor: Sensor | None
@@ -95,18 +91,16 @@ class PooledFit:
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
     """Fit several records of one axis of one unit together, from the bins of their fits.
 
-    The samples are not needed: each of the `fits` contains bins (`NoiseFit.bins`) if it was made by
-    `imucal.fit` or `imucal.characterize`, or read from a report written with bins. `model` must not be
-    ``auto``, so that all units have the same terms. The limits are profile limits at the confidence `level`.
+    Each of the `fits` needs bins (`NoiseFit.bins`): from `imucal.fit` or `imucal.characterize`, or from a
+    report written with bins. `model` must not be ``auto``, so that all units have the same terms. The limits
+    are profile limits at the confidence `level`.
 
     Raises a DataError if a fit has no bins, or if the records differ in sensor, sampling rate or output
     filter. Raises a ValueError if there is no fit, if `model` is not a sum of terms, or if `level` is not
     between 0 and 1.
 
-    For up to four stationary records the result equals the fit (``segments=1``) of one record that contains
-    them with gaps of more than 64 samples in between. Steps, cycles, effects of temperature, spikes and heavy
-    tails are treated in each record separately. An output filter is only used if a record shows it alone. A
-    ramp is common to all records.
+    Steps, cycles, effects of temperature, spikes and heavy tails are treated in each record separately. An
+    output filter is only used if a record shows it alone. A ramp is common to all records.
     """
     structure, every = _structure_of(model, level), _bins_of(fits)
     _refuse_different(fits)
@@ -152,10 +146,7 @@ def _means(
     estimates: Sequence[Estimate],
     level: float,
 ) -> dict[str, tuple[Estimate, float]]:
-    """Return for each term the mean over records and its relative spread.
-
-    The interval contains the interval of a common coefficient.
-    """
+    """Return for each term the mean over records and its relative spread."""
     joint = {e.key: e for e in estimates}
     alone: list[dict[str, SquaredCoefficient]] = []
     means = {}
@@ -168,8 +159,7 @@ def _means(
             alone = alone or [squared_coefficients(fit_bins([one], structure, level=level)) for one in every]
             squares = [record[test.key] for record in alone]
             values = np.array([square.value for square in squares])
-            # Compute all deviations at the same square. At its own square, a large estimate would get less
-            # weight than a small one.
+            # Compute all deviations at the same square: at its own, a large estimate would get less weight.
             common = max(float(values.mean()), 0.0)
             deviations = np.array([square.deviation + square.growth * common for square in squares])
             if differs:
@@ -241,8 +231,7 @@ def log_values(
     """Return the value of each term in one log, for `imucal.population`, from the bins of its fit.
 
     `model` must be the same for all logs. Each term except the ramp also has an unbiased estimate of its
-    squared coefficient, which may be negative, so that averages over many weak logs are unbiased. Raises the
-    errors of `pool`.
+    squared coefficient, which may be negative. Raises the errors of `pool`.
     """
     bins, structure = _bins_of([fit]), _structure_of(model, level)
     # A fit of the same given terms has already found the band, unless it is flat.
@@ -269,7 +258,6 @@ def log_values(
 
 
 def _structure_of(model: str, level: float) -> tuple[str, ...]:
-    """Return the symbols of the terms of a given model."""
     structure = FitSettings(model=model, level=level).structure
     if structure is None:
         raise ArgumentError("pool: model 'auto' depends on the record; give the terms, such as 'N + B + K'")
@@ -277,7 +265,6 @@ def _structure_of(model: str, level: float) -> tuple[str, ...]:
 
 
 def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
-    """Return the bins of fits."""
     if not fits:
         raise ArgumentError("pool: found no fits, expected at least one")
     for number, fit in enumerate(fits, 1):
@@ -289,7 +276,6 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
 
 
 def _refuse_different(fits: Sequence[NoiseFit]) -> None:
-    """Refuse fits that differ in sensor, rate or filter."""
     first = fits[0]
     for number, fit in enumerate(fits[1:], 2):
         corners = [one.response.cutoff_hz if one.response else 0.0 for one in (fit, first)]

@@ -4,10 +4,9 @@ Each unit is compared with the other units, because an outlier would widen a spr
 procedure of Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289, controls the
 false discovery rate.
 
-If all logs of a fleet only bound a coefficient, the mean of the units' squares is still estimated without
-bias. It bounds a share of the units for any spread: for a lognormal distribution with root mean square r =
-exp(m + t²), a share p is below exp(m + z t) = r exp(z t - t²) ≤ r exp(z² / 4), with the normal quantile z of
-p.
+If all logs only bound a coefficient, the mean of the units' squares is still estimated without bias. It
+bounds a share p of the units for any spread: for a lognormal distribution with root mean square r and spread
+t, a share p is below r exp(z t - t²) ≤ r exp(z² / 4), with the normal quantile z of p.
 """
 
 import math
@@ -27,14 +26,12 @@ from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLik
 from imucal.fleet.values import LogValue, LogValues
 from imucal.frozen import frozen
 
-#: Minimum number of units for a spread.
 MIN_UNITS = 3
 #: False discovery rate of odd units.
 FALSE_SHARE = 0.05
 #: Percentage of bounded logs above which a finding is reported.
 _MANY_BOUNDS = 50.0
-#: Maximum number of units that are tested exactly, and the largest p-value of the quick test that leads to
-#: an exact test.
+#: Most units that are tested exactly, and the largest quick p-value that leads to an exact test.
 _SUSPECTS, _SUSPECT = 5, 0.2
 #: Probability that the next unit is within its limits.
 _CONTENT = 0.95
@@ -47,8 +44,7 @@ _TOO_FEW = (
     "{}: the spread between units, the next unit and a tolerance bound need at least "
     f"{MIN_UNITS}; test about 10."
 )
-#: Grid points of the log-likelihood of a mean square, its value at the end relative to the peak, the number
-#: of times that the end is doubled at most, and the number of units added at a time.
+#: Grid of the log-likelihood of a mean square: points, its relative value at the end, doublings, and chunk.
 _POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 
 
@@ -56,8 +52,8 @@ _POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 class UnitValue:
     """The coefficient of one unit of a fleet, from all of its logs; the value is None if it is only bounded.
 
-    `p_value` is the p-value of the comparison with the other units, None if it was not tested. `p_odd` is
-    adjusted for the number of units. `odd` is True if the unit differs from the others.
+    `p_value` is from the comparison with the other units, None if it was not tested. `p_odd` is adjusted for
+    the number of units.
     """
 
     unit: str
@@ -74,17 +70,17 @@ class UnitValue:
 class Population:
     """The distribution of a coefficient over the units of one sensor model.
 
-    `units` are in the order of their first log; `logs` is the number of logs. `median` is the coefficient of
-    the median unit with its 95 % interval. It is `bounded` if all logs together do not show the term: the
-    interval then begins at 0, value and high are the upper limit, and the spreads are None.
+    `units` are in the order of their first log. `median` is the coefficient of the median unit with its 95 %
+    interval. It is `bounded` if all logs together do not show the term: the interval then begins at 0, value
+    and high are the upper limit, and the spreads are None.
 
     `spread` is the standard deviation between units, in the logarithm (0.1 is 10 %), and `within` the one
     between logs of a unit, None if no unit has two logs. `prediction` are limits that contain the next unit
-    with probability 0.95; `next_log` is the distribution of a log of the next unit. With fewer than three
-    units, all but `median` are None.
+    with probability 0.95; `next_log` is the distribution of a log of the next unit.
 
     `quantile` is the median estimate of the coefficient below which a share `content` of all units is.
-    `tolerance` is its upper bound at `confidence`: the number for a config file that suits every unit.
+    `tolerance` is its upper bound at `confidence`: the number for a config file that suits every unit. With
+    fewer than three units, all but `median` are None.
     """
 
     units: tuple[UnitValue, ...]
@@ -156,8 +152,7 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
 def membership(found: Population, new: LogValue) -> float:
     """Return the two-sided p-value of a `new` log of a unit of the fleet `found`.
 
-    It includes the spread between units, the scatter between logs of a unit, the uncertainty of both, and the
-    error of the new log. Raises a ValueError for a fleet of fewer than three units.
+    Raises a ValueError for a fleet of fewer than three units.
     """
     if found.next_log is None:
         raise ArgumentError(
@@ -182,7 +177,6 @@ def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population
 
 
 def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
-    """Return the value of each unit; the value is None if the unit is only bounded."""
     determined, limits = units.limits()
     columns = (determined.tolist(), *np.exp(limits).tolist(), np.bincount(values.unit).tolist())
     return tuple(
@@ -194,9 +188,8 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
 def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> tuple[UnitValue, ...]:
     """Return each unit with its p-values.
 
-    The exact test compares a unit with the posterior of the other units, which includes the uncertainty of
-    both spreads. The quick test is Student's t if all units are precise, and the posterior of all units if
-    not.
+    The quick test is Student's t for precise units, otherwise the posterior of all units. The exact test uses
+    the posterior of the other units.
     """
     determined = bool(units.normal.all())
     squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
@@ -226,10 +219,7 @@ def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> 
 
 
 def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int], float]) -> FloatArray:
-    """Return p-values of units, shape (units,).
-
-    Units whose `quick` p-value is below `suspect` are tested with `by_others`; the other ones get 1.
-    """
+    """Return p-values, shape (units,): `by_others` if the `quick` one is below `suspect`, otherwise 1."""
     result = np.ones(quick.size)
     for unit in np.argsort(quick)[:_SUSPECTS].tolist():
         if quick[unit] < suspect:
@@ -241,7 +231,7 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     """Return two-sided p-values of the units, each compared with the mean and the spread of the others.
 
     `centre` and `deviation`, shape (units,), are the logarithm of each unit's coefficient and its standard
-    error. The standard deviation `tau` between units sets their weights, not the scale of the test.
+    error. `tau`, the deviation between units, only sets their weights.
     """
     n = centre.size
     if n <= MIN_UNITS:
@@ -252,7 +242,7 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     rest = total - w
     off = centre - np.sum(w * centre) / total
     apart = off * total / rest
-    # The sum of squares about the mean of the others, from the sum about the mean of all.
+    # From the sum about the mean of all.
     squares = np.sum(w * off**2) - w * off * apart
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
     result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)
@@ -270,7 +260,6 @@ def adjusted(p_values: Sequence[float] | FloatArray) -> list[float]:
 def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
     """Return the random-effects mean of values, shape (n,), its standard error, and their spread.
 
-    The spread beyond the standard `errors` is the moment estimate, at least 0.
     Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
     """
     weight = errors**-2.0
@@ -298,15 +287,11 @@ class MeanSquare:
         return self._known_by_limits or bool(others.min() >= TWO_SIDED)
 
     def share_bound(self, content: float, confidence: float) -> float:
-        """Return the bound of a share `content` of all units at a `confidence`."""
+        """Return the bound of a share `content` of all units."""
         return self.bound(confidence) * math.exp(max(float(scipy.special.ndtri(content)), 0.0) ** 2 / 4)
 
     def bound(self, confidence: float) -> float:
-        """Return the upper bound of the units' root mean square at a `confidence`.
-
-        It is the larger of the bounds for equal squares and for different squares, with a flat prior above
-        zero.
-        """
+        """Return the upper bound of the root mean square: the larger of equal and of different squares."""
         return math.sqrt(max(self._of_one(confidence), self._of_different(confidence)))
 
     def _of_one(self, confidence: float) -> float:

@@ -1,17 +1,15 @@
 """The posterior of a fleet's median mu, the spread tau between units and the scatter omega within them.
 
 The logarithm of the coefficient in log l of unit u is ``mu + tau b_u + omega c_ul``. b and c are standard
-normal. Each log contributes its likelihood. omega describes changes of temperature, mounting and day. The
-likelihood of a unit is normal if all of its logs are precise, and is tabulated on a grid if not.
+normal. The likelihood of a unit is normal if all of its logs are precise, and is tabulated on a grid if not.
 
-If the units are precise, the prior of mu is flat and tau has Jeffreys' prior. For exact units the tolerance
-bound is then the noncentral-t bound. If the units are only bounded, a flat prior would determine the result,
-because the likelihood does not fall towards zero. The prior is then flat in the square of the median, and the
-prior of tau is the usual spread of units of one model.
+If the units are precise, the prior of mu is flat and tau has Jeffreys' prior. If the units are only bounded,
+a flat prior would determine the result, because the likelihood does not fall towards zero. The prior is then
+flat in the square of the median, and the prior of tau is the usual spread of units of one model.
 
-Hardy & Thompson (1996), Statistics in Medicine 15, p. 619, give the likelihood of random effects; Tiao & Tan
-(1965), Biometrika 52, p. 37, the prior for a one-way layout; Krishnamoorthy & Mathew (2009), Statistical
-Tolerance Regions, chapters 2 and 5, the bound.
+Sources: Hardy & Thompson (1996), Statistics in Medicine 15, p. 619 (likelihood of random effects); Tiao & Tan
+(1965), Biometrika 52, p. 37 (prior for a one-way layout); Krishnamoorthy & Mathew (2009), Statistical
+Tolerance Regions, chapters 2 and 5 (bound).
 """
 
 import math
@@ -27,30 +25,24 @@ from imucal.frozen import frozen
 
 #: Grid points of the coefficient of imprecise units, of mu, of tau and of omega.
 _POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
-#: Maximum number of times that a grid is narrowed.
 _ROUNDS = 6
-#: Extent of the grids of units and of mu about the first guess of the median, in the logarithm. A coefficient
-#: 50 times smaller is invisible.
+#: Extent of the grids about the first guess, in the logarithm; a coefficient 50 times smaller is invisible.
 _DEEPEST = 4.0
-#: Usual spread between units of one model and between logs of a unit, and the largest spread considered, in
-#: the logarithm.
+#: Usual spread between units or logs, and the largest spread considered, in the logarithm.
 _USUAL, _WIDEST = 0.5, 2.0
-#: Tail probability beyond which a scatter within units is left out, and the ratio to the largest posterior
-#: weight below which it is left out of the finer grid.
+#: Tail probability, and relative weight, below which a scatter within units is left out.
 _RARE, _LITTLE = 1e-3, 1e-4
-#: Points this far below the peak of the log-posterior are ignored.
+#: Depth below the peak of the log-posterior at which points are ignored.
 _NOTHING = 16.0
 #: Limits that keep logarithms of small probabilities and exponentials finite.
 _TINY, _LARGEST = math.exp(-690), 600.0
-#: Points of the distributions of the next unit and the next log. Points of the posterior below this share of
-#: the largest weight are ignored.
+#: Points of the predictive distributions; smaller weights of the posterior are ignored.
 _GRID, _UNLIKELY = 801, 1e-7
-#: Normal distributions are merged if their widths differ by less than this share and their centres by less
-#: than this share of a width.
+#: Normal distributions are merged if their widths and their centres differ by less than these shares.
 _SAME_NORMAL, _SAME_CENTRE = 0.02, 0.2
-#: Extent of the distribution of the next log, in standard deviations.
+#: In standard deviations.
 _FARTHEST = 6.0
-#: Points of the predictive distribution with which an imprecise unit is compared.
+#: Points with which an imprecise unit is compared.
 _DRAWS = 4000
 #: Multiples of the golden ratio modulo 1 fill the unit interval evenly and look random.
 _GOLDEN = (math.sqrt(5) - 1) / 2
@@ -68,10 +60,9 @@ def interval_of(quantiles: FloatArray) -> Interval:
 class UnitLikelihoods:
     """Likelihoods of the logarithms of the units' coefficients, if logs of one unit scatter by `omega`.
 
-    The likelihoods of `normal` units have a `centre` and a `deviation`, shape (units,). For other units these
-    two are only used in priors, and the likelihoods divided by their peaks are `weak`, shape (weak units,
-    points), at `theta`, shape (points,). `constant` is the rest of the log-likelihood: the scatter of logs
-    about their units, and the peaks. `about` is the first guess of mu.
+    The likelihoods of `normal` units have a `centre` and a `deviation`, shape (units,). For other units the
+    likelihoods divided by their peaks are `weak`, shape (weak units, points), at `theta`, shape (points,).
+    `constant` is the rest of the log-likelihood. `about` is the first guess of mu.
     """
 
     def __init__(self, logs: LogValues, omega: float) -> None:
@@ -93,7 +84,6 @@ class UnitLikelihoods:
         if omega > 0 and each.size:
             top = each.max(axis=1, keepdims=True)
             each = np.log(np.exp(each - top) @ blur(self.theta, self.theta, omega).T + _TINY) + top
-        # The logs of a unit are multiplied.
         weak = np.zeros((len(others.names), _POINTS))
         np.add.at(weak, others.unit, each)
         peaks = weak.max(axis=1, keepdims=True)
@@ -103,10 +93,7 @@ class UnitLikelihoods:
         self.constant = 0.5 * float(scatter) + float(peaks.sum())
 
     def limits(self) -> tuple[BoolArray, FloatArray]:
-        """Return which units are estimated, and the 95 % limits and maxima of all units, shape (3, units).
-
-        The rows are lower limit, maximum and upper limit. The others have only an upper limit.
-        """
+        """Return which units are estimated, and the 95 % limits and maxima of all units, shape (3, units)."""
         values, limits = self.normal.copy(), self.centre + np.outer((-1, 0, 1), TWO_SIDED * self.deviation)
         for unit, curve in zip(np.flatnonzero(~values).tolist(), self.weak, strict=True):
             inside = self.theta[curve > math.exp(-(TWO_SIDED**2) / 2)]
@@ -115,10 +102,9 @@ class UnitLikelihoods:
         return values, limits
 
     def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
-        """Return the log-posterior, shape (tau, mu), as a density in log tau.
+        """Return the log-posterior, shape (tau, mu), as a density in log tau; `mu` has the same shape.
 
-        `mu` has the shape (tau, mu). `blurs` contains for each tau the matrix that averages likelihoods at
-        `theta` over units around its row of mu.
+        `blurs` contains for each tau the matrix that averages likelihoods at `theta` around its row of mu.
         """
         v = self.deviation[self.normal] ** 2 + tau[:, None] ** 2
         y, offset = self.centre[self.normal] - mu[:, :1], mu - mu[:, :1]
@@ -150,10 +136,7 @@ class UnitLikelihoods:
 
 
 def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
-    """Return the matrix of means of a function on `theta` over normal distributions about `theta_to`.
-
-    The function is constant beyond the ends of the grid.
-    """
+    """Return the matrix of means of a function on `theta` over normal distributions about `theta_to`."""
     step = float(theta[1] - theta[0])
     wide = max(width, step / 2)
     kernel = np.exp(-0.5 * ((theta_to[:, None] - theta) / wide) ** 2)
@@ -180,7 +163,6 @@ class NextLog:
     below: tuple[float, ...]
 
     def p_value(self, new: LogValues) -> float:
-        """Return the two-sided p-value of a new log."""
         step, weight = np.diff(self.points), np.diff(self.below)
         at = np.asarray(self.points[1:]) - step / 2
         if new.narrow.all():
@@ -193,10 +175,7 @@ class NextLog:
 
 
 class Posterior:
-    """Weights on a grid of omega, tau and mu, which are broadcast against each other; their sum is 1.
-
-    `omegas` defaults to all values that the logs allow. The grids of tau and mu are narrowed to the support.
-    """
+    """Weights on a grid of omega, tau and mu, which are broadcast against each other; their sum is 1."""
 
     def __init__(self, values: LogValues, omegas: FloatArray | None = None) -> None:
         omegas = _scatters(values) if omegas is None else omegas
@@ -237,7 +216,6 @@ class Posterior:
         return _Law(self.mu[0], self.tau[0], self.weight.sum(axis=0)).quantiles(at)
 
     def next_log(self) -> NextLog:
-        """Return the distribution of a log of a new unit."""
         law = _Law(self.mu, np.hypot(self.tau, self.omega), self.weight)
         points = np.unique(law.quantiles(scipy.special.ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))))
         return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
@@ -251,10 +229,9 @@ class Posterior:
         return float(two_sided(np.sum(self.weight * scipy.special.ndtr(score))))
 
     def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
-        """Return two-sided p-values of estimates of the squared coefficients of new units, shape (units,).
+        """Return two-sided p-values of squared coefficients of new units, shape (units,).
 
-        `scatter`, shape (units,), is the standard deviation of the mean of a unit's logs about the unit, in
-        the logarithm.
+        `scatter`, shape (units,), is the deviation of the mean of a unit's logs about the unit.
         """
         at = (np.arange(_DRAWS) + 0.5) / _DRAWS
         log, moved = self.prediction(at), scipy.special.ndtri((at * _DRAWS * _GOLDEN) % 1)
@@ -262,10 +239,7 @@ class Posterior:
 
 
 class _Law:
-    """A mixture of normal distributions with centres `mu`, widths `wide` and weights.
-
-    `points` are dense in the centre and sparse in the tails.
-    """
+    """A mixture of normal distributions with centres `mu`, widths `wide` and weights."""
 
     def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
         keep = weight > _UNLIKELY * weight.max()
@@ -285,13 +259,11 @@ class _Law:
         self.points = middle + usual * np.sinh(np.linspace(-ends[0], ends[1], _GRID))
 
     def below(self, points: FloatArray) -> FloatArray:
-        """Return the distribution function at each point."""
         # One point at a time, because all together would need more memory than the posterior.
         apart = ((at - self._mu) / self._wide for at in points)
         return np.array([float(scipy.special.ndtr(one) @ self._weight) for one in apart])
 
     def quantiles(self, at: Sequence[float] | FloatArray) -> FloatArray:
-        """Return the quantiles of the probabilities `at`."""
         return np.interp(at, self.below(self.points), self.points)
 
 

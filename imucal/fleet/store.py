@@ -1,11 +1,8 @@
 """The store of a fleet: a folder of parquet parts for parallel writers, which remains valid after a crash.
 
-A part is written under another name, forced to disk and then renamed, so it is never incomplete. A batch of
-logs has three parts. The part in ``logs`` is written last and commits the others: parts without it are
-ignored. No part is changed in place, so several runs can use one store.
-
-Each file contains a checksum of its bytes and expected columns. If it is wrong, reading ends with an error
-that names the file. So neither a lost bit nor another version changes a number.
+A part is forced to disk and then renamed, so it is never incomplete. A batch of logs has three parts; the one
+in ``logs`` is written last and commits the others. No part is changed in place, so several runs can use one
+store. Each file contains a checksum of its bytes and expected columns.
 """
 
 import hashlib
@@ -24,16 +21,15 @@ import polars as pl
 from imucal.atomic import alone, replacing, sweep, sync_folder
 from imucal.errors import ReadError, StoreError, WriteError
 
-#: Results of a log. The first three depend on the log alone; the others may change in another run.
+#: Results of a log. The first three depend on the log alone.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
 
 _TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
 #: Labels of a log, from the manifest or its path.
 LABELS = {"model": _TEXT, "unit": _TEXT, "temperature_c": _REAL, "started": _TEXT}
-#: One row per requested log; free columns of text may follow. `options` are reading options of this log alone
-#: (JSON), `copy_of` is the path of a log with the same content.
+#: One row per requested log; free columns of text may follow. `options` are reading options (JSON).
 MANIFEST = {"path": _TEXT, **LABELS, "options": _TEXT, "copy_of": _TEXT}
-#: One row per finished log. `edge` is a checksum of size, beginning and end, `finished` a Unix time in s.
+#: One row per finished log. `edge` is a checksum of size and both ends, `finished` a Unix time in s.
 LOGS = {
     **dict.fromkeys(("key", "content", "edge", "path"), _TEXT),
     **LABELS,
@@ -45,7 +41,6 @@ LOGS = {
     **dict.fromkeys(("cpu_s", "wall_s", "finished"), _REAL),
     **dict.fromkeys(("report", "version"), _TEXT),
 }
-#: Stored fields of an `imucal.LogValue`.
 OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "variance_growth", "level", "correlation_time")
 #: One row per log, axis and term; in SI.
 RESULTS = {
@@ -54,14 +49,13 @@ RESULTS = {
 }
 #: One row per log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
-#: Statistics of other rows (JSON), with a checksum of these rows as the key.
+#: Statistics of other rows (JSON); the key is a checksum of these rows.
 DERIVED = {"key": _TEXT, "value": _TEXT}
-#: The tables of a batch, in the order in which they are written; and all.
+#: In the order in which they are written.
 _OF_BATCH: dict[str, dict[str, Any]] = {"bins": BINS, "results": RESULTS, "logs": LOGS}
 _TABLES: dict[str, dict[str, Any]] = {"derived": DERIVED, **_OF_BATCH}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
-#: Length of a checksum, and of the end of a parquet file (footer size and four letters), in bytes. Source:
-#: Apache Parquet, file format.
+#: Bytes of a checksum, and of the end of a parquet file (footer size and four letters).
 _SEAL, _END = 32, 8
 _NOT_WHOLE = "is damaged or from an earlier version"
 
@@ -79,7 +73,6 @@ class FleetStore:
 
     @property
     def exists(self) -> bool:
-        """Whether the folder contains a fleet."""
         return (self.folder / _MANIFEST).is_file()
 
     def create(self) -> None:
@@ -125,7 +118,6 @@ class FleetStore:
         return dict(found)
 
     def keep_settings(self, settings: Row) -> None:
-        """Write the settings of all logs."""
         sealed = {**settings, "checksum": _digest(json.dumps(settings).encode()).hex()}
         with replacing(self.folder / _SETTINGS) as scratch:
             scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
@@ -143,10 +135,7 @@ class FleetStore:
         raise StoreError(f"{path}: {_NOT_WHOLE}; remove it and give the logs again: finished logs are kept")
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
-        """Add logs, with the columns of `MANIFEST` and free ones, to the manifest, and return it.
-
-        A known log gets its new labels.
-        """
+        """Add logs to the manifest, and return it; known logs get their new labels."""
         with translated(self.folder), alone(self.folder / ".lock"):
             if self.exists:
                 old = self.manifest()
@@ -158,16 +147,13 @@ class FleetStore:
         return rows
 
     def changed_ns(self) -> int:
-        """Return when logs or labels were last added, changed or removed, in ns since 1970."""
+        """Return when logs or labels last changed, in ns since 1970."""
         return max((self.folder / name).stat().st_mtime_ns for name in (_MANIFEST, "logs"))
 
     def commit(
         self, logs: Iterable[Row], results: Iterable[Row] = (), bins: Iterable[Row] = (), *, shard: str = "0"
     ) -> str:
-        """Write the results of some logs, all or nothing; return the name of the part, with `shard` in it.
-
-        The rows have the columns of `LOGS`, `RESULTS` and `BINS`; missing values are null.
-        """
+        """Write the results of some logs, all or nothing; return the name of the part."""
         name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
         for table, rows in zip(_OF_BATCH, (bins, results, logs), strict=True):
             self._add(table, name, rows)
@@ -179,7 +165,6 @@ class FleetStore:
         return dict(found.select("key", "value").iter_rows())
 
     def keep_derived(self, found: Mapping[str, str]) -> None:
-        """Store statistics by their keys."""
         with translated(self.folder):
             (self.folder / "derived").mkdir(exist_ok=True)
         rows = ({"key": key, "value": value} for key, value in found.items())
@@ -188,8 +173,7 @@ class FleetStore:
     def logs(self) -> pl.DataFrame:
         """Return the results of each log: the columns of `LOGS`, and `part`; sorted by path.
 
-        Equal contents count once (the newest success, otherwise the newest failure), and so does a path (its
-        newest content). Labels of the manifest replace older ones.
+        Equal contents count once (the newest success, otherwise the newest failure), and so does a path.
         """
         found, newest = self._read("logs", self._parts("logs")), ("finished", "part")
         for one, order in (("key", (pl.col("status") == "ok", *newest)), ("path", newest)):
@@ -205,10 +189,7 @@ class FleetStore:
         return found.sort("path")
 
     def results(self, logs: pl.DataFrame | None = None) -> pl.DataFrame:
-        """Return one row per log, axis and term: `RESULTS`, and path, model, unit.
-
-        Give the `logs` if they are already read.
-        """
+        """Return one row per log, axis and term: `RESULTS`, and path, model, unit."""
         logs = self.logs() if logs is None else logs
         labels = logs.select("part", "key", "path", "model", "unit")
         found = self._rows_of("results", labels)
@@ -216,20 +197,17 @@ class FleetStore:
         return found.select(*columns).sort("path", "sensor", "axis", "term")
 
     def bins(self, keys: Collection[str] | None = None) -> pl.DataFrame:
-        """Return the binned spectra of logs, given by their keys, or of all: the columns of `BINS`."""
+        """Return the binned spectra of all logs, or of those with the keys: the columns of `BINS`."""
         logs = self.logs().select("part", "key")
         own = logs if keys is None else logs.filter(pl.col("key").is_in(list(keys)))
         return self._rows_of("bins", own).sort("key", "sensor", "axis")
 
     def axes(self) -> pl.DataFrame:
-        """Return the key, sensor and axis of each binned spectrum, and not the spectrum."""
+        """Return the key, sensor and axis of each binned spectrum."""
         return self._rows_of("bins", self.logs().select("part", "key"), ("key", "sensor", "axis"))
 
     def damaged(self) -> dict[Path, list[Path]]:
-        """Return the damaged parts, each with all parts of its batch, the commit record first.
-
-        Parts without a commit record are ignored.
-        """
+        """Return the damaged parts, each with all parts of its batch, the commit record first."""
         batches = [part.name for part in self._parts("logs")]
         groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in batches]
         groups += [[path] for path in self._parts("derived")]
@@ -265,7 +243,7 @@ class FleetStore:
     def _read(
         self, table: str, parts: list[Path], keys: pl.Series | None = None, columns: Collection[str] = ()
     ) -> pl.DataFrame:
-        """Return columns, or all, of parts of a table, for all or some keys; and the part of each row."""
+        """Return columns (default: all) of parts of a table, for some keys, and the part of each row."""
         schema = {**_TABLES[table], "part": _TEXT}
         wanted = (*columns, "part") if columns else (*schema,)
         if not parts:
@@ -301,7 +279,6 @@ def _footer_at(data: bytes) -> int:
 
 
 def _is_whole(path: Path, columns: Iterable[str]) -> bool:
-    """Return whether a file is undamaged and has the expected columns."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:

@@ -16,15 +16,13 @@ import scipy
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.frozen import frozen
 
-#: Growth below which a deviation is constant.
 _NO_GROWTH = 1e-4
 #: A small square, relative to its deviation.
 _SMALL = 1e-3
 #: Upper limit of logarithms, so that their exponentials are finite.
 _LARGEST = 50.0
-#: Largest standard error of the logarithm of an estimate, and of a square, that is treated as normal.
+#: Largest standard errors of the logarithm, of an estimate and of a square, that are treated as normal.
 _NARROW, _NARROW_SQUARE = 0.3, 0.1
-#: Numbers of a `LogValue` in `LogValues`.
 _NUMBERS = attrgetter("value", "low", "high", "level", "variance", "variance_sd", "variance_growth")
 
 
@@ -43,7 +41,6 @@ class Squares:
         return Squares(*(part[which] for part in (self.estimate, self.sd, self.growth)))
 
     def deviation(self, square: float | FloatArray) -> FloatArray:
-        """Return the standard deviation of each estimate if the squared coefficient is `square`."""
         return self.sd + self.growth * square
 
     def log_likelihood(self, square: FloatArray) -> FloatArray:
@@ -62,7 +59,7 @@ class Squares:
         """Return the probability of a smaller estimate for each true square, shape (n, squares).
 
         The cube root of a chi-square is nearly normal (Wilson & Hilferty 1931, Proc. National Academy of
-        Sciences 17, p. 684). Far below zero the estimate is normal, because the background is also estimated.
+        Sciences 17, p. 684). Far below zero the estimate is normal, because the background is estimated.
         """
         own = self[:, None]
         apart = (own.estimate - square) / own.deviation(square)
@@ -94,10 +91,9 @@ class LogValue:
     `level`, 0 and the upper limit of a bound. Raises a ValueError if the limits are not positive or not in
     order, or if a variance has no deviation.
 
-    `variance` is an estimate of the squared coefficient, which may be negative. If it is given, value and
-    limits are only a first guess. Its standard deviation is ``variance_sd + variance_growth * v`` if the
-    squared coefficient is v. Do not compute these two from the estimate: large estimates would then get less
-    weight.
+    `variance` is an estimate of the squared coefficient, which may be negative; value and limits are then
+    only a first guess. Its standard deviation is ``variance_sd + variance_growth * v`` if the squared
+    coefficient is v. Do not compute these two from the estimate: large estimates would then get less weight.
 
     `correlation_time`, in s, is the time of an estimated Gauss-Markov term.
     """
@@ -130,10 +126,8 @@ class LogValues:
     `names` are the units in the order of their first log, `unit` the index of each log's unit. `middle` and
     `scale` are robust first guesses of the fleet's median and spread, in the logarithm. `centre` and
     `deviation` are the logarithm of the estimate and its standard error, infinite for a bound; `low_sd` and
-    `high_sd` are the standard errors below and above it, from its limits. `narrow` logs are normal in the
-    logarithm, `bounded` logs have no value, and `weighed` logs have an estimate of the squared coefficient in
-    `squares`. For others `squares` contains the square of the value, or zero for a bound. Logs `by_limits`
-    have only a value and its limits.
+    `high_sd` are those below and above it. `narrow` logs are normal in the logarithm, and `weighed` logs have
+    an estimate of the squared coefficient in `squares`. Logs `by_limits` have only a value and its limits.
     """
 
     names: tuple[str, ...]
@@ -152,7 +146,6 @@ class LogValues:
 
     @classmethod
     def of(cls, logs: Sequence[LogValue]) -> "LogValues":
-        """Return the columns of `logs`."""
         numbers = np.array([*map(_NUMBERS, logs)], dtype=np.float64)
         value, low, high, level, variance, sd, growth = numbers.T
         z = scipy.special.ndtri((1 + level) / 2)
@@ -161,7 +154,7 @@ class LogValues:
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
         known = ~bounded & (low > 0)
         low_sd = np.where(known, np.maximum((centre - np.log(np.where(known, low, 1.0))) / z, 1e-9), high_sd)
-        # The mean logarithm of a chi-square is below the logarithm of its mean by half the relative variance.
+        # The mean logarithm of a chi-square is below the logarithm of its mean.
         positive = weighed & (variance > 0)
         square = np.where(positive, variance, 1.0)
         error = np.where(positive, (sd + growth * variance) / (2 * square), np.inf)

@@ -1,14 +1,9 @@
-"""Estimate the sampling period from stamps by comparing two explanations.
+"""Estimate the sampling period tau from stamps t[k] by comparing two explanations.
 
-Samples are taken evenly, but stamps t[k] differ from k tau because samples are *late* or *missing*.
-
-- Late (read in batches, or coarse ticks): t[k] - k tau stays bounded; tau is the mean step.
-- Missing: steps are multiples of the shortest, tau. t[k] - k (mean step) is a random walk, because losses
-  are independent.
-
-The von Neumann ratio of t[k] - k (mean step) decides: 2 if the lateness of batches is independent, 0 for a
-random walk. Each batch contributes one stamp, with its first or last sample: the choice with the least
-scatter. If most samples would be missing and neither explanation fits, the error offers both rates.
+If samples are *late* (in batches, or coarse ticks), t[k] - k tau stays bounded, and tau is the mean step.
+If samples are *missing*, steps are multiples of tau, and t[k] - k (mean step) is a random walk, because
+losses are independent. The von Neumann ratio of t[k] - k (mean step) decides: it is 2 for independent
+lateness, and 0 for a random walk. Each batch contributes one stamp, with its first or last sample.
 """
 
 from dataclasses import replace
@@ -21,40 +16,34 @@ from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.store import Room
 
-#: Number of runs examined, and samples in each; shorter logs are examined completely.
+#: Shorter logs are examined completely.
 _RUNS, _RUN = 10, 4096
 #: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
-#: Relative difference of equal slopes.
 _SAME = 0.03
 #: Steps in a mean step: much longer than batches of up to 128 samples.
 _WINDOW = 512
-#: Most batches between the anchors of a slope.
 _MAX_BATCHES = 64
 #: Longest batch of a buffer, in samples, and longest step within it, in ns.
 _MAX_BURST, _MAX_BURST_STEP = 512, 2_000_000
 #: Anchors of a batch: (last stamp or first, last sample or first).
 _READ = ((True, True), (False, False), (False, True))
-#: White jitter: least jitter in periods, least share of steps near a period, fewest and most stamps of a run,
-#: least mean length of the phases.
+#: Limits of white jitter; jitter in periods.
 _MIN_JITTER, _MIN_NEAR_SHARE, _MIN_STAMPS, _MAX_STAMPS, _MIN_COHERENCE = 0.1, 0.55, 256, 2048, 0.12
 #: Least ratio of mean step to period; below it losses are too few to matter.
 _MIN_LOST_RATIO = 1.003
-#: Trials: shortest pause in usual steps, fewest samples of a trial, fewest pauses, fewest batches to test
-#: their beat.
+#: Limits of trials; the shortest pause is in usual steps.
 _MIN_PAUSE, _MIN_TRIAL, _MIN_PAUSES, _MIN_BATCHES = 4, 8, 3, 6
 #: Highest rate, in Hz, at which steps inside a batch may be those of a sensor.
 _MAX_SENSOR_RATE = 2000.0
-#: Largest share of missing samples explained by a nominal period in stamps of batches.
+#: Largest share of losses explained by a nominal period in stamps of batches.
 _MAX_NOMINAL_LOSS = 0.1
-#: Largest share of missing samples at which steps inside a batch are too long for a buffer.
+#: Above this share of losses, steps inside a batch are too short for a sensor.
 _MAX_MISSING = 0.55
-#: Cycles of losses: most samples, fewest cycles, most missing samples per sample, tolerances of a mean step
-#: and of the longest step's number of periods.
+#: Limits of cycles of losses: samples, cycles, losses per sample, and two relative tolerances.
 _MAX_CYCLE, _MIN_CYCLES, _MAX_LOSS, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
 #: Relative difference of equal periods of a clock with coarse ticks.
 _EXACT = 1e-3
-#: Stamps per piece when ticks are removed.
 _LOOK = 4096
 REACH = 1 << 13
 #: Samples per block, which fits the processor's cache.
@@ -72,24 +61,23 @@ class Period:
     #: Greatest common divisor of the steps, in ns.
     resolution_ns: int = 1
     burst: int = 1
-    #: Whether a batch is anchored at its last stamp (or first) and at its last sample (or first).
+    #: Whether a batch is anchored at its last stamp (else first) and at its last sample (else first).
     last_stamp: bool = True
     last_place: bool = True
     #: Longest step within a batch, in ns.
     pause_ns: float = 0.0
-    #: Median step in ns, and whether most steps are within 5 % of it.
+    #: Median step in ns; regular if most steps are within 5 % of it.
     usual_ns: float = 0.0
     regular: bool = False
-    #: Largest lateness without missing samples, in samples: the range for batches, the tick for a coarse
-    #: clock.
+    #: Largest lateness in samples: the range for batches, the tick for a coarse clock.
     loose: float = 0.0
-    #: Whether batches stay near their places; if not, the stamps are unexplained.
+    #: False if batches leave their places, so that the stamps are unexplained.
     bounded: bool = True
-    #: Whether the period is from the stamps' phases, which are independent of losses.
+    #: Whether the period is from the stamps' phases, which losses do not change.
     coherent: bool = False
-    #: Tick of a clock slightly shorter than the period, in ns; otherwise 0.
+    #: Tick in ns of a clock slightly shorter than the period; otherwise 0.
     tick_ns: float = 0.0
-    #: Another period that fits equally well, in ns; otherwise 0.
+    #: Another period in ns that fits equally well; otherwise 0.
     other_ns: float = 0.0
     trials: bool = False
 
@@ -106,8 +94,7 @@ class Period:
 def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | None:
     """Return the sampling period of stamps in ns, shape (n,); None if they do not advance.
 
-    Raises ChoiceError if the stamps fit a rate with most samples missing as well as one with none missing,
-    and `rate_hz` is None.
+    Raises ChoiceError if `rate_hz` is needed to choose between late samples and mostly missing ones.
     """
     runs = every = _runs(stamps)
     steps = np.concatenate([np.diff(run) for run in runs])
@@ -130,7 +117,7 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
     near = (
         steps if chosen is late or chosen.tick_ns else positive[np.abs(positive / chosen.tau_ns - 1) < reach]
     )
-    # Standard deviation of a stamp from the median absolute deviation of steps.
+    # The median absolute deviation ignores outliers.
     deviation = 1.4826 * median(np.abs(near - median(near))) / np.sqrt(2) if near.size else 0.0
     usual = median(steps)
     return replace(
@@ -145,7 +132,6 @@ def estimate_period(stamps: IntArray, rate_hz: float | None = None) -> Period | 
 def _reading(
     runs: list[IntArray], late: Period, wide: float, quantum: int, rate_hz: float | None, *, conserved: bool
 ) -> Period:
-    """Return the best explanation of the stamps: late samples, missing samples or coarse ticks."""
     steps = np.concatenate([np.diff(run) for run in runs])
     positive = steps[steps > 0]
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
@@ -165,7 +151,7 @@ def _reading(
 
 
 def _quantum(steps: IntArray) -> int:
-    """Return the greatest common divisor of the steps in ns, ignoring float errors of stamps in whole us."""
+    """Return the greatest common divisor in ns, ignoring float errors of stamps in whole us."""
     some = steps[:100_000]
     whole = 1000 * np.rint(some / 1000).astype(np.int64)
     return int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
@@ -174,8 +160,7 @@ def _quantum(steps: IntArray) -> int:
 def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[list[IntArray], float]:
     """Return the runs without pauses between trials (empty without trials), and a period inside batches.
 
-    The period, in ns, is 0 unless the batches of a buffer may also be trials. Raises ChoiceError if both
-    explanations fit and `rate_hz` is None.
+    The period in ns is 0 unless the batches of a buffer may also be trials. Raises ChoiceError as above.
     """
     steps = np.concatenate([np.diff(run) for run in runs])
     usual = median(steps)
@@ -257,10 +242,9 @@ def _of_ticks(
 ) -> Period | None:
     """Return the period of samples stamped by a clock with ticks of `unit` ns; None if no such clock fits.
 
-    Steps are one tick, or two where the grid gains a tick. In the spectrum of the occupied ticks, the highest
-    line is at the rate of these gains. The period exceeds the tick, and no sample has a phase in the excess,
-    even if samples are missing. If the gains are evenly spaced, a period of one tick with regular losses fits
-    equally well.
+    Steps are one tick, or two where the grid gains a tick. The highest line in the spectrum of the occupied
+    ticks is at the rate of these gains. If they are evenly spaced, a period of one tick with regular losses
+    fits equally well.
     """
     whole = np.rint(steps / unit)
     longer = whole[whole > 1]
@@ -301,8 +285,7 @@ def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float 
 def _cycle(stamps: IntArray, quantum: int) -> Period | None:
     """Return the period if the same samples are missing in every cycle; otherwise None.
 
-    At each place of the cycle the mean step is one period, except one of several periods; means remove jitter
-    and ticks. A clock with a tick of about a period also gives such a cycle, with one sample missing.
+    The mean step at each place of the cycle is one period, except one of several periods.
     """
     steps = np.diff(stamps).astype(np.float64)
     for size in range(2, min(_MAX_CYCLE, steps.size // _MIN_CYCLES) + 1):
@@ -326,10 +309,7 @@ def _cycle(stamps: IntArray, quantum: int) -> Period | None:
 
 
 def _slips(ticks: IntArray) -> float:
-    """Return the share of empty ticks due to a period longer than the tick; otherwise 0.
-
-    `ticks` are the steps between samples, in ticks, shape (n - 1,).
-    """
+    """Return the share of empty ticks due to a period longer than the tick, from steps in ticks; or 0."""
     at = np.concatenate([[0], np.cumsum(ticks)])
     at = at[: np.searchsorted(at, _MAX_STAMPS)]
     n = int(at[-1]) + 1
@@ -344,7 +324,7 @@ def _slips(ticks: IntArray) -> float:
     if high <= low:
         return 0.0
     near = (low + int(np.argmax(lines[low:high]))) / width
-    # With fewer neighbours in phase, all could be empty by chance at one of the rates.
+    # With fewer neighbours in phase, all could be empty by chance.
     few = np.log(1e6 * n) / np.log(1 / lost)
     # Lines at multiples of the rate are nearly as high.
     for first in (near, near / 2, near / 3):
@@ -374,9 +354,8 @@ def _of_phases(
 ) -> Period | None:
     """Return the period from the phases of stamps with white jitter; None if the phases are incoherent.
 
-    It is shorter than the mean step `wide`, in ns; only a little if stamps stay near even places
-    (`conserved`). White jitter of s periods reduces the mean length of the phases to exp(-(2 pi s)²/2),
-    however many samples are missing. Steps have twice the variance and hide the losses.
+    White jitter of s periods reduces the mean length of the phases to exp(-(2 pi s)²/2), however many samples
+    are missing. If stamps stay near even places (`conserved`), the period is just below `wide`, in ns.
     """
     usual = median(steps)
     off = np.abs(steps - usual)
@@ -427,7 +406,7 @@ def _runs(stamps: IntArray) -> list[IntArray]:
 
 
 def _mean_step(runs: list[IntArray]) -> float:
-    """Return the median of mean steps over many samples, in ns; it ignores a few long gaps."""
+    """Return the median of mean steps in ns; it ignores a few long gaps."""
     run = max(runs, key=len)
     width = max(min(_WINDOW, run.size // 8), 16)
     spans = [each[width:] - each[:-width] for each in runs if each.size > width] if run.size > 48 else []
@@ -493,10 +472,7 @@ def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -
 
 
 def _bursty(steps: IntArray, wide: float) -> bool:
-    """Return whether samples come in batches: most steps are short, with pauses between batches.
-
-    White jitter causes as many long steps as short ones, and often steps back.
-    """
+    """Return whether samples come in batches: white jitter would cause as many long steps as short ones."""
     pauses = np.count_nonzero(steps > 1.5 * wide)
     if pauses < max(3, steps.size / 5000) or np.mean(steps < 0) > 0.02:
         return False
@@ -530,10 +506,9 @@ def _slope_of(anchors: list[tuple[FloatArray, FloatArray]]) -> float:
 
 
 def _wander(late: list[FloatArray], tick: float) -> tuple[bool, float]:
-    """Return whether lateness, in samples, stays bounded (no sample is missing), and its range.
+    """Return whether lateness in samples stays bounded (no sample is missing), and its range.
 
-    Medians over runs. A random walk of m steps about its line has m/15 times the variance of a step, rarely
-    less than m/64. Jumps far larger than usual are ignored.
+    A random walk of m steps about its line has m/15 times the variance of a step, rarely less than m/64.
     """
     ratios, ranges = [], []
     for run in map(_without_jumps, late, repeat(tick)):

@@ -1,7 +1,7 @@
 """The numbers that go into a file: covering numbers or fitted coefficients, inflated on request.
 
-The covering pair is from `imucal.prediction.filter_numbers`. The fitted N and K leave out bias instability,
-so a filter with them would be overconfident.
+The covering pair is from `imucal.prediction.filter_numbers`: a filter with the fitted N and K alone would be
+overconfident.
 """
 
 import math
@@ -30,15 +30,13 @@ AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
 Unidentified: TypeAlias = Literal["bound", "refuse"]
 Basis: TypeAlias = Literal["covered", "as-fitted"]
 
-#: Name of an inflation -> symbols of its terms.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
 COVERING = ("N", "K")
-#: Gauss-Markov processes for flicker noise: states per decade of correlation time, and the ratio of the time
-#: at which flicker and white noise are equal to the shortest T.
+#: States of a flicker bank per decade, and how far its shortest T is below the time of equal white noise.
 _PER_DECADE, _MARGIN = 1.5, 10.0
 #: Ratio of the limits of N above which N is too uncertain for a filter.
 _VAGUE = 10.0
-#: Correlation time if none was measured, in s: long enough that a random walk stays one.
+#: In s: long enough that a random walk stays one.
 NOMINAL_TIME_S = 3600.0
 
 
@@ -51,14 +49,14 @@ def _require(value: str, choices: tuple[str, ...], what: str) -> None:
 class ExportOptions:
     """The user's options for a downstream file.
 
-    - `axis_policy`: for formats with one number per sensor: ``worst``, the largest of the axes; ``rms``, the
-    root of the mean variance; or one axis, ``x``, ``y`` or ``z``
+    - `axis_policy`: for formats with one number per sensor: the largest axis, the root of the mean variance,
+    or one axis
     - `inflate`: ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance)
-    - `unidentified`: whether to write the upper ``bound`` of a term that was not detected, or to ``refuse``
-    - `topic`: topic in the file; None for the log's topic
+    - `unidentified`: whether to write the upper bound of a term that was not detected
+    - `topic`: None for the log's topic
     - `numbers`: ``covered``: white noise and walk that cover the fitted spectrum; ``as-fitted``: N and K
-    - `horizon_s`: how long the filter may coast, in s; None for the format's usual value
-    - `step_s`: interval between two updates of the filter, in s
+    - `horizon_s`: how long the filter may coast; None for the format's usual value
+    - `step_s`: interval between two updates of the filter
     """
 
     axis_policy: AxisPolicy = "worst"
@@ -95,13 +93,11 @@ class Number:
     """One positive coefficient for a file, in SI, with the inflation applied.
 
     - `covers`: whether `value` is from a covering pair; the other attributes describe the fitted coefficient
-    - `axes`: the axes that were used: one, or several with the policy ``rms`` or a covering pair
     - `bounded`: the axes whose upper bound replaced the value
     - `interval`: confidence interval; None for a bound and for several axes
-    - `excess`: ratio of a bound to the largest coefficient whose line stays below the measured Allan curve;
-    None for a value and for several axes
+    - `excess`: ratio of a bound to the largest coefficient whose line is below the measured Allan curve
     - `alternatives`: symbols of terms that the record can't distinguish from this one
-    - `origin`: description of a number that was not estimated from one record; otherwise empty
+    - `origin`: description of a number that was not estimated from one record
     """
 
     symbol: str
@@ -145,8 +141,7 @@ class Number:
 class WithBias:
     """An axis as white noise N and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
 
-    `white` is N in U/sqrt(Hz), `driving` the density of the noise that drives the bias, in U/sqrt(s), and
-    `correlation_time` T in s. They follow from the numbers `used`; `note` explains their origin.
+    `white` is in U/sqrt(Hz), `driving` in U/sqrt(s), and `correlation_time` T in s.
     """
 
     white: float
@@ -165,8 +160,8 @@ class WithBias:
 class Numbers:
     """The numbers of a report for one file format.
 
-    Every method raises `DataError` if the report lacks a sensor or an axis, or if a term was not detected and
-    the user refused its bound. Formats iterate over `sensors`, because a log may contain only one sensor.
+    Methods raise `DataError` if the report lacks a sensor or an axis, or if a term was not detected and the
+    user refused its bound. Formats iterate over `sensors`, because a log may contain only one sensor.
     """
 
     report: Report
@@ -182,10 +177,7 @@ class Numbers:
 
     @property
     def stream_hz(self) -> float:
-        """Rate in Hz of a file with a single rate: the gyroscope's if the log has one.
-
-        A program with one rate reads both sensors as one stream and interpolates the slower one.
-        """
+        """Rate in Hz of a file with a single rate; such a program interpolates the slower sensor."""
         return self.rate_hz(self.sensors[0])
 
     def axes(self, sensor: Sensor) -> tuple[AxisReport, ...]:
@@ -203,7 +195,7 @@ class Numbers:
         return self.axis(sensor, "x"), self.axis(sensor, "y"), self.axis(sensor, "z")
 
     def rate_hz(self, sensor: Sensor) -> float:
-        """Return the sensor's sampling rate in Hz, to nine digits: no clock is more accurate."""
+        """Return the rate in Hz to nine digits: no clock is more accurate."""
         return float(f"{self.axes(sensor)[0].rate_hz:.9g}")
 
     def one(self, sensor: Sensor, symbol: str) -> Number:
@@ -220,19 +212,17 @@ class Numbers:
         return _joined(numbers, value)
 
     def chosen(self, sensor: Sensor) -> tuple[AxisReport, ...]:
-        """Return the axes that determine a sensor's number under the axis policy."""
+        """Return the axes that the policy uses for a sensor's number."""
         policy = self.options.axis_policy
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, ...]:
-        """Return a number for each of the three axes."""
         return tuple(self._number([axis], symbol) for axis in self.triad(sensor))
 
     def pair(self, axes: Sequence[AxisReport], *, time_s: float | None = None) -> FilterNumbers:
-        """Return white noise and a walk that cover the spectra of some axes.
+        """Return white noise and a walk, or with `time_s` a Gauss-Markov bias, that cover some axes.
 
-        With `time_s`, in s, a Gauss-Markov bias replaces the walk. The factor for flicker inflates the
-        spectra; the factors for white noise and walk inflate the pair.
+        The factor for flicker inflates the spectra; those for white noise and walk inflate the pair.
         """
         found = filter_numbers(
             [self._inflated(axis.fit) for axis in axes],
@@ -300,7 +290,7 @@ class Numbers:
         )
 
     def gauss_markov(self, axis: AxisReport) -> dict[str, GaussMarkov]:
-        """Return key -> inflated Gauss-Markov term."""
+        """Return key -> inflated term."""
         return {
             e.key: GaussMarkov(sigma=e.value * self.options.factor(e.symbol), T=e.correlation_time.value)
             for e in axis.fit.estimates
@@ -308,14 +298,10 @@ class Numbers:
         }
 
     def slowest(self, axis: AxisReport) -> GaussMarkov | None:
-        """Return an axis's slowest Gauss-Markov term, inflated."""
         return max(self.gauss_markov(axis).values(), key=lambda term: (term.T, term.sigma), default=None)
 
     def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
-        """Return each axis as white noise and a bias; all biases have the same correlation time T.
-
-        With fitted numbers, T is the longest one; each axis keeps its driving noise.
-        """
+        """Return each axis as white noise and a bias; all biases have the same correlation time."""
         if not self.covers:
             fitted = [self._fitted_bias(axis) for axis in axes]
             time = max(each.correlation_time for each in fitted)
@@ -333,10 +319,7 @@ class Numbers:
         ]
 
     def timed(self, groups: Sequence[Sequence[AxisReport]]) -> list[FilterNumbers]:
-        """Return the covering numbers of each group of axes, with the common T that is cheapest for all.
-
-        T is a fitted correlation time, or one so far beyond the horizon that the bias is a random walk.
-        """
+        """Return the covering numbers of each group of axes, with the common T that is cheapest for all."""
         fits = [axis.fit for axes in groups for axis in axes]
         tried = (
             [self.pair(axes, time_s=time) for axes in groups]
@@ -359,8 +342,8 @@ class Numbers:
     def states(self, axis: AxisReport) -> Iterator[tuple[str, GaussMarkov]]:
         """Yield key and process of each state x[t+1] = phi x[t] + q w[t] that models an axis's slow noise.
 
-        These are the fitted Gauss-Markov terms and a bank for flicker noise. The bank's correlation times
-        start below the time at which flicker noise exceeds white noise, and end at the length of the record.
+        The bank for flicker noise begins below the time at which it exceeds white noise, and ends at the
+        length of the record.
         """
         yield from self.gauss_markov(axis).items()
         if axis.fit["B"].value is None:
@@ -375,8 +358,7 @@ class Numbers:
     def _fitted_bias(self, axis: AxisReport) -> WithBias:
         """Return N and the process that best approximates the slower noise.
 
-        The first that applies: a random walk that was detected as such, with a nominal T, because a short T
-        would limit its growth; the slowest Gauss-Markov term; the bound on K with a nominal T.
+        A detected random walk gets a nominal T, because a short T would limit its growth.
         """
         used, term, walk = [self.of(axis, "N")], self.slowest(axis), axis.fit["K"]
         if term is not None and (walk.value is None or walk.drawn is None):
@@ -429,8 +411,7 @@ class Numbers:
 def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:
     """Return Gauss-Markov terms whose sum is flicker noise B between `shortest_s` and `longest_s`.
 
-    The correlation times are log-spaced with a ratio r; each variance is ``B^2 ln(r) / pi``. With 1.5 states
-    per decade, the psd differs from flicker noise by at most 0.7 % inside the bank.
+    The correlation times are log-spaced with a ratio r; each variance is ``B^2 ln(r) / pi``.
     """
     steps = max(1, math.ceil(_PER_DECADE * math.log10(longest_s / shortest_s)))
     ratio = (longest_s / shortest_s) ** (1 / steps)
@@ -453,10 +434,7 @@ def _joined(numbers: Sequence[Number], value: float) -> Number:
 
 
 def vague_axes(report: Report) -> tuple[str, ...]:
-    """Return the names of the axes whose N is uncertain by more than a factor of 10.
-
-    The factor is the ratio of the limits of N, or of its upper bound to the largest N below the Allan curve.
-    """
+    """Return the names of the axes whose N is uncertain by more than a factor of 10."""
     found = []
     for axis in report.axes:
         white = axis.fit["N"]

@@ -1,7 +1,6 @@
 """One downstream format: its file, its keys and their formulas, and the comment at the top of the file.
 
-`formats/*.toml` define the formats as data: texts, keys, and a template of the file. Numbers are formatted
-for the consumers' own parsers.
+`formats/*.toml` define the formats as data. Numbers are formatted for the consumers' own parsers.
 """
 
 import json
@@ -44,9 +43,8 @@ def name_key(name: str) -> str:
 def real(value: float) -> str:
     """Return a number with eight digits and a decimal point: ``200.0``, ``1.0e-05``.
 
-    A factor just below 1, such as phi of a Gauss-Markov process, keeps all digits for its distance from 1.
-    Without the point, OpenCV's FileStorage reads ``200`` as an integer, and YAML 1.1 reads ``1e-05`` as a
-    string. Raises ValueError if the number is not finite.
+    Factors just below 1 keep all digits. Without the point, OpenCV's FileStorage reads ``200`` as an integer,
+    and YAML 1.1 reads ``1e-05`` as a string. Raises ValueError if the number is not finite.
     """
     if not math.isfinite(value):
         raise ValueError(f"only finite numbers can be written, got {value}")
@@ -78,7 +76,7 @@ _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """Compute a number from a coefficient c and the rate f of the file's stream, in Hz; with its unit.
+    """Compute a number from a coefficient c and the rate f of the file's stream, in Hz.
 
     ``{u}`` in the unit is replaced by the unit of the samples (N) or of their rate of change (K).
     """
@@ -92,12 +90,11 @@ class Formula:
         return round(math.log2(self.of(2.0, 1.0) / self.of(1.0, 1.0)))
 
     def inverse(self, number: float, f: float) -> float:
-        """Return the coefficient from which `of` computes a positive number."""
+        """Return the coefficient of a positive number."""
         return float((number / self.of(1.0, f)) ** (1 / self.power))
 
 
-#: Suffix of a term's symbol in a key -> formula. Continuous: c, c². Discrete: per sample (N), or per step for
-#: programs that multiply by dt (K).
+#: Suffix of a term's symbol in a key -> formula. Discrete numbers are per sample (N) or per step (K).
 FORMULAS = {
     "": Formula(lambda c, _: c, "{u}/sqrt(Hz)"),
     "^2": Formula(lambda c, _: c * c, "({u})^2/Hz"),
@@ -124,8 +121,8 @@ FORMULAS = {
 class Key:
     """A key of a file: a sensor, a term, and the formula of the number.
 
-    The name contains ``{axis}`` (x, y, z) or ``{i}`` (0, 1, 2) if the file has a key for each axis. It ends
-    with ``[]`` if the key contains a list of three axes.
+    The name contains ``{axis}`` or ``{i}`` if the file has a key for each axis, and ends with ``[]`` if the
+    key contains a list of three axes.
     """
 
     name: str
@@ -135,7 +132,7 @@ class Key:
 
     @classmethod
     def parse(cls, text: str) -> "Key":
-        """Return the key of a line such as ``gyr_cov = gyro N^2 f``: name, sensor, term and formula."""
+        """Return the key of a line such as ``gyr_cov = gyro N^2 f``."""
         name, sensor, symbol, formula = re.fullmatch(r"(\S+) = (gyro|accel) ([A-Z])(.*)", text).groups()  # type: ignore[union-attr]
         (own,) = (each for each in Sensor if each.short == sensor)
         return cls(name, own, symbol, FORMULAS[formula])
@@ -173,18 +170,15 @@ class Entry(NamedTuple):
 class Target:
     """A downstream format: one table of `formats/*.toml`.
 
-    - `name`, `aliases`: names by which the user chooses the format
-    - `title`: the consumer and its file, for lists
-    - `heading`: the same for the comment; by default made from the title
+    - `title`: the consumer and its file, for lists; `heading`: the same for the comment
     - `file_name`: name of the file if the user gives a folder
     - `source`: source code that was read, and programs that were run, to find the meaning of the numbers
     - `kind`: whether the numbers are continuous or discrete
-    - `formulas`: how each value follows from the coefficients
     - `text`: template of the file without the comment (see `Target._known`)
     - `about`: how the consumers of the family use the numbers
     - `keys`: keys that contain one term each
     - `every`: symbols of the terms that the file contains for every axis
-    - `bias`: whether ``each axis`` has a bias with its own T, or ``all axes`` share one T; empty without bias
+    - `bias`: whether each axis has a bias with its own T, or all axes share one T; empty without bias
     - `read_back`: whether `imucal` recognises a user's file by its keys and checks them
     - `documented`: key -> lowest and highest value that the consumer documents
     - `carries`: symbols of the terms that the format supports
@@ -192,7 +186,7 @@ class Target:
     - `own_rates`: whether each sensor has its own rate
     - `notes`: further lines of the comment
     - `layout`: ``json``, ``xml``, ``opencv``, or the sign that starts a comment
-    - `horizon_s`: default time that a filter may coast, in s
+    - `horizon_s`: default time that a filter may coast
     """
 
     name: str
@@ -224,7 +218,7 @@ class Target:
         return "B" not in carries and set(COVERING) <= set(carries)
 
     def is_called(self, name: str) -> bool:
-        """Return whether a name is this format's, ignoring case and punctuation; aliases do not count."""
+        """Ignore case and punctuation; aliases do not count."""
         return name_key(name) == name_key(self.name)
 
     def numbers(self, report: Report, options: ExportOptions) -> Numbers:
@@ -257,9 +251,7 @@ class Target:
     def _known(self, numbers: Numbers) -> dict[str, object]:
         """Return the variables of the templates, which format floats by `real`.
 
-        Among them: ``keys`` (an `Entry` each), ``every`` (each axis with its numbers), ``biased`` (sensor ->
-        a `WithBias` for each axis), ``used`` (all numbers in the file), ``bounds`` (those that are upper
-        bounds), ``factor(symbol)`` (the inflation), and ``f`` (the rate of the file, in Hz).
+        ``used`` are all numbers in the file; ``f`` is the rate of the file in Hz.
         """
         keys = list(_entries(numbers, self.keys))
         axes = chain.from_iterable(map(numbers.axes, numbers.sensors)) if self.every else ()
@@ -286,7 +278,7 @@ class Target:
 
 
 def read_targets(families: Iterable[str]) -> Iterator[Target]:
-    """Yield the formats of ``formats/FAMILY.toml``; its top-level keys apply to all formats of the family."""
+    """Yield the formats of ``formats/FAMILY.toml``; its top-level keys apply to the whole family."""
     for family in families:
         table = tomllib.loads(_format(f"{family}.toml"))
         macros = table.pop("macros", "")
@@ -346,7 +338,6 @@ def _environment() -> "Environment":
     made.globals |= {"INFLATABLE": INFLATABLE, "price": price, "itself": itself}
     made.filters |= {"quoted": quoted, "plain": one_line, "comment": comment, "decimal": decimal}
     made.filters["lines"] = _lines
-    # An attribute of each value, times a factor.
     made.filters["times"] = lambda values, factor, name: [getattr(value, name) * factor for value in values]
     return made
 
@@ -370,7 +361,7 @@ def price(pair: FilterNumbers) -> str:
 
 
 def itself(axes: Sequence[AxisReport], number: Callable[[float], str] = "{:.3g}".format) -> str:
-    """Return the fitted coefficients, each for the axis with the largest, formatted by `number`."""
+    """Return the fitted coefficients, each for the axis with the largest."""
     message = []
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
