@@ -19,10 +19,9 @@ __all__ = ["check_calibration"]
 
 
 def check_calibration(found: Node, limits: Limits) -> CheckResult:
-    """Judge a calibration.json: a row for each limit and parameter, and for each forbidden finding.
+    """Judge a calibration.json: a row for each limit on a parameter's size, and for each forbidden finding.
 
-    A limit is about the absolute value of a parameter. Raises LimitsError if all limits are for noise, or one
-    does not fit raw counts.
+    Raises LimitsError if all limits are for noise, or one does not fit raw counts.
     """
     source = found["source"]["path"].text()
     if are_of_noise(limits) and not limits.calibration:

@@ -1,8 +1,7 @@
 """Check the noise parameters in the config file of a filter against the report of the sensor.
 
-Formats and formulas are in `imucal.report.exports`. A number passes if it is at least the number
-for the fitted values. Between this and the number for their limits, the record is too short to decide. A
-wrong number is compared with likely mistakes: a factor of the rate, degrees, g, a square, another term.
+A number passes if it is at least the number for the fitted values. Between this and the number for their
+limits, the record is too short to decide. A wrong number is compared with likely mistakes, such as degrees.
 """
 
 import math
@@ -30,17 +29,15 @@ from imucal.units import G0, SAMPLE_UNITS
 
 #: Sufficient share of the required deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
-#: Multiples of the required coefficient above which a note follows, and above which it may be a mistake.
+#: Multiples of the required coefficient: for a note, and for a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
 _VALUES = Caution(0.0, 0.0)
 #: Relative to the right coefficient: no sensor is this good; no bound is this far above the truth.
 _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
-#: A number matches a mistake within this factor; smaller up to the last factor, because people make numbers
-#: larger on purpose.
+#: A number matches a mistake within this factor; a small excess may be on purpose, so it must match better.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
-#: Second explanation of a number that is 9.81 times too large: people multiply by ten.
+#: People multiply by ten, which is nearly 9.81.
 _ON_HABIT = ", or made ten times as large on purpose"
-#: Largest difference of the natural logarithms of equal factors.
 _EQUAL = 1e-6
 _SAME_RATE = 0.01
 
@@ -86,7 +83,7 @@ class Setting(NamedTuple):
 def read_settings(text: str, file: str = "") -> list[Setting]:
     """Return the keys of a config file: YAML, OpenCV's YAML, parameters, or assignments.
 
-    Sections are read as keys without a number, matrices as keys with all of theirs.
+    Sections are keys without a number.
     """
     lines = iter([(i, _COMMENT.sub("", line).rstrip()) for i, line in enumerate(text.splitlines(), 1)])
     found, section = list[Setting](), ""
@@ -102,7 +99,7 @@ def read_settings(text: str, file: str = "") -> list[Setting]:
         if not value or value.startswith("!!"):
             section = name
         written = _NUMBER.findall(value)[: 1 if match["vehicle"] else None]
-        # OpenCV's matrices have their numbers under a key of their own.
+        # OpenCV's matrices have their numbers under `data`.
         name = section if name == "data" and section else name
         found.append(Setting(file, number, name, tuple(written), " ".join([line, *more])))
     return found
@@ -239,9 +236,8 @@ def _diagonal(setting: Setting) -> tuple[float, ...]:
 class _Wanted:
     """The required value of a key: white noise or random walk of some axes.
 
-    `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number:
-    the file's, or the exporter's if it is larger. `fitted` contains the largest fitted coefficient of each
-    term.
+    `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number,
+    the larger of the file's and the exporter's. `fitted` contains the largest fitted coefficients.
     """
 
     key: Key

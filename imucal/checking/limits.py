@@ -1,11 +1,7 @@
 """The limits file: TOML in, checked values out, each limit with the factor of its unit.
 
-A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all its axes) or the log::
-
-    [gyroscope]
-    N = { max = 0.3, unit = "deg/sqrt(h)" }     # SI where no unit is given
-
-``docs/limits-example.toml`` has every key.
+A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all its axes) or the log. See
+``docs/limits-example.toml``.
 """
 
 import difflib
@@ -37,8 +33,7 @@ FINDING_CODES = frozenset(code_texts())
 class Limit:
     """A lower or upper limit (`side`) with the value and unit of the file; ``value * factor`` is in SI.
 
-    `where` is ``log``, a sensor such as ``gyroscope``, an axis such as ``gyro_x``, or a calibrated sensor
-    such as ``calibration.gyroscope``. `quantity` is the symbol of a term, or a name in this module.
+    `where` is ``log``, a sensor, an axis such as ``gyro_x``, or ``calibration.gyroscope``.
     """
 
     where: str
@@ -65,10 +60,9 @@ class FindingRules:
 
 @frozen
 class Baseline:
-    """Allowed changes of the coefficients of `terms` relative to an older report.
+    """Allowed relative changes of the coefficients of `terms`; None allows any change.
 
-    The report is None if the caller gives it. `max_increase` and `max_decrease` are the largest relative
-    changes; None allows any change.
+    The report is None if the caller gives it.
     """
 
     report: Path | None = None
@@ -150,10 +144,7 @@ def text_of(path: Path, expected: str) -> str:
 
 
 def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None) -> Limits:
-    """Return the limits of a TOML text, with the errors of `read_limits`.
-
-    Messages contain `name`; the path of a baseline is relative to `folder`.
-    """
+    """Return the limits of a TOML text, with the errors of `read_limits`; `name` is for messages."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -267,7 +258,6 @@ class _Value:
         raise LimitsError(f"{where}: {found}{';' if expected.endswith('?') else ','} {expected}")
 
     def maybe(self, read: "Callable[[_Value], T]") -> T | None:
-        """Return None if the file lacks the value, otherwise `read(self)`."""
         return None if self.value is None else read(self)
 
     def table(self) -> dict[str, "_Value"]:
@@ -313,7 +303,6 @@ class _Value:
         return str(self.value)
 
     def texts(self, known: Collection[str]) -> tuple[str, ...]:
-        """Return a list of known texts, with the symbols of terms."""
         if not isinstance(self.value, list) or not all(isinstance(item, str) for item in self.value):
             self.refuse(repr(self.value), 'expected a list of texts, such as ["N", "K"]')
         texts = tuple(symbol_of(text) or text for text in self.value)

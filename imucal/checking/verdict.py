@@ -1,7 +1,6 @@
 """check: a report against limits -> verdicts, by the interval and not by the value.
 
-pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the interval
-contains the limit.
+pass or fail: the whole interval is within or beyond the limit; undecided: it contains the limit.
 """
 
 from collections.abc import Iterable, Iterator
@@ -39,9 +38,8 @@ WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 class Row:
     """One verdict on an axis, a sensor or the ``log``, with a sentence.
 
-    `subject` is a symbol, a quantity, ``axes``, ``findings`` or ``N / baseline``. `side` (``min`` or ``max``)
-    and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if nothing was
-    measured. `instead` replaces a wrong or doubtful line of a config file.
+    `side` and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if nothing
+    was measured. `instead` replaces a wrong or doubtful line of a config file.
     """
 
     where: str
@@ -68,7 +66,6 @@ class CheckResult:
     """The result of a check of a report: a row for each limit and axis.
 
     `level` is the confidence level of the intervals. An undecided limit fails the check if `undecided_fails`.
-    `noise` is the verdict on the recording.
     """
 
     source: str
@@ -80,7 +77,6 @@ class CheckResult:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst verdict of the rows."""
         return min((row.verdict for row in self.rows), key=WORST_FIRST.index, default="pass")
 
     @property
@@ -119,9 +115,8 @@ def judge(
 def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
     """Judge a report: a row for each limit and axis, and for each forbidden finding.
 
-    `baseline` is the older report for limits with a baseline; with None the report in the limits is loaded.
-    Raises LimitsError if there is none, or if all limits are for a calibration; ReadError if the report in
-    the limits can't be read.
+    `baseline` replaces the older report in the limits. Raises LimitsError if a baseline is missing, or if all
+    limits are for a calibration; ReadError if the report in the limits can't be read.
     """
     if limits.calibration and not are_of_noise(limits):
         msg = (
@@ -189,7 +184,6 @@ def _wanted(report: Report, limits: Limits) -> Iterator[str]:
 
 
 def _axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
-    """Return the axes of ``log``, a sensor or an axis name."""
     return tuple(axis for axis in report.axes if where in ("log", axis.sensor, axis.name))
 
 

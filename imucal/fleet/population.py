@@ -242,7 +242,7 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     rest = total - w
     off = centre - np.sum(w * centre) / total
     apart = off * total / rest
-    # From the sum about the mean of all.
+    # Sum of squares about the mean of the others, from the sum about the mean of all.
     squares = np.sum(w * off**2) - w * off * apart
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
     result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)

@@ -1,8 +1,7 @@
 """The slow statistics of a fleet: computed once and kept in its store.
 
-A question contains all data of its answer, and a key: equal logs, labels and versions give equal keys. The
-workers of a run store the answers. A report, a check or a comparison computes only missing ones, for example
-after a change of labels.
+A question contains all data of its answer, and a key: equal logs, labels and versions give equal keys. A
+report, a check or a comparison computes only the missing answers.
 """
 
 import hashlib
@@ -35,12 +34,11 @@ if TYPE_CHECKING:
     import polars as pl
 
 TermKey: TypeAlias = tuple[str, str, str, str]
-#: Largest relative difference of equal sampling rates.
 _SAME_RATE = 1e-3
 _LEVEL = 0.95
-#: Number of logs whose bins are in memory at a time, 18 kB each.
+#: Logs whose bins are in memory at a time, 18 kB each.
 _LOGS_IN_MEMORY = 5000
-#: Price at which more units are not worth it, and largest number of units considered.
+#: Price at which more units are not worth it.
 NEAR = 1.1
 _LARGEST_FLEET = 10_000
 _OF_LOG = tuple(field.name for field in fields(LogValue))
@@ -111,8 +109,8 @@ class UnitLogs:
     """The test whether several logs of one unit have one coefficient of a term.
 
     `p_value` belongs to this test alone; `differs` is adjusted for all units and terms of the fleet. `value`,
-    `low` and `high` are from the joint fit, widened if the logs differ; value is None if the term is only
-    bounded. `spread` is the relative deviation between logs beyond chance, 0 if they agree.
+    `low` and `high` are from the joint fit; value is None if the term is only bounded. `spread` is the
+    relative deviation between logs beyond chance, 0 if they agree.
     """
 
     unit: str
@@ -128,7 +126,7 @@ class UnitLogs:
 
 @frozen
 class UnitAnswer:
-    """The tests of a unit's axis, one per term; none if it can't be tested, and a finding with the reason."""
+    """The tests of a unit's axis, one per term, or a finding with the reason why there are none."""
 
     tests: tuple[UnitLogs, ...]
     findings: tuple[Finding, ...]
@@ -138,7 +136,7 @@ class UnitAnswer:
 class UnitQuestion:
     """The question whether the logs of one axis of a unit have one coefficient of each term.
 
-    `logs` are their keys; `packed`, their bins, are needed to compute the answer.
+    `logs` are their keys; the answer needs `packed`, their bins.
     """
 
     unit: str
@@ -190,7 +188,7 @@ A = TypeVar("A", TermAnswer, UnitAnswer)
 
 
 def answer_text(question: Question) -> str:
-    """Return the answer to a question as JSON."""
+    """Return the answer as JSON."""
     return json.dumps(asdict(question.answer()))
 
 
@@ -216,9 +214,9 @@ def answers_to(
     ask: Ask,
     fill: Callable[[list[Q]], Iterable[list[Q]]] = lambda every: [every],
 ) -> list[A]:
-    """Return the answers to questions, in their order, from the store or computed.
+    """Return the answers to questions, in their order, from the store or computed and stored.
 
-    Missing answers are computed in groups, which `fill` completes with data, and stored if possible.
+    `fill` completes groups of questions with data.
     """
     keys, read = [question.key for question in questions], _reader(kind)
     known = store.derived(keys)
@@ -284,11 +282,7 @@ def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[lis
 
 
 def _reader(kind: Any) -> Any:  # noqa: ANN401 - of any type
-    """Return the function that converts JSON to a type; None for a type that JSON contains itself.
-
-    A type is a dataclass, a tuple of any length of one type, a pair of plain values, an optional type, or
-    plain.
-    """
+    """Return the function that converts JSON to a type; None for a type that JSON contains itself."""
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind).items()
         deeper = {name: read for name, hint in hints if (read := _reader(hint))}
@@ -303,8 +297,7 @@ def _reader(kind: Any) -> Any:  # noqa: ANN401 - of any type
 def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
     """Return the median ratio of the bound of two or more units to the quantile that it bounds.
 
-    For units without error, the bound is k deviations above the mean in the logarithm, and the quantile z.
-    With a `spread` between units, in the logarithm, the ratio is exp(spread (k - z)). Source: Krishnamoorthy
+    For units without error and a `spread` in the logarithm, it is exp(spread (k - z)). Source: Krishnamoorthy
     & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3).
     """
     from scipy.special import nctdtrit, ndtri
@@ -316,10 +309,7 @@ def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confid
 
 
 def _prices(found: Population) -> tuple[tuple[int, float], ...]:
-    """Return prices for the tested units, twice as many, and a number at which more are not worth it.
-
-    Empty if the spread between units is unknown.
-    """
+    """Return prices for the tested units, twice as many, and a number at which more are not worth it."""
     if found.spread is None:
         return ()
     n = len(found.units)

@@ -123,8 +123,7 @@ def check_fleet(
     """Return a row for each common term of each axis: a comparison with the range of the next unit.
 
     A term passes if its whole interval is in this range. It fails if the probability of this difference in a
-    unit of the model is below `alpha`, adjusted for all terms (Holm 1979). Other terms are undecided, and so
-    are terms of fewer than three units.
+    unit of the model is below `alpha`, adjusted for all terms (Holm 1979). Other terms are undecided.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 """The files of a fleet's report: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
 
-All numbers of JSON and CSV are in SI. An incompatible change of ``schema/fleet-1.schema.json`` raises its
-number.
+All numbers of JSON and CSV are in SI. An incompatible change of the schema raises its number.
 """
 
 import csv
@@ -141,9 +140,8 @@ def write_fleet(
 ) -> tuple[Path, ...]:
     """Write the report of a fleet; return the files, ``fleet.json`` first.
 
-    Each file is replaced as a whole. ``fleet.json`` is removed first and written last: if it exists, all
-    files belong to one report. If two processes write, one waits. A picture or page that can't be drawn is
-    left out, also if there is an old one, and ``fleet.json`` contains a finding.
+    ``fleet.json`` is removed first and written last: if it exists, all files belong to one report. A picture
+    or page that can't be drawn is left out, and ``fleet.json`` contains a finding.
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""The text of a fleet's report: numbers, the verdict, ``fleet.html``, and tables in a notebook.
-
-The page needs neither a network nor a script.
-"""
+"""The text of a fleet's report: numbers, the verdict, ``fleet.html`` (no network or script), and tables."""
 
 import base64
 import itertools
@@ -24,7 +21,7 @@ from imucal.units import DatasheetUnit
 if TYPE_CHECKING:
     import polars as pl
 
-#: Largest number of logs without a label on the page, and of sensor models in a notebook's text.
+#: Largest numbers on the page, and in a notebook's text.
 _LISTED_LOGS, _LISTED_MODELS = 500, 9
 
 #: Section of the page -> description and SVG of each picture.
@@ -82,7 +79,7 @@ def between(term: FleetTerm, low: float, high: float) -> Markup:
 
 
 def _kept(text: str) -> Markup:
-    """Return a text whose unit is not broken into two lines, as browsers do after the stroke."""
+    """Keep the unit in one line: browsers break it after the stroke."""
     number, _, unit = text.rpartition(" ")
     return Markup('{} <span class="keep">{}</span>').format(number, unit)
 

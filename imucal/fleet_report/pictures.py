@@ -38,14 +38,14 @@ if TYPE_CHECKING:
 
 _DPI = 110
 _BOUND = "#8a5200"
-#: Largest number of units with names; height of a row, and largest height of a panel, in inches.
+#: Most units with names; height of a row and of the tallest panel, in inches.
 _NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
 _SMALL: Style = {"fontsize": SMALL_SIZE, "color": INK}
 _LABEL: Style = {"fontsize": LABEL_SIZE, "color": INK}
 _NEAR: Style = {"fontsize": SMALL_SIZE, "textcoords": "offset points"}
 #: Width of a band of 95 %, in standard deviations.
 _BAND_SDS = 2 * 1.96
-#: A whisker or bound ends this factor below the lowest value.
+#: Factor by which a whisker or bound ends below the lowest value.
 _BELOW = 3.0
 #: Installed fonts with the signs of many languages; the last one has a box for any other.
 _FONTS = (
@@ -56,7 +56,7 @@ _FONTS = (
 
 
 class Picture(NamedTuple):
-    """A picture of a fleet: its name, section of the page, description, and drawing function."""
+    """A picture of a fleet and its section of the page."""
 
     name: str
     section: str
@@ -181,7 +181,6 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
         unit = sheet_unit(own[0][1])
         lows, highs = zip(*(span(term) for _, term in own), strict=True)
         for i, (_, term) in enumerate(own):
-            # One unit for all models.
             _draw_strip(place, term.population, i, unit.factor, min(lows))
         place.set_yticks(range(len(own)), [title for title, _ in own], **_SMALL)
         _log_axis(place, own[0][1], unit, min(lows) * unit.factor, max(highs) * unit.factor)
@@ -232,10 +231,7 @@ def _draw_marks(
 
 
 def heat_figure(model: SensorModel) -> "Figure":
-    """Return units × terms: distance of each unit from the median, in standard deviations of the next unit.
-
-    Both are in the logarithm; cells without a value are hatched.
-    """
+    """Return units × terms: distance from the median, in standard deviations of the next unit."""
     from matplotlib.patches import Rectangle
 
     names, terms = list(model.units), model.terms

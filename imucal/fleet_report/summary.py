@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 class FleetLog:
     """One log of a fleet; without labels `model` is empty and `unit` None.
 
-    `status` is ``ok`` or the kind of failure, with its `reason`; `verdict` is good, look, not-noise or empty,
-    and `findings` are codes. `report` is the folder of its own report, relative to the fleet's folder, or
-    empty. `left_out` is the reason why its numbers do not count, or empty.
+    `status` is ``ok`` or the kind of failure; `verdict` is good, look, not-noise or empty; `findings` are
+    codes. `report` is the folder of its own report, relative to the fleet's folder, or empty. `left_out` is
+    the reason why its numbers do not count, or empty.
     """
 
     path: str
@@ -57,10 +57,7 @@ class FleetLog:
 
 @frozen
 class FleetTerm(TermAnswer):
-    """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`.
-
-    `unit_logs` are the tests of units with several logs.
-    """
+    """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`."""
 
     sensor: Sensor
     axis: Axis
@@ -95,10 +92,7 @@ class FleetTerm(TermAnswer):
 
 @frozen
 class SensorModel:
-    """The units of one sensor model; `name` is empty without a label.
-
-    `rate_hz` is the median rate of its logs; `terms` are sorted by sensor, term and axis.
-    """
+    """The units of one sensor model; `rate_hz` is the median rate of its logs."""
 
     name: str
     units: tuple[str, ...]
@@ -131,8 +125,7 @@ class Fleet(Displayed):
     """The results of a fleet.
 
     `folder` is the store; `asked` is the number of requested logs. `loose` are logs without a unit label,
-    which are in no population; `labels` is a pattern for them. `findings` belong to the whole fleet;
-    `version` is imucal's.
+    which are in no population; `labels` is a pattern for them. `findings` belong to the whole fleet.
     """
 
     drawn_by: ClassVar[str] = "imucal.fleet_report.pages"
@@ -148,10 +141,7 @@ class Fleet(Displayed):
 
     @property
     def failures(self) -> dict[tuple[str, str], tuple[FleetLog, ...]]:
-        """Logs that do not count, by status and reason; the most frequent first.
-
-        Reasons that differ only in numbers are one group.
-        """
+        """Logs that do not count, by status and reason; the most frequent first."""
         groups: dict[tuple[str, str], list[FleetLog]] = {}
         for log in filter(lambda log: log.left_out, self.logs):
             kind = log.status if log.status != "ok" else log.verdict

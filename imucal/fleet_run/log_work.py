@@ -25,14 +25,13 @@ from imucal.resources import MEMORY, POOLS, THREADS
 
 #: Another log may be the cause of a process's end.
 _ATTEMPTS = 2
-#: Texts that Rust and C++ print if an allocation fails.
+#: Printed by Rust and C++ if an allocation fails.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
-#: One step of reading a log may use the memory of the child divided by this.
+#: Reading a log may use the memory of the child divided by this.
 _SHARE = 4
 #: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
-#: A row of the table of logs, with its rows of the tables ``results`` and ``bins``.
 LogRow: TypeAlias = dict[str, Any]
 
 
@@ -133,7 +132,7 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     except DataError as error:
         ended = "no-data", str(error)
     except WriteError:
-        # Not an error of the log: the report can't be written.
+        # The report can't be written, which is not an error of the log.
         raise
     except (ImucalError, ValueError) as error:
         ended = "unreadable", str(error)

@@ -1,7 +1,6 @@
 """Find the logs of given names, recognise equal logs, and read labels from paths.
 
 Size and both ends of a file distinguish nearly all logs; the whole content is read only if they are equal.
-For a folder, which is a bag, all files count, but not their names.
 """
 
 import functools
@@ -30,7 +29,7 @@ _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
     ending + packed for form in FORMATS for ending in {*form.suffixes} - {*_VAGUE} for packed in _PACKED
 )
-#: Bytes at each end of a file in its edge checksum.
+#: Bytes at each end of a file.
 _EDGE = 1 << 16
 #: Block size in bytes. The checksum of a log depends on it.
 _BLOCK = 1 << 20
@@ -41,16 +40,14 @@ _AT_ONCE = 32
 def find_logs(names: Iterable[str]) -> list[str]:
     """Return the logs of some names, each once, in the order of the names.
 
-    Names are files, folders, URLs, or contain wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of any
-    depth). Raises ReadError if wildcards match nothing, a folder contains no log, or a name is neither a file
-    nor has the ending of a log.
+    Names are files, folders, URLs, or contain wildcards. Raises ReadError if wildcards match nothing, a
+    folder contains no log, or a name is neither a file nor has the ending of a log.
     """
     return list(dict.fromkeys(log for name in names for log in _logs_of(name)))
 
 
 def _logs_of(name: str) -> list[str]:
-    # A store is not asked about each of a million logs, and a missing file is reported as a log that can't be
-    # read.
+    # A store is not asked about each of a million logs; reading reports a missing file.
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
@@ -71,7 +68,7 @@ def _logs_of(name: str) -> list[str]:
 
 def _matches(name: str) -> Iterator[str]:
     suffix = Path(name).suffix
-    # All files match *.txt; a star alone matches only files with the ending of a log.
+    # A star alone matches only files with the ending of a log.
     endings = ("",) if suffix and not glob.has_magic(suffix) else _ENDINGS
     found = glob.glob(name.removesuffix("**"), recursive=True)  # noqa: PTH207 - as it was typed
     for match in sorted(found, key=lambda match: [natural(Path(part)) for part in Path(match).parts]):
@@ -82,10 +79,7 @@ def _matches(name: str) -> Iterator[str]:
 
 
 def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
-    """Yield the logs in a folder: bags, which are folders, and files by their endings.
-
-    Links to a folder `above` are ignored.
-    """
+    """Yield the logs in a folder: bags, which are folders, and files; ignore links to a folder `above`."""
     real = os.path.realpath(folder)
     if real in above:
         return
@@ -103,10 +97,9 @@ def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
 
 
 class Stamp(NamedTuple):
-    """The size of all files of a log in bytes, and the time of the newest one in ns since 1970.
+    """The size of a log in bytes, and the time of its newest file in ns since 1970.
 
-    If both are unchanged, the content is assumed to be equal. For a remote log, `mtime_ns` is a number from
-    its ETag.
+    If both are unchanged, the content is assumed to be equal. A URL has a number from its ETag as its time.
     """
 
     size: int
@@ -114,10 +107,7 @@ class Stamp(NamedTuple):
 
 
 def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp]:
-    """Return path -> stamp of logs, from path -> place.
-
-    A log without a stamp, or that can't be read twice, is omitted: reading it reports the reason.
-    """
+    """Return path -> stamp of logs, from path -> place, without logs that have no stamp."""
     urls = [path for path, place in places.items() if is_url(place)]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         asked = dict(zip(urls, pool.map(stamp_of, map(places.__getitem__, urls)), strict=True))
@@ -143,7 +133,7 @@ def stamp_of(log: str | RemoteLog) -> Stamp | None:
 
 
 def edge_at(place: str) -> str:
-    """Return a checksum of the sizes, beginnings and ends of a log's files; ranges for a remote log.
+    """Return a checksum of the sizes, beginnings and ends of a log's files; fetch only these from a store.
 
     Raises OSError or ReadError if they can't be read.
     """
@@ -169,8 +159,8 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 def content_at(place: str) -> str:
     """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
 
-    A remote log is downloaded for it. Raises OSError or ReadError if the files can't be read. It does not
-    protect against forgery: a cryptographic checksum of all bytes would take 3 to 5 % of the time of a log.
+    A remote log is downloaded. Raises OSError or ReadError if the files can't be read. It does not protect
+    against forgery: a cryptographic checksum of all bytes would be slow.
     """
     if is_url(place):
         with fetched(place) as copy:
@@ -178,7 +168,7 @@ def content_at(place: str) -> str:
     machine = hashlib.blake2b(digest_size=16)
     block = memoryview(bytearray(_BLOCK))
     for file in _files(Path(place)):
-        # Buffered, because a short read of the file system would shift the blocks.
+        # Buffered, because a short read would shift the blocks.
         with file.open("rb") as stream:
             machine.update(file.stat().st_size.to_bytes(8, "little"))
             while count := stream.readinto(block):
@@ -200,8 +190,8 @@ _SUCH = "write for example '{model}/{unit}/*.mcap'"
 def label_pattern(pattern: str) -> re.Pattern[str]:
     """Return the regular expression of a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
-    It matches the end of a path, from any folder; a label is as short as possible. Raises ArgumentError for a
-    pattern without a label, with a label twice, or with an unmatched brace.
+    It matches the end of a path; a label is as short as possible. Raises ArgumentError for a pattern without
+    a label, with a label twice, or with an unmatched brace.
     """
     parts, mistake, body = [*_PART.finditer(pattern)], "", ""
     labels = [part["label"] for part in parts if part["label"] is not None]

@@ -1,7 +1,6 @@
 """Batches of a fleet on an existing Dask cluster; work on this machine needs no Dask.
 
-Results are in the store, so a lost scheduler costs only the batches in progress. All waits have a time limit;
-for frozen workers it is the scheduler's ``distributed.scheduler.worker-ttl``.
+Results are in the store, so a lost scheduler costs only the batches in progress. All waits have a time limit.
 """
 
 import ipaddress
@@ -20,13 +19,13 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Time limits in s of connecting, of waiting for a first worker, and of closing.
+#: Time limits in s; the second is for a first worker.
 CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
-#: A scheduler that does not answer for this many seconds is lost.
+#: In s; a longer silence means that the scheduler is lost.
 SILENCE_S = 30.0
 #: Batches per worker: one in progress, the others on their way.
 WINDOW = 3
-#: Seconds between checks of time limits and of the connection.
+#: In s, between checks of time limits and of the connection.
 _LOOK_S = 1.0
 _NOISY = ("distributed", "tornado", "asyncio")
 _TIMES = {
@@ -40,7 +39,7 @@ R = TypeVar("R")
 
 @frozen
 class Lost:
-    """The reason why a batch has no result: its worker ended repeatedly, or failed."""
+    """The reason why a batch has no result."""
 
     reason: str
 
@@ -113,7 +112,7 @@ class DaskWorkers(Generic[T, R]):
         """Return the result of a finished batch; None if it must be submitted again."""
         from distributed import KilledWorker
 
-        # The scheduler was lost; the next check finds out whether it is back.
+        # The scheduler was lost, perhaps only for a moment.
         if future.status == "cancelled":
             return None
         try:
@@ -130,10 +129,9 @@ class DaskWorkers(Generic[T, R]):
 
 @contextmanager
 def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T, R]]:
-    """Yield the workers of the cluster of a scheduler.
+    """Yield the workers of the cluster of a scheduler; `work` processes a batch and can be pickled.
 
-    `work` processes a batch and limits its own time; a function of a module or a `functools.partial`. Raises
-    EngineError if dask is missing, or if the scheduler or all workers can't be reached or are lost.
+    Raises EngineError if dask is missing, or if the scheduler or all workers can't be reached or are lost.
     """
     try:
         import dask
@@ -174,7 +172,6 @@ def check_workers(client: "Client", address: str) -> None:
 
 
 def _version() -> str:
-    """Return the worker's version of imucal."""
     return __version__
 
 

@@ -30,7 +30,7 @@ from imucal.resources import memory_there_is, parse_size, threads
 from imucal.units import parse_sample_unit
 
 MODEL, LEVEL = "N + B + K", 0.95
-#: Memory of the imported packages and a short log, in bytes.
+#: For the imported packages and a short log, in bytes.
 MIN_MEMORY = 300 << 20
 #: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
@@ -39,14 +39,13 @@ _BINS = 2
 #: Final states: another attempt would have the same result.
 _SETTLED = ("ok", "unreadable", "no-data")
 _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
-#: Usual speed in bytes/s on one core, and additional seconds per log.
+#: In bytes/s on one core, and additional seconds per log.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
-#: Minimum number of batches per worker, so that all end together; number in a long run, whose batches may
-#: last longer by the last factor.
+#: Fewest batches per worker, so that all end together; in a long run batches may last longer by the factor.
 _MIN_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 _SEVERAL = ("topic", "fields", "message_definition")
 
-#: A column's description for messages, parser of its text, and test of the parsed value.
+#: Description for messages, parser of the text, and test of the parsed value.
 Column: TypeAlias = tuple[str, Callable[[Any], Any], Callable[[Any], object]]
 State: TypeAlias = Literal["run", "again", "done", "copy"]
 
@@ -57,10 +56,10 @@ class LogTask:
 
     `place` is the given path, relative to `FleetSettings.folder`, or a URL with its secrets, which is never
     stored. `reading` contains arguments of `imucal.read`, ``skip_s`` and ``take_s`` as JSON values. `size` is
-    in bytes, 0 if unknown.
+    in bytes, 0 if unknown. A log of another shard is not `own`.
 
     States: ``run``; ``again`` after a failure such as a time limit; ``done`` if the store contains it;
-    ``copy`` of `copy_of`, a log with the same content. A log of another shard is not `own`.
+    ``copy`` of `copy_of`, a log with the same content.
     """
 
     place: str = field(repr=False)
@@ -85,9 +84,9 @@ class LogTask:
 class FleetSettings:
     """The settings of a run, from the arguments of `imucal.run_fleet`.
 
-    `store` and `folder`, at which relative paths start, are absolute. All fits have the same `model` and
-    `level`: models chosen per log would make logs differ although units do not. Without a shard, `shard` is
-    (0, 1). With `timeout_s` None, the time limit depends on the size of a log.
+    `store` and `folder`, at which relative paths start, are absolute. All fits have the same `model`: models
+    chosen per log would make logs differ although units do not. With `timeout_s` None, the time limit depends
+    on the size of a log.
     """
 
     store: str
@@ -141,10 +140,7 @@ class FleetPlan:
 
 
 def labels_in(path: str, pattern: str | None) -> dict[str, str | float]:
-    """Return the labels in a path; none if it does not match the pattern, or without a pattern.
-
-    Raises ManifestError for an invalid label.
-    """
+    """Return the labels in a path, or none; raises ManifestError for an invalid label."""
     found = label_pattern(pattern).match(path.replace("\\", "/")) if pattern else None
     columns = {name: _COLUMNS.get(name, _ANY) for name in LABELS}
     return {
@@ -154,10 +150,9 @@ def labels_in(path: str, pattern: str | None) -> dict[str, str | float]:
 
 
 def read_manifest(file: Path) -> list[LogTask]:
-    """Read a manifest: a CSV table with headings and a column ``path``.
+    """Read a CSV table with headings and a column ``path``; relative paths start at its folder.
 
-    Relative paths start at the folder of the manifest. Raises ManifestError if it can't be read, has no
-    column ``path``, a log twice, or an invalid value.
+    Raises ManifestError if it can't be read, has no column ``path``, a log twice, or an invalid value.
     """
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
@@ -233,9 +228,9 @@ _COLUMNS: dict[str, Column] = {
 
 
 def as_json(reading: Mapping[str, object]) -> dict[str, object]:
-    """Return arguments of `imucal.read` as JSON values for the key of a result.
+    """Return arguments of `imucal.read` as JSON values for the key of a result, without empty values.
 
-    Empty values, false, and a skip of 0 are omitted. Any other 0 is kept, so that the reader refuses it.
+    A 0 other than a skip of 0 is kept, so that the reader refuses it.
     """
     result: dict[str, Any] = {}
     for name, value in reading.items():
@@ -270,9 +265,8 @@ ASKED = (*_ARGUMENTS, "labels", "scheduler", "fresh")
 def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSettings:
     """Return the settings of a run from the arguments of `run_fleet`.
 
-    The existing fleet determines the default model and level. Each worker has an equal share of the memory.
-    A shard processes one log at a time. Raises ArgumentError if an argument is invalid, or if the fleet has
-    another model or level; StoreError if its settings are damaged.
+    The existing fleet determines the default model and level. Raises ArgumentError if an argument is invalid,
+    or if the fleet has another model or level; StoreError if its settings are damaged.
     """
     given = {name: _meant(name, value) for name, value in asked.items() if value is not None}
     if "shard" in given and "scheduler" in given:
@@ -312,9 +306,9 @@ def planned(
 
     Without both, the logs of the store's manifest are used. Labels in paths have priority over the store's.
 
-    Damaged parts of the store are removed; a `dry` run raises StoreError instead. `say` receives notes on
-    them, and on paths that do not match the labels. Raises ReadError if wildcards match nothing, a folder
-    contains no log, or there is no store; ManifestError if the manifest or a label is wrong.
+    Damaged parts of the store are removed; a `dry` run raises StoreError instead. Raises ReadError if
+    wildcards match nothing, a folder contains no log, or there is no store; ManifestError if the manifest or
+    a label is wrong.
     """
     store = FleetStore(settings.store)
     if not settings.fresh:
@@ -347,8 +341,7 @@ def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
 def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan:
     """Return the plan for requested logs with different paths; the store need not exist yet.
 
-    The logs of a shard do not depend on finished logs, so shards may start at any time. Raises StoreError if
-    the store is damaged.
+    The logs of a shard do not depend on finished logs, so shards may start at any time. Raises StoreError.
     """
     known = [] if settings.fresh else FleetStore(settings.store).logs().select(_KNOWN).rows(named=True)
     settled = {log["key"]: log["path"] for log in known if log["content"] and log["status"] in _SETTLED}

@@ -39,7 +39,7 @@ _QUESTIONS = 4
 
 @dataclass(slots=True)
 class RunCount:
-    """Progress of a run; sizes in bytes. `failed` of the `done` logs have no usable numbers."""
+    """Sizes are in bytes. `failed` of the `done` logs have no usable numbers."""
 
     logs: int
     size: int
@@ -70,18 +70,16 @@ def run_fleet(
 ) -> Fleet:
     """Fit the same noise model to many logs, and keep the results in a folder.
 
-    This is ``imucal fleet run``, with the same folder and results: finished logs are kept, and the same call
-    continues with the others. It returns the fleet as `imucal.load_fleet` does. Logs that fail are in
-    `Fleet.failures` and raise no error.
+    This is ``imucal fleet run``: finished logs are kept, and the same call continues with the others. It
+    returns the fleet as `imucal.load_fleet` does. Logs that fail are in `Fleet.failures` and raise no error.
 
-    Child processes import imucal but not the calling script. So a script needs no ``if __name__ ==
-    "__main__"``, and this function works in a notebook.
+    Child processes do not import the calling script, so it needs no ``if __name__ == "__main__"``.
 
     Parameters
     ----------
     logs
-        One or several files, folders of any depth, names with wildcards, or URLs. If this and `manifest` are
-        None: the logs of the folder's manifest.
+        One or several files, folders, names with wildcards, or URLs; by default the `manifest`'s logs or
+        those of the folder.
     folder
         The folder of the fleet; created if it does not exist.
     labels
@@ -180,8 +178,7 @@ def run_plan(
     for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
         if isinstance(failed, Lost):
-            # Another log may be the cause: repeat each alone. A single log gets one more attempt, because its
-            # worker may be the cause.
+            # Another log may be the cause: repeat each alone. A single log gets one more attempt.
             (task, *others) = batch
             if others or task.path not in lost:
                 lost |= set() if others else {task.path}
@@ -219,10 +216,10 @@ def _answered(
 def outcomes(
     take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
 ) -> Iterator[tuple[T, R | Lost]]:
-    """Yield batches with the result of `work(batch, child)` when they are finished.
+    """Yield batches with the result of `work(batch, child)` when they are finished; `work` can be pickled.
 
-    `take` returns the next batch, or None if there is none at present; lost batches may be repeated later.
-    `work` can be pickled. Raises EngineError if the workers of a cluster can't be reached or ended.
+    `take` returns the next batch, or None if there is none at present. Raises EngineError if the workers of a
+    cluster can't be reached or ended.
     """
     if settings.scheduler:
         with dask_workers(settings.scheduler, partial(_on_worker, work, settings)) as workers:
@@ -234,9 +231,9 @@ def outcomes(
 def _here(
     take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
 ) -> Iterator[tuple[T, R]]:
-    """Yield batches like `outcomes`, with threads that ask child processes of this one.
+    """Yield batches like `outcomes`, with threads that ask child processes.
 
-    No child remains in any case: a later run may have another environment, such as other credentials.
+    No child remains: a later run may have another environment, such as other credentials.
     """
     children = [child_process(settings) for _ in range(settings.jobs)]
     free, hands = [*children], {}
