@@ -11,7 +11,6 @@ from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
 from imucal.recording import AXES, Axis, Sensor
 
-#: Longest number not rounded in a message; most columns listed.
 _MAX_DIGITS, _MAX_LISTED = 9, 60
 
 _ENDS = (tuple(f".{axis}" for axis in AXES), ("[0]", "[1]", "[2]"), tuple(f"_{axis}" for axis in AXES))
@@ -26,10 +25,7 @@ _KEYS = {
 
 
 class ColumnsError(ChoiceError):
-    """The choice of columns is ambiguous; the message lists them.
-
-    `example` is a columns text that works on this table, or empty.
-    """
+    """The choice of columns is ambiguous; `example` is a columns text that works on this table, or empty."""
 
     def __init__(self, message: str, *, problem: str = "", example: str = "") -> None:
         super().__init__(message)
@@ -99,7 +95,6 @@ class NamedTable:
         units: Sequence[str | None] = (),
         preamble: Sequence[str] = (),
     ) -> Self:
-        """Return the table; `units` is a row of units, `preamble` the text above."""
         context = frozenset(header.strip().strip("\"'").lower() for header in headers)
         units = units or [None] * len(headers)
         columns = [
@@ -127,7 +122,7 @@ class NamedTable:
         return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
 
     def index_of(self, name: str) -> int:
-        """Return the column given by name or index; raises ValueError if none or several match."""
+        """Raise ValueError if no or several columns match the name or index."""
         name = name.strip()
         matches = [c.index for c in self.columns if plain_name(c.header) == plain_name(name)]
         if len(matches) == 1:
@@ -150,7 +145,6 @@ class NamedTable:
         return ",".join([*parts, *(triad.text(rows) for triad in triads if triad)])
 
     def ask(self, problem: str, *, example: str = "") -> ColumnsError:
-        """Return the error that lists the columns, with an example of a columns text."""
         single = sum(column.role is not Role.TIME for column in self.columns) in {1, 2}
         form = "t=TIME,gz=Z" if single else "t=TIME,g=X+Y+Z,a=X+Y+Z"
         how = (
@@ -168,9 +162,8 @@ def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...],
 
     The sensors come first, gyroscope before accelerometer; then the indices of time and temperature.
 
-    ``t`` is the time (``t=0+1`` joins two columns), ``g`` the gyroscope, ``a`` the accelerometer, ``temp``
-    the temperature. Three columns are a range of indices (``1:4``), indices or names joined by ``+``
-    (``wx+wy+wz``), or the name of a vector (``angular_velocity``). ``gx`` to ``az`` are single axes.
+    ``t=0+1`` joins two columns of time; ``temp`` is the temperature. Three columns are a range of indices
+    (``1:4``), indices or names joined by ``+``, or the name of a vector. ``gx`` to ``az`` are single axes.
     ``a=2:5@imu`` selects rows with ``imu`` in any cell, ``a=2:5@I:0`` rows with 0 in column I. Raises
     ChoiceError if the text can't be read, or names a missing column, or a column twice.
     """

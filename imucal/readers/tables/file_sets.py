@@ -26,7 +26,7 @@ _PREFERRED = {
 
 
 class FileHead(NamedTuple):
-    """The start of a text table: header, sensors in its columns, and whether there are rows."""
+    """The start of a text table."""
 
     header: str = ""
     sensors: tuple[Sensor, ...] = ()
@@ -34,9 +34,9 @@ class FileHead(NamedTuple):
 
 
 def chosen_files(path: Path, files: Mapping[str, FileHead], options: ReadOptions) -> list[Choice]:
-    """Return the files to read: those named by the user as topics, or one per sensor.
+    """Return the files named by the user as topics, or one per sensor.
 
-    Sensors in file names have priority. Raises ChoiceError if several files fit, or none.
+    Raises ChoiceError if several files fit, or none.
     """
     topics = [_topic(name, head, options) for name, head in files.items()]
     if any(sensor_of_name(_stem(topic)) for topic in topics):
@@ -49,7 +49,7 @@ def chosen_files(path: Path, files: Mapping[str, FileHead], options: ReadOptions
 
 
 def _worse(topics: Sequence[Topic], sensor: Sensor) -> list[Topic]:
-    """Return a sensor's files other than the one with the best name; empty if no name is known."""
+    """Return a sensor's files other than the one with the best name."""
     full = [topic for topic in topics if sensor in topic.sensors and topic.count != 0]
     for name in _PREFERRED[sensor]:
         if len(exact := [topic for topic in full if _stem(topic) == name]) == 1:
@@ -63,7 +63,6 @@ def _stem(topic: Topic) -> str:
 
 def _topic(name: str, head: FileHead, options: ReadOptions) -> Topic:
     channel = Channel(key=0, topic=name, type="table", encoding="", count=None if head.has_rows else 0)
-    # In messages the header replaces the list of columns.
     columns = (Column(head.header, "", "text"),)
     topic = Topic(name=name, type="table", channels=((0, channel),), columns=columns)
     named = sensor_of_name(_stem(topic))

@@ -27,7 +27,7 @@ class NamedColumn:
     """A column and its parsed name.
 
     `words` are in lower case, without axis and unit. `axis` is 0, 1, 2 for x, y, z; if `numbered`, it is a
-    number that may start at 1. The `unit` is spelled as in the table. `cells` are the first cells.
+    number that may start at 1. `cells` are the first cells.
     """
 
     index: int
@@ -63,7 +63,6 @@ class NamedColumn:
         return parsed[1] if parsed and parsed[0] is sensor else None
 
 
-#: Words in camelCase, capitals and digits.
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zµμ]+\d*|[A-Z]+\d*|\d+")
 
 #: Units that make T a temperature.
@@ -98,8 +97,7 @@ _REJECTED = _words(
 )
 _REJECTED_STARTS = listed("quat orient magn euler covar freeacc useracc accura accum deltav")
 
-#: A sensor's words, word starts, pairs or letters. A first letter counts only before short words: w_RS_S, not
-#: w_heading.
+#: A first letter counts only before short words: w_RS_S, not w_heading.
 _GYROSCOPE = re.compile(
     r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rot)\b"
     r"|\bang\b.*\bvel\b|\bvel\b.*\bang\b|\b[gw]$|^w( \w{1,2})*$"
@@ -109,13 +107,13 @@ _ACCELEROMETER = re.compile(
     r"|\bspecific\b.*\bforce\b|\bforce\b.*\bspecific\b|\b[af]$|^[af]( \w{1,2})*$"
 )
 
-#: Meaningless suffixes: gx_raw, gx_2.
+#: As in gx_raw, gx_2.
 _TRAILING = re.compile(
     r"( (\d+|raw|filt|filtered|filter|lp|lpf|cal|calib|calibrated|corr?|corrected|uncal|uncalibrated|"
     r"meas|measured|data|vals?|values?|imu|sensor|body))+$"
 )
 
-#: Sensor and axis in one word: gx, fy, gyrox, xaccel, gx2.
+#: As in gx, fy, gyrox, xaccel, gx2.
 _GLUED = re.compile(
     r"(?:(?P<sensor>g|w|a|f|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
     r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz])"
@@ -157,10 +155,10 @@ def parse_column(
     context: frozenset[str] = frozenset(),
     cells: Sequence[str] = (),
 ) -> NamedColumn:
-    """Parse the name of a column.
+    """Parse the name of a column; a `unit` from a row of units overrides one in the name.
 
-    A `unit` from a row of units overrides one in the name. `context` contains the lower-case names of all
-    columns: ``alpha_x`` is an acceleration only together with ``omega_x``; p, q, r are rates only together.
+    `context` contains all names: ``alpha_x`` is an acceleration only together with ``omega_x``; p, q, r are
+    rates only together.
     """
     name = header.strip().strip("\ufeff").strip()
     text = name.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")

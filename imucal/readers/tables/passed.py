@@ -15,7 +15,6 @@ from imucal.arrays import release
 from imucal.readers.store import allocated
 from imucal.resources import column_limit
 
-#: Bytes read and written at a time.
 PIECE = 1 << 24
 
 #: Name of an array, the axis along which it is cut, and its parts with that axis first.
@@ -52,7 +51,7 @@ def written(parts: Iterable[Part], target: Path) -> Passed:
 
 
 def taken(found: Passed, source: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays written by `written`, in temporary files if they are large."""
+    """Return the arrays, in temporary files if they are large."""
     large = source.stat().st_size > column_limit()
     arrays: dict[str, NDArray[Any]] = {}
     with source.open("rb", buffering=0) as file:

@@ -1,7 +1,4 @@
-"""Choose the columns to read from a table by name: sensors, times and temperature, with the reasons.
-
-A text column or the file name may contain the sensor. Findings report missing sensors and unused columns.
-"""
+"""Choose the columns to read from a table by name: sensors, times and temperature, with the reasons."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -52,9 +49,7 @@ _PARTNERS = {
     for case in (str.lower, str.capitalize, str.upper)
 }
 
-#: Most columns, and most columns texts, in a message.
 _MAX_LISTED, _MAX_EXAMPLES = 12, 4
-#: Most different tags in a column.
 _MAX_TAGS = 8
 
 
@@ -62,7 +57,7 @@ _MAX_TAGS = 8
 class SensorPlan:
     """The columns of one sensor.
 
-    `stated` is the unit in the header or the dialect, or None. `untimed` is the reason for a missing time.
+    `stated` is the unit in the header or the dialect. `untimed` is the reason for a missing time.
     """
 
     triad: Triad
@@ -74,10 +69,7 @@ class SensorPlan:
 
 @frozen
 class TablePlan:
-    """The columns to read from a table, gyroscope first, and the reasons.
-
-    `temperature` is a column index; `findings` report missing sensors or axes.
-    """
+    """The columns to read from a table, gyroscope first, and the reasons; `temperature` is an index."""
 
     sensors: tuple[SensorPlan, ...]
     temperature: int | None
@@ -118,7 +110,7 @@ def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> 
     if not triads:
         found, reason = find_bare_triads(table, name)
     if not found:
-        # Use single axes only without any triad: next to a complete gyroscope, az may be an azimuth.
+        # Next to a complete gyroscope, az may be an azimuth.
         found, reason = _each(partial(_single_axes, table)), _BY_NAME
     if not found:
         raise _nothing_found(table, shape)
@@ -195,10 +187,7 @@ def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
 
 
 def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield sets of columns by axis; the names in a set differ only in the axis.
-
-    Raises ChoiceError if two columns have the same axis.
-    """
+    """Yield sets of columns by axis; raises ChoiceError if two columns have the same axis."""
     families: dict[tuple[str, ...], list[NamedColumn]] = {}
     for column in table.columns:
         if column.axis is not None and column.role in roles:
@@ -226,10 +215,9 @@ def _whole(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
 
 
 def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
-    """Return every complete triad, preferred ones first.
+    """Return every complete triad, preferred ones first, except bare x, y, z.
 
-    Bare x, y, z are excluded. Raises ChoiceError for duplicate names, and for different units in a triad
-    unless the caller gave the unit.
+    Raises ChoiceError for duplicate names, and for different units unless the caller gave the unit.
     """
     triads = [Triad.of(Sensor(str(axes[0].role)), axes) for axes in _whole(table, *map(Role, Sensor))]
     for triad in triads:
@@ -254,10 +242,7 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
 
 
 def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:
-    """Return the axes of a sensor without a complete triad, such as gz alone.
-
-    None if axes are numbered, have different units or belong to several sets.
-    """
+    """Return the axes of a sensor without a complete triad; None if they are ambiguous."""
     sets = list(_families(table, Role(str(sensor))))
     if len(sets) != 1 or any(column.numbered for column in sets[0].values()):
         return None
@@ -298,14 +283,13 @@ def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
-#: Largest number of sensors that a column may number.
 _MAX_SENSORS = 8
 
 
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
-    """Return the sensors of bare columns x, y, z, and the reason: tags or the file name.
+    """Return the sensors of bare columns x, y, z, and the reason; empty without such columns.
 
-    Empty without such columns. Raises ChoiceError if the sensor is unknown.
+    Raises ChoiceError if the sensor is unknown.
     """
     axes = next(_whole(table, Role.VECTOR), None)
     if axes is None:
@@ -336,10 +320,7 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
 
 
 def _column_of_ids(table: NamedTable, triad: Triad) -> tuple[NamedColumn, str, str] | None:
-    """Return a column that may number the sensors, and two of its numbers.
-
-    It has few whole numbers, which change often.
-    """
+    """Return a column that may number the sensors (few whole numbers, which change often) and two numbers."""
     for column in table.columns:
         cells, values = column.filled, [*dict.fromkeys(column.filled)]
         changes = sum(a != b for a, b in pairwise(cells))
@@ -372,9 +353,8 @@ def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
 
 
 def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
-    """Restrict columns to the rows of their sensor, if a text column contains it.
+    """Restrict columns to the rows of their sensor if a text column contains it; also return the reason.
 
-    The header may name the columns for the other sensor. Also returns the reason, empty if all rows are used.
     Raises ChoiceError if rows of several sensors can't be separated.
     """
     for column in table.columns:
@@ -392,7 +372,7 @@ def _in_rows(
 ) -> Triad | None:
     names, triad = tags[sensor], found.get(sensor)
     if triad is None and names:
-        # The header names these columns for the other sensor, so its unit does not apply.
+        # The header is about the other sensor, so its unit does not apply.
         (other,) = found.values()
         columns = tuple(parse_column(f"column {at}", at) for at in other.indices)
         triad = Triad(sensor=sensor, columns=columns)
@@ -432,7 +412,7 @@ def _refuse_instances(table: NamedTable, found: Found) -> None:
 def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
     """Return findings for missing sensors or axes if numeric columns are unused.
 
-    Unused columns x, y, z cause a warning that explains how to choose them; others cause an info.
+    Unused columns x, y, z cause a warning; others cause an info.
     """
     used = {index for triad in found.values() for index in triad.indices}
     left = [column for column in table.columns if column.index not in used and _may_be_samples(column)]
@@ -459,7 +439,6 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
 
 
 def _only_axes(table: NamedTable, left: Sequence[NamedColumn], sensor: Sensor) -> Triad | None:
-    """Return the only x, y, z in unused columns, or single axes of a sensor; otherwise None."""
     rest = replace(table, columns=tuple(left))
     with suppress(ChoiceError):
         sets = _families(rest, Role.VECTOR, Role.OTHER, Role(str(sensor)))

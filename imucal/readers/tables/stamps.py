@@ -25,7 +25,7 @@ from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 _SECOND = 10**9
 
-#: Counts examined for the usual step, at up to three places.
+#: Counts examined at up to three places.
 _LOOKED_AT = 1 << 20
 
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
@@ -36,7 +36,7 @@ def pair_stamps(
 ) -> IntArray:
     """Return ns from whole seconds, or times as `text`, and finer counts of `ns` ns.
 
-    Without a unit the largest count determines it. Fine counts above a second are complete times.
+    Fine counts above a second are complete times. Without a unit the largest count determines it.
     """
     most = float(extremes(fine)[1]) if fine.size else 0.0
     if ns is None:
@@ -74,8 +74,7 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
     """Return counts without wraps at 8, 16, 24 or 32 bits, and the number of wraps.
 
-    A wrap goes from near the end of the range to near its start; other steps back, such as a restart of the
-    logger, stay.
+    Other steps back, such as a restart of the logger, stay.
     """
     if counts.size < 2:
         return counts, 0
@@ -88,7 +87,6 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
         if highest >= period:
             continue
         if not usual:
-            # Median of forward steps; for long logs from the start, the middle and the end.
             starts = (0, counts.size // 2, counts.size - _LOOKED_AT) if counts.size > 3 * _LOOKED_AT else (0,)
             length = _LOOKED_AT if len(starts) > 1 else counts.size
             steps = np.concatenate([np.diff(counts[start : start + length]) for start in starts])
@@ -102,7 +100,6 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
 
 
 def _places(values: IntArray, above: int, most: int) -> IntArray:
-    """Return the indices after steps in (`above`, `most`]."""
     found = []
     for part in blocks(values.size - 1, values):
         steps = np.diff(values[part.start : part.stop + 1])
@@ -124,10 +121,7 @@ def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntAr
 
 
 def to_ns(values: Numbers, ns: int, room: Room) -> IntArray:
-    """Return counts of `ns` ns as int64 ns, shape (n,).
-
-    Integers stay exact; floats are split into whole and fraction to keep their resolution.
-    """
+    """Return counts of `ns` ns as int64 ns, shape (n,); floats are split to keep their resolution."""
     start = 0
     if values.dtype.kind == "i":
         if values.size and max(abs(int(one)) for one in extremes(values)) > (1 << 62) // ns:
@@ -151,10 +145,9 @@ def _ns_of(values: Numbers, ns: int) -> IntArray:
 
 
 def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
-    """Return the most plausible unit of an IMU's times, and all units that fit.
+    """Return the most plausible unit of an IMU's times (or None), and all units that fit.
 
-    A unit fits if the rate is between 1 Hz and 20 kHz. If several fit, the magnitude of a time since 1970
-    decides; otherwise the unit is None.
+    If several fit, the magnitude of a time since 1970 decides.
     """
     rates = rates_by_unit(values)
     if not rates:
@@ -174,13 +167,13 @@ def rates_by_unit(values: Numbers) -> dict[str, float]:
 
 
 def typical_step(values: Numbers) -> float:
-    """Return the sampling period in counts from the first values; 0 if they do not increase."""
+    """Return the sampling period in counts; 0 if the first values do not increase."""
     head = values[:20_000]
     since = head - head[:1]
     span = float(np.ptp(since)) if since.size else 0.0
     if not 0 < span < np.inf:
         return 0.0
-    # Scale to integers without exceeding a float's digits; a usual step is about 10 ms in an unknown unit.
+    # Scale to integers without exceeding a float's digits; a usual step is about 10 ms.
     steps = np.abs(np.diff(since))
     digits = min(15 - np.ceil(np.log10(span)), np.rint(7 - np.log10(median(steps[steps > 0]))))
     scale = 1.0 if values.dtype.kind == "i" else 10.0**digits
@@ -196,14 +189,12 @@ _KINDS = {"ns": "complete time stamps", "text": "date and time"}
 
 _TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
 
-#: Words that name the sensor of a time.
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
 _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
 #: Seconds since 1970 or 1980.
 _EPOCH = (5e8, 4e9)
 
-#: Columns of hours or minutes, and columns that restart with them.
 _DATED = frozenset({"hour", "hours", "minute", "minutes"})
 _RESTARTED = frozenset(
     {"minute", "minutes", "min", "second", "seconds", "sec"}
@@ -212,7 +203,6 @@ _RESTARTED = frozenset(
 
 
 def _points(text: str) -> dict[str, int]:
-    """Return word -> number at the start of its line."""
     lines = (line.split() for line in text.strip().splitlines())
     return {word: int(points) for points, *words in lines for word in words}
 
@@ -246,10 +236,9 @@ _BONUS = _points("""
 class TimeChoice:
     """The time of a sensor's samples: indices of its columns, and its name in the log.
 
-    `kind`: ``ns`` are stamps in ns; ``pair`` is seconds (or a text) with a finer column; ``text`` is dates
-    and times in one or several columns; ``counter`` counts samples. `ns` per count (of the finer column) is
-    None if the data determine it; `ns_source` is its source. Dates with the year last begin with the month,
-    or with the day if `by_day`; if the cells do not decide (`open_date`), the month is assumed.
+    A ``pair`` is seconds (or a text) with a finer column. `ns` per count (of the finer column) is None if the
+    data determine it. Dates with the year last begin with the month, or with the day if `by_day`; if the
+    cells do not decide (`open_date`), the month is assumed.
     """
 
     kind: TimeKind
@@ -267,10 +256,7 @@ class TimeChoice:
 
 
 def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
-    """Return the possible times of a sensor's samples, best first.
-
-    Stamps precede counters; empty or constant columns come last.
-    """
+    """Return the possible times of a sensor's samples, best first; stamps precede counters."""
     columns = _parts_of_dates(table)[1]
     found = _pairs(columns)
     found += [(_score(columns[1], sensor), _joined(*columns, **_TEXTS)) for columns in dates_and_times(table)]
@@ -326,7 +312,6 @@ def _steps(columns: Sequence[NamedColumn]) -> str:
 
 
 def _parts_of_dates(table: NamedTable) -> tuple[list[NamedColumn], list[NamedColumn]]:
-    """Return the columns that restart every hour or minute, and the other columns."""
     dated = any(_DATED.intersection(column.words) for column in table.columns)
     parts = [column for column in table.columns if dated and _RESTARTED.intersection(column.words)]
     return parts, [column for column in table.columns if column not in parts]
@@ -372,7 +357,7 @@ def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | No
         return 100_000, "as in logs of Xsens"
     if "sow" in column.words:
         return _SECOND, "seconds of the week"
-    # Units have at least two letters, perhaps with a suffix such as ustime.
+    # Units have at least two letters.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
     ns = _spelled_ns(column.unit or "", *words)
     return ns, "from the column header" if ns else ""
@@ -412,10 +397,7 @@ def _with_cells(score: float, filled: Sequence[str]) -> float:
 
 
 def _pairs(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
-    """Return pairs of whole seconds and a finer column; their names differ only in the unit.
-
-    A column named only by a unit belongs to the only column of seconds.
-    """
+    """Return pairs of whole seconds and a finer column; their names differ only in the unit."""
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
     for column in (column for column in columns if column.role is Role.TIME):
@@ -437,7 +419,6 @@ def _pairs(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
 
 
 def _is_whole(cells: Sequence[str], counts: Sequence[int], ns: int | None) -> bool:
-    """Return whether cells are whole seconds, by unit or magnitude, or texts that mostly repeat."""
     if counts:
         return ns == _SECOND or _EPOCH[0] < min(counts) <= max(counts) < _EPOCH[1]
     return 2 * len(set(cells)) < len(cells) and all(map(is_text_stamp, cells))

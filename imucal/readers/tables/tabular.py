@@ -39,18 +39,17 @@ from imucal.readers.tables.stamps import (
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS
 
-#: Largest relative difference between the given rate and the rate in a time unit.
 _RATE_TOLERANCE = 0.1
 
 _SECOND = 10**9
 
-#: No sensor has a higher rate, in Hz; largest time in 64 bits, in ns (about 30 years).
+#: In Hz, above any sensor's rate; and in ns (about 30 years, within 64 bits).
 _MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
 
-#: Slowest usual rate of IMUs, in Hz: used to guess units from the noise while the rate is unknown.
+#: Slowest usual rate of IMUs, in Hz: used to guess units from the noise.
 _MIN_RATE_HZ = 10.0
 
-#: Above this share of repeated rows, the sensor is slower than the log; below, samples were sent twice.
+#: With more repeated rows, the sensor is slower than the log; with fewer, samples were sent twice.
 _MAX_REPEATED = 0.1
 
 
@@ -58,10 +57,9 @@ _MAX_REPEATED = 0.1
 class SensorColumns:
     """The columns of one sensor as read, shape (n,) each, in units of the log.
 
-    `time` and `log_time` are the columns of the plan's times, or empty. If `sparse`, rows without values
-    belong to other sensors. `rows_left` is a hash of the mask of kept rows, empty if all are kept. `table` is
-    a name if the log has several tables, `source` describes the time. Rows are duplicates if all values in
-    `compared` repeat (None: the axes).
+    If `sparse`, rows without values belong to other sensors. `rows_left` is a hash of the mask of kept rows,
+    empty if all are kept. `table` is a name if the log has several tables, `source` describes the time. Rows
+    are duplicates if all values in `compared` repeat (None: the axes).
     """
 
     plan: SensorPlan
@@ -92,8 +90,7 @@ class SensorColumns:
 def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     """Return the clock of a sensor's samples from its time columns, or from a counter and a rate.
 
-    Raises ChoiceError if the time unit is ambiguous, or time and rate are missing; DataError if no rate can
-    be measured.
+    Raises ChoiceError if the time is ambiguous or missing; DataError if no rate can be measured.
     """
     plan, unit = columns.plan, work.options.time_unit
     if plan.time is None or (plan.time.kind == "counter" and unit is None):
@@ -190,9 +187,9 @@ def stamps_of(
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
-    """Return ns per count: given, from the log, or inferred from the rate or the steps.
+    """Return ns per count: given, from the log, or inferred; None if no unit gives the given rate.
 
-    Returns None if no unit gives the given rate. Raises ChoiceError if the unit is ambiguous.
+    Raises ChoiceError if the unit is ambiguous.
     """
     rate = work.options.rate_hz
     unit, how = work.options.time_unit, "as given"
@@ -233,11 +230,9 @@ def _open_unit(
         for unit, rate in rates_by_unit(values).items()
         if rate <= _MAX_RATE_HZ and span * TIME_UNITS_NS[unit] < _MAX_TIME_NS
     }
-    # If no unit gives a usual rate, suggest the nearest ones.
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
     choices = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
     name = time.name.strip().strip("\"'")
-    # Suggest a unit in the header only if it gives a usual rate.
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{choices}; give the time unit, {named}or give the sampling rate"
     has = f"the time of the {sensor}, has no unit and increases by {typical_step(values):g} per row"
@@ -284,9 +279,8 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
-#: Operating temperatures of electronics, in degrees Celsius; values outside are raw counts.
+#: In degrees Celsius; values outside are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
-#: The median is taken of at least this many values.
 _LOOKED_AT = 1_000_000
 
 
@@ -330,10 +324,7 @@ def assemble(
 def _clocks(
     work: RecordingBuilder, sensors: Sequence[SensorColumns], lacking: list[ChoiceError]
 ) -> list[ClockReading]:
-    """Return the clock of each sensor; ambiguities are added to `lacking`.
-
-    Sensors of one table share a clock if they share the time and the rows.
-    """
+    """Return the clock of each sensor, shared if time and rows are; ambiguities are added to `lacking`."""
     keys = [
         (one.table, one.plan.time, one.plan.triad.rows, one.rows_left, one.axes[0].size) for one in sensors
     ]
@@ -388,10 +379,7 @@ def contents_of(
     layout: str = "table",
     compression: str = "",
 ) -> LogContents:
-    """Return a description of a table: its layout, its units and their sources.
-
-    `found` is its recording, or the reason why it can't be read.
-    """
+    """Return a description of a table; `found` is its recording, or the reason why it can't be read."""
     topic = TopicContents(name=path.name, type=layout, note=found if isinstance(found, str) else "")
     contents = LogContents(path=str(path), format=form, size_bytes=size, compression=compression)
     if isinstance(found, str):

@@ -24,7 +24,6 @@ _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 _QUOTED = re.compile(rb'"[^"\n]*"')
 _UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
 
-#: Extra column for cells beyond the layout.
 _LONGER = "longer"
 
 _COMMENTS = ("#", "%", "//", ";")
@@ -46,9 +45,8 @@ def kind_of(cells: Sequence[str], *, text: bool) -> Kind:
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
-    `kinds` maps column indices to types. A row without a cell in a `needed` column is bad. `limit` is the
-    largest size of a column in memory, in bytes; `expected` is the number of rows. Dates with the year last
-    begin with the day if `by_day`. `good` and `bad` count rows.
+    A row without a cell in a `needed` column is bad. `limit` is the largest size of a column in memory, in
+    bytes; `expected` is the number of rows. Dates with the year last begin with the day if `by_day`.
     """
 
     layout: TextLayout
@@ -95,7 +93,6 @@ class BlockReader:
     def _values(self, table: Any) -> tuple[dict[int, NDArray[Any]], BoolArray]:  # noqa: ANN401 - of polars
         values: dict[int, NDArray[Any]] = {}
         bad = np.zeros(table.height, np.bool_)
-        # Null counts are cached; a mask takes a tenth of the parsing time.
         if table[_LONGER].null_count() < table.height:
             bad |= table[_LONGER].is_not_null().to_numpy()
         for index in self.needed or self.kinds:
@@ -113,7 +110,6 @@ class BlockReader:
         return values, bad
 
     def _plain(self, block: bytes) -> bytes:
-        """Convert a block for the parser: one delimiter, decimal points, no quotes."""
         delimiter, mark = self.layout.delimiter, self._mark.encode()
         commas = self.layout.decimal == ","
         if delimiter == BLANKS:

@@ -1,7 +1,6 @@
 """Text of a log in blocks of complete lines: any encoding, plain or compressed, file or standard input.
 
-Blocks are UTF-8 (or Latin-1) bytes with line feeds. Memory is limited to a few blocks. A truncated compressed
-log is read up to the damage.
+Blocks are UTF-8 (or Latin-1) bytes with line feeds, and few are in memory.
 """
 
 import bz2
@@ -43,27 +42,27 @@ _MARKS: dict[bytes, str] = {
     codecs.BOM_UTF16_BE: "utf-16-be",
 }
 
-#: Control characters, which text does not contain; zeros are not included, because crashes leave them.
+#: Control characters, which text does not contain; crashes leave zeros.
 _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 
 #: Bytes examined to find the layout.
 _HEAD = 1 << 18
-#: Bytes parsed at once: large for the parser's speed, small for memory.
+#: Large for the parser's speed, small for memory, in bytes.
 _BLOCK = 4 << 20
-#: Fewest lines of a table in the head; with this many cells on fewer lines, the rows are too long.
+#: Fewest lines of a table in the head; more cells on fewer lines are too long rows.
 _MIN_LINES, _MAX_CELLS = 3, 1000
-#: Longest row of a table, in bytes.
+#: In bytes.
 _MAX_LINE = 1 << 20
 #: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
 
-#: Errors of a truncated or damaged stream, and packages with their own error classes.
+#: Packages have their own error classes.
 _DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
 _PACKAGES = {"zstandard", "lz4", "backports"}
 
 
 def compression_of(start: bytes) -> str:
-    """Return the compression of a file from its first bytes; ``none`` if they match no signature."""
+    """Return the compression of a file from its first bytes, or ``none``."""
     return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "none")
 
 
@@ -150,9 +149,8 @@ class _Zstd:
         self._packed = self._held = b""
 
     def read(self, size: int) -> bytes:
-        """Return up to `size` bytes; raises EOFError if the last frame is truncated."""
+        """Raise EOFError if the last frame is truncated."""
         while not self._held:
-            # Small pieces, because a few bytes may expand to a whole block.
             packed = self._packed or self._raw.read(_PIECE)
             if not packed:
                 if self._begun:
@@ -183,9 +181,8 @@ class LongerError(Exception):
 class TextSource(AbstractContextManager["TextSource"]):
     """An open log of lines.
 
-    `name` is the path as given. `head` contains the first complete lines, decoded; `whole` is true if they
-    are the entire log. `size` is in bytes, None if unknown; `passed` counts the unpacked bytes in blocks so
-    far.
+    `head` contains the first complete lines, decoded; `whole` is true if they are the entire log. `size` is
+    in bytes, None if unknown; `passed` counts the unpacked bytes in blocks so far.
     """
 
     def __init__(
@@ -268,20 +265,19 @@ class TextSource(AbstractContextManager["TextSource"]):
     def blocks(self) -> Iterator[bytes]:
         """Yield all text in blocks of whole lines; the last line may lack its line feed.
 
-        Raises ReadError if a line is longer than `_MAX_LINE`.
+        Raises ReadError if a line is too long.
         """
         rest, self._start = self._start, b""
         while True:
             data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
             cut = len(data) if self._ended else data.rfind(b"\n") + 1
-            # Join once, to copy only once.
             block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
             rest = data[cut:] if block or not rest else rest + data
             if len(rest) > _MAX_LINE:
                 text = f"a line of more than {_MAX_LINE} bytes; expected rows of a table"
                 raise refused(self.name, text)
             if self._progress is not None and self.size:
-                # A stream without positions, such as a pipe, has no size.
+                # A pipe has no size.
                 self._progress(min(self._raw.tell(), self.size), self.size)
             self.passed += len(block)
             if self._most is not None and self.passed > self._most:

@@ -1,7 +1,7 @@
 """Read delimited text (CSV, TSV, blanks) from a file, standard input, or several files.
 
-The first lines determine the layout, and column names the sensors; polars parses blocks of rows. Ambiguous
-columns raise an error that lists them. Each sensor may have a file, also in the zip or folder of a phone app.
+The first lines determine the layout, and column names the sensors; polars parses blocks of rows. Each sensor
+may have a file, also in the zip or folder of a phone app.
 """
 
 import shlex
@@ -81,7 +81,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
 
 
 def _other_rows(path: str, layout: TextLayout) -> str:
-    """Return advice for a table with a row per axis, or with two separators; empty for other tables."""
+    """Return advice for a table with a row per axis, or with two separators; otherwise an empty text."""
     log, delimiter = shlex.quote(path), layout.delimiter
     if layout.width > _MAX_COLUMNS and all(row and not is_number(row[0]) for row in layout.rows):
         own = "" if delimiter == "," else f", delimiter={delimiter!r}"
@@ -90,7 +90,6 @@ def _other_rows(path: str, layout: TextLayout) -> str:
         return f"it has a row for each axis, expected a row per sample; type: {command}"
     cells = [cell for row in layout.rows[:3] for cell in row]
     for other in ",;\t":
-        # A decimal comma makes two numbers of a cell.
         several = any(sum(map(is_number, cell.split(other))) > 2 for cell in cells)
         if several and other != delimiter != BLANKS:
             marks, command = f"{delimiter!r} and {other!r}", f"tr {other!r} {delimiter!r} < {log} > log.csv"
@@ -98,9 +97,8 @@ def _other_rows(path: str, layout: TextLayout) -> str:
     return ""
 
 
-#: Widest table with a row per sample.
+#: A wider table has no row per sample.
 _MAX_COLUMNS = 500
-#: Advice for a file without samples.
 _ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
 
@@ -155,10 +153,7 @@ def read_table(
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
-    """Return layout and columns of a text from its first lines.
-
-    Raises ChoiceError if columns are ambiguous, ReadError if the text is not a table.
-    """
+    """Return layout and columns of a text, with the errors of `read_table`."""
     layout = lay_out(source.name, source.head, options)
     names = layout.headers or [""] * layout.width
     table = NamedTable.of(source.name, names, layout.cells, units=layout.units, preamble=layout.preamble)
@@ -204,7 +199,6 @@ def _reader(
 
 
 def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
-    """Return the layout of tagged rows, which may differ in width."""
     if rows is None:
         return layout
     lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
@@ -364,10 +358,7 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
-    """Merge the sensors of several recordings; each keeps its clock.
-
-    Raises ChoiceError if their times do not overlap.
-    """
+    """Merge the sensors of several recordings; raises ChoiceError if their times do not overlap."""
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
@@ -400,11 +391,7 @@ _SMALL = 64 << 20
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    """Read a text table, or the zip or folder of a phone app.
-
-    Raises ChoiceError if files, columns, units or time are ambiguous, ReadError if it can't be opened or is
-    not a table, DataError without samples.
-    """
+    """Read a text table, or the zip or folder of a phone app, with the errors of `read_table`."""
     if is_set(path):
         return _read_set(path, options)
     refuse_topics(path, options, "a table of text")

@@ -2,8 +2,7 @@
 
 Packages read all but NPY and NPZ in a child process with limited memory (`imucal.readers.isolation`), because
 small files may unpack to very large ones. An array of three columns is ``name[0]`` to ``name[2]`` for x, y,
-z; in other arrays positions have no meaning. Arrays of different lengths are separate tables, for example one
-per sensor.
+z. Arrays of different lengths are separate tables.
 """
 
 import math
@@ -31,13 +30,11 @@ from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
 
-#: Most columns of a list or a matrix.
 _MAX_COLUMNS = 64
 
 #: Fields of a MATLAB object as scipy returns it.
 _OBJECT = ("s0", "s1", "s2", "arr")
 
-#: Deepest nesting of MATLAB structures.
 _MAX_DEPTH = 8
 
 _FORMATS = {
@@ -51,7 +48,7 @@ _FORMATS = {
 
 _MAX_LISTED = 12
 
-#: Class of a MATLAB object -> MATLAB command that writes it as text.
+#: Class of a MATLAB object -> command that writes it as text.
 _IN_MATLAB = {
     "table": "writetable({0}, '{0}.csv')",
     "timetable": "writetimetable({0}, '{0}.csv')",
@@ -62,7 +59,7 @@ _RATES = frozenset(
     {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
 )
 
-#: Specific force and turn rate in NaveGo's imu structure.
+#: From NaveGo's imu structure.
 _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
@@ -76,10 +73,7 @@ class TypedColumn:
 
 
 class Arrays(NamedTuple):
-    """The numeric arrays in a file by dotted name, and objects: name -> class.
-
-    Only MATLAB can read its objects, such as a ``table``.
-    """
+    """The numeric arrays in a file by dotted name, and objects, which only MATLAB reads: name -> class."""
 
     arrays: dict[str, NDArray[Any]]
     objects: dict[str, str]
@@ -179,8 +173,7 @@ def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDAr
 class TableFile:
     """The columns of a file.
 
-    `shapes` lists all arrays for messages, also those without columns, such as ``imu (600, 2, 3)``. `way` is
-    advice for unreadable data.
+    `shapes` lists all arrays for messages, such as ``imu (600, 2, 3)``. `way` is advice for unreadable data.
     """
 
     format: str
@@ -222,7 +215,7 @@ def open_table(path: Path) -> TableFile:
     except ImucalError:
         raise
     except Exception as error:
-        # Damaged headers raise errors of `zipfile`, Python's parser and others.
+        # `zipfile`, Python's parser and others have their own errors.
         raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
     if arrays.objects:
         raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.advice(str(path))}")
@@ -261,7 +254,7 @@ def _of_arrays(
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
     """Return the columns of a record, matrix or vector; empty if it is not a table.
 
-    The longest of three or more dimensions contains the samples; the others are columns ``name[0,2]``.
+    The longest of three or more dimensions contains the samples.
     """
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
@@ -270,7 +263,7 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
     if not array.ndim:
         return []
     longest = int(np.argmax(array.shape))
-    # Transpose a matrix if its rows are few enough to be columns.
+    # Transpose a matrix with few rows.
     samples = longest if array.ndim > 2 or array.shape[0] <= _MAX_COLUMNS else 0
     array = np.moveaxis(array, samples, 0)
     width = math.prod(array.shape[1:])
@@ -312,7 +305,6 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     except ImucalError as error:
         names = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
         found = f"{error}; columns: {names}"
-    # Eight bytes per number.
     unpacked = 8 * sum(column.values.size for column in table.columns)
     return replace(contents_of(path, table.format, found, size=size), unpacked_bytes=unpacked)
 
@@ -340,7 +332,7 @@ def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:
 def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
     """Return a topic for each array length with a sensor; without one, the widest table.
 
-    Indices in a columns text, and in the error that proposes one, refer to the widest (then longest) table.
+    Indices in a columns text refer to the widest (then longest) table.
     """
     groups = _groups(path, table)
     topics = []
