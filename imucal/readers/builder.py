@@ -21,11 +21,9 @@ from imucal.units import SAMPLE_UNITS
 class RecordingBuilder:
     """Collects the parts of a recording; sensors stay in the order added."""
 
-    #: Path as given, and format.
     path: str
     format: str
     options: ReadOptions = field(default_factory=ReadOptions)
-    #: Declared in the log, in Hz.
     rate_hz: float | None = None
     decisions: list[tuple[str, str]] = field(default_factory=list)
     #: `build` removes duplicates.
@@ -45,8 +43,7 @@ class RecordingBuilder:
     def add(self, samples: Sequence[Unscaled], *, where: str = "") -> None:
         """Add sensors in SI; error messages start with `where`, or with the path if it is empty.
 
-        Raises ChoiceError if a unit is unknown or unsuitable, or if the measured rate is implausible for an
-        IMU and the caller gave none.
+        Raises ChoiceError if a unit is unknown or unsuitable, or if the measured rate is implausible.
         """
         for entry in samples:
             clock, given = entry.clock, self.options.rate_hz is not None or self.options.time_unit is not None

@@ -1,7 +1,6 @@
 """Decompress chunks and files: zstd, lz4, bz2.
 
-Sizes in damaged or hostile files are checked before memory is allocated: a chunk may grow at most to the size
-in its header, and by `_MAX_RATIO` unless it is small.
+Sizes in damaged or hostile files are checked before memory is allocated.
 """
 
 import bz2
@@ -25,12 +24,10 @@ __all__ = [
     "unpack_file",
 ]
 
-#: Sizes up to this many bytes are not checked.
+#: Smaller sizes, in bytes, are not checked.
 _SMALL = 1 << 26
-#: Largest ratio of larger sizes.
 _MAX_RATIO = 400
 
-#: Signature of an lz4 frame.
 _LZ4 = b"\x04\x22\x4d\x18"
 
 #: Compression names; MCAP writes "" and ROS bags write "none".
@@ -41,7 +38,7 @@ def keep_freed_memory() -> None:
     """Make glibc keep freed chunk buffers instead of returning each one to the system.
 
     Freeing one block of 31 MiB raises glibc's thresholds for mapping memory. Otherwise page faults take six
-    times as long as decompressing lz4. No effect with other libraries.
+    times as long as decompressing lz4.
     """
     # `bytes` of zeros are never written, so they take no pages; a bytearray would.
     del_me = bytes(31 << 20)
@@ -87,7 +84,7 @@ def check_crc(raw: memoryview, expected: int) -> None:
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
     """Decompress a zstd file into an open file; calls `progress` with the number of bytes read.
 
-    Raises DamagedError if the file is damaged or ends early; the part before the damage is written.
+    Raises DamagedError if the file is damaged; the part before the damage is written.
     """
     import zstandard
 

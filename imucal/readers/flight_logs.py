@@ -3,9 +3,8 @@
 Both packages may loop forever on a damaged file, so they run in a child process. Each instance of a message
 is a topic, such as ``sensor_gyro:1``.
 
-PX4: microseconds since boot, rad/s and m/s^2; ``_fifo`` messages contain every sample of a buffer,
-``vehicle_imu`` integrals. Source: PX4's message definitions. ArduPilot: ``IMU``, or ``GYR`` and ``ACC`` of a
-batch log, in SI. Source: `AP_InertialSensor/LogStructure.h`.
+PX4 has µs since boot, rad/s and m/s^2; ``_fifo`` messages contain every sample of a buffer. ArduPilot has SI.
+Sources: PX4's message definitions; `AP_InertialSensor/LogStructure.h`.
 """
 
 import re
@@ -31,17 +30,16 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.dialects import Dialect
 from imucal.recording import AXES, Recording
 
-#: Signatures of a ULog, and of a record of a dataflash log.
 ULOG, DATAFLASH = b"ULog\x01\x12\x35", b"\xa3\x95"
 
 #: Field -> values, shape (n,) each.
 Fields: TypeAlias = Mapping[str, NDArray[Any]]
 
-#: Instances below this share of the fastest rate are health checks, not recordings.
+#: Slower instances are health checks, not recordings.
 _MIN_RATE_SHARE = 0.2
-#: Later stamps are damaged: about 140 years, in microseconds.
+#: In µs; later stamps are damaged.
 _MAX_STAMP_US = 1 << 52
-#: Most bytes of an unfinished page at the end.
+#: Most bytes of an unfinished page at the end, which is no damage.
 _MAX_PAGE_BYTES = 528
 
 _GYRO, _ACCEL = (tuple(f"{name}[{i}]" for i in range(3)) for name in ("gyro_rad", "accelerometer_m_s2"))
@@ -51,7 +49,7 @@ PX4 = {
     **dict.fromkeys(("sensor_gyro", "sensor_accel", "sensor_gyro_fifo", "sensor_accel_fifo"), tuple(AXES)),
 }
 _BOARD = {"IMU": _OF_BOARD, "GYR": _OF_BOARD[:3], "ACC": _OF_BOARD[3:]}
-#: Stamps, best first; names ending in MS are in ms, others in µs.
+#: Best first; names ending in MS are in ms, others in µs.
 _STAMPS = ("timestamp_sample", "timestamp", "SampleUS", "TimeUS", "TimeMS")
 _TEMPERATURES = ("temperature", "T")
 

@@ -175,7 +175,7 @@ def _sensors(
         work.findings += _loss_findings(decoding.losses, decoding.missing)
         _require_messages(work, job.topic, decoding)
         sensors += sensor_columns(work, job, decoding.columns)
-    # Another topic may contain a sensor that is missing in one.
+    # Another topic may contain the missing sensor.
     found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
     work.findings += [one for job in jobs for one in job.plan.findings if one.axis not in found]
     return sensors

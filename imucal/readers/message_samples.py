@@ -28,7 +28,6 @@ from imucal.recording import Sensor
 from imucal.resources import column_limit
 
 HEADER = "header stamp"
-#: The time of recording, which is not a column.
 LOG = TimeChoice(kind="ns", indices=(), name=LOG_TIME)
 
 
@@ -58,7 +57,6 @@ def job_of(containers: Sequence[Container], choice: Choice, options: ReadOptions
         indices += [*(sensor.time.indices if sensor.time else ()), *sensor.triad.indices]
         indices += [*(sensor.log_time.indices if sensor.log_time else ()), *_row_column(topic, sensor)]
     indices += [] if plan.temperature is None else [plan.temperature]
-    # Columns of a known message type are not a decision.
     decisions = plan.decisions if topic.file or plan.dialect is None else ()
     plan = replace(plan, sensors=tuple(chosen), decisions=decisions)
     return Job(topic, plan, tuple(dict.fromkeys(indices)))
@@ -148,10 +146,9 @@ def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[Senso
         time = plan.sensors[0].time
         stamps = values.columns[time.indices[0]] if time and time.indices else log[0]
         work.findings += in_time_order(stamps, log[0], block[1:], work.room)
-    # Half of the limit for each of two sensors.
     limit = (work.options.memory_limit or column_limit()) // 2
     axes = {sensor.triad.sensor: values.axes(sensor, limit) for sensor in plan.sensors}
-    # The screening reports constant sensors of tables; a single sample is no evidence.
+    # A single sample is no evidence; the screening reports constant sensors of tables.
     constant = [
         one for one, rows in axes.items() if rows[0].size > 1 and is_constant(rows) and not topic.file
     ]
@@ -202,12 +199,8 @@ def steps_back(times: IntArray) -> int:
 
 
 def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
-    """Yield the parts (start, stop) to be sorted separately so that all times are in order.
-
-    No time before a part's start is later than any time after it.
-    """
+    """Yield the parts (start, stop) to be sorted separately so that all times are in order."""
     lowest = [int(times[part].min()) for part in blocks(times.size, times)]
-    # Minimum of all times after each block.
     behind = [*np.minimum.accumulate(lowest[::-1])[::-1].tolist()[1:], np.iinfo(np.int64).max]
     begun, highest = 0, np.iinfo(np.int64).min
     for part, low in zip(blocks(times.size, times), behind, strict=True):
@@ -223,7 +216,7 @@ def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
 
 
 def in_time_order(stamps: IntArray, log: IntArray, others: Block, room: Room) -> list[Finding]:
-    """Sort samples by log time in place if joined files, merged channels or parallel writers disordered them.
+    """Sort samples by log time in place if joined files or parallel writers disordered them.
 
     Nothing is sorted if that disorders the stamps: then the recorder's clock was set back.
     """

@@ -25,11 +25,7 @@ _INDEXED: dict[str, Callable[[Path, LogFile], Container]] = {"MCAP": McapFile, "
 
 
 def index_of(log: RemoteLog, options: ReadOptions) -> LogContents | None:
-    """Return the contents of a log from its index alone.
-
-    None if that saves nothing: a small or cached log, a format without an index, a damaged index, or a server
-    without parts.
-    """
+    """Return the contents of a log from its index alone; None if that saves nothing or is impossible."""
     entry = entry_of(log)
     if (log.size or 0) < _SMALL or entry.is_whole(log):
         return None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value")
 
-#: Bytes of a block: latency makes smaller requests inefficient.
+#: In bytes; latency makes smaller requests inefficient.
 _BLOCK = 1 << 17
 #: Above this fraction (1/n) of the file and this many bytes, downloading the whole file is faster.
 _SHARE, _MIN_BYTES = 4, 1 << 22
@@ -82,7 +82,7 @@ def local_logs(
 ) -> Iterator[LocalLogs]:
     """Yield logs as local files; errors inside the block contain URLs.
 
-    Wildcards and folders of URLs are expanded as for files. Raises ReadError if a URL can't be fetched.
+    Raises ReadError if a URL can't be fetched.
     """
     if not any(isinstance(log, RemoteLog) or is_url(log) for log in logs):
         yield LocalLogs(tuple(Path(str(log)) for log in logs))
@@ -122,10 +122,7 @@ class TooMuchError(Exception):
 
 
 class RangedFile(LogFile):
-    """A file of a store, read by absolute position; thread-safe.
-
-    `path` is only for messages. `fetched` is the number of requested bytes.
-    """
+    """A file of a store, read by absolute position; thread-safe. `path` is only for messages."""
 
     def __init__(self, remote: RemoteFile, path: Path) -> None:
         from imucal.remote.stores import store_of

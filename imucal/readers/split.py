@@ -17,22 +17,20 @@ from imucal.readers.tables.text_table import read_many
 from imucal.recording import AxisSeries, Recording, Temperature, span_ns
 from imucal.resources import column_limit
 
-#: Longest pause between two parts, in s.
 _MAX_PAUSE_S = 10.0
-#: Largest overlap of two parts: in samples, or in s.
+#: In samples, or in s.
 _SAMPLES_OVER, _TIME_OVER = 10, 0.1
 #: File extensions, and the number that log rotation appends.
 _ENDINGS = re.compile(
     r"(?:\.(?:csv|tsv|txt|log|dat|mcap|db3|bag|active|ulg|parquet|npz|npy|mat|gz|bz2|xz|lz4|zst|zstd))+"
     r"(?P<number>(?:\.\d+)?)$"
 )
-#: Names that number devices, not parts: unit1, imu2, sensor3. Parts of a recording are imu_0, imu_1.
+#: Numbers of devices: unit1, imu2, sensor3. Parts of a recording are imu_0, imu_1.
 _DEVICE = re.compile(r"(?<![a-z])(?:(?:unit|device|dev|board|serial|sn)[\W_]*|imu|sensor|gyro)\d+$")
 
-#: Largest relative difference of the rates of two parts.
 _SAME_RATE = 0.01
 _MAX_LISTED = 12
-#: Stamps before 1 January 1980, in ns, count from power-on and are not dates.
+#: Earlier stamps (before 1980), in ns, count from power-on.
 _NO_DATE = 315_532_800_000_000_000
 
 _COMMON = ("frame", "layout", "gyroscope unit", "accelerometer unit")
@@ -64,7 +62,6 @@ def _differences(parts: Sequence[Recording]) -> str:
         return f"their {what} differ ({' and '.join(dict.fromkeys(topics))})"
     for question in _COMMON:
         whole = (dict(part.source.decisions).get(question, "none") for part in parts)
-        # Drop the reason of a unit, but keep a scale.
         answers = dict.fromkeys(one if one.startswith("count") else one.partition(",")[0] for one in whole)
         if len(answers) > 1:
             return f"their {question}s differ ({' and '.join(answers)})"
@@ -98,15 +95,15 @@ def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
 def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     """Read several logs as one recording, in the order of their times.
 
-    Raises ReadError if a log can't be read. Raises ChoiceError if the logs overlap, differ in topic, frame or
-    unit, or do not continue each other; with `ReadOptions.join`, only if their axes or rates differ.
+    Raises ReadError if a log can't be read; ChoiceError if the logs overlap, differ in topic, frame or unit,
+    or do not continue each other; with `ReadOptions.join`, only if their axes or rates differ.
     """
     ordered = sorted(paths, key=natural)
     formats = [detect(path) for path in ordered]
     if all(entry.name == "text" for entry in formats) and (found := read_many(ordered, options)):
         # One file per sensor.
         return _named(found, ordered)
-    # Half of the memory is for the parts, half for the joined recording.
+    # The other half is for the joined recording.
     limit = options.memory_limit or column_limit()
     part_options = replace(options, memory_limit=max(1, limit // (2 * len(ordered))))
     parts = [load(f).read(path, part_options) for path, f in zip(ordered, formats, strict=True)]
@@ -237,6 +234,5 @@ def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
                 segments.append(Segment(part.start + count, part.stop + count, offset))
         count += clock.n
         place += clock.grid_size
-        # Time at which the next sample is due.
         end_ns = None if clock.start_ns is None else clock.start_ns + clock.duration_s * 1e9
     return replace(clocks[0], rate_hz=1 / tau, segments=tuple(segments))

@@ -1,7 +1,4 @@
-"""Arrays in memory up to a limit of bytes, in temporary files above it.
-
-A temporary file has no name, so the system removes it even after a crash.
-"""
+"""Arrays in memory up to a limit of bytes, in nameless temporary files above it."""
 
 import mmap
 import os
@@ -21,19 +18,17 @@ Block: TypeAlias = Sequence[NDArray[Any]]
 
 T = TypeVar("T", bound=np.generic)
 
-#: One array may take one part in 16 of the limit, because about ten exist at a time.
+#: About ten arrays exist at a time.
 _SHARE = 16
 #: Bytes written before their pages are released.
 _FLUSH = 1 << 25
-#: Initial capacity of a growing column.
 _FIRST = 1 << 16
 
 
 def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
     """Return an array of n unset values, in a temporary file if it has more than `most` bytes.
 
-    Reserves the space on disk and raises ReadError if there is too little: a later failure would kill the
-    process.
+    Raises ReadError if the disk has too little space: a later failure would kill the process.
     """
     size = n * np.dtype(dtype).itemsize
     if size <= most or not size:
@@ -54,8 +49,7 @@ def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
 class Room:
     """Allocates and computes arrays block by block.
 
-    An array above a sixteenth of `limit`, in bytes (None: `imucal.resources.column_limit`), is in a temporary
-    file.
+    An array above a sixteenth of `limit`, in bytes, is in a temporary file.
     """
 
     def __init__(self, limit: int | None = None) -> None:
@@ -92,7 +86,6 @@ class Room:
         of: Callable[[slice], Any],
         *sources: NDArray[Any],
     ) -> NDArray[T]:
-        """Return the concatenated results of `of` for each block, one value per kept index."""
         result = self.empty(count(keep), dtype)
         end = 0
         for part in blocks(keep.size, keep, *sources, result):
@@ -138,10 +131,9 @@ def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = Non
 
 
 class GrowingColumn:
-    """A column of int64 or float64 to which blocks are appended.
+    """A column of int64 or float64 to which blocks are appended, in a temporary file above `limit` bytes.
 
-    Above `limit` bytes it is in a temporary file. Memory is reserved for `expected` values; unused pages take
-    none.
+    Memory is reserved for `expected` values; unused pages take none.
     """
 
     def __init__(self, dtype: type[np.generic], *, limit: int, expected: int = 0) -> None:

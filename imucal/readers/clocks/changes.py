@@ -1,7 +1,7 @@
 """Find a lasting change of the sampling rate.
 
 The rate is measured in windows over the log, without gaps. A change splits them into two parts with a stable
-rate each. If only losses begin, the short steps keep their length: that is not a change of the rate.
+rate each. If only losses begin, the short steps keep their length.
 """
 
 import numpy as np
@@ -9,17 +9,16 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
 from imucal.frozen import frozen
 
-#: Most windows; fewest and most samples in each.
 _MAX_WINDOWS, _MIN_SAMPLES, _MAX_SAMPLES = 400, 32, 512
 #: Fewest windows of a part, and least share of them.
 _MIN_WINDOWS, _MIN_SHARE = 8, 0.04
-#: Least ratio of two rates, and of their short steps.
+#: Of two rates, and of their short steps.
 _MIN_RATIO, _MIN_SHORT_RATIO = 1.4, 1.3
-#: A longer step, in units of a long step, is a gap.
+#: A longer step, in long steps, is a gap.
 _GAP = 8
 #: Least span of a window, in short steps between different stamps.
 _MIN_TICKS = 8
-#: A rate is stable if this share of the windows is within this relative distance of the median.
+#: A rate is stable if this share of the windows is near the median.
 _STABLE, _NEAR = 0.6, 0.2
 
 
@@ -80,7 +79,7 @@ def _split(means: FloatArray) -> int:
     after = logs.size - before
     contrast = (sums / before - (logs.sum() - sums) / after) ** 2 * before * after
     at = int(np.argmax(contrast[_MIN_WINDOWS - 1 : 1 - _MIN_WINDOWS])) + _MIN_WINDOWS
-    # Refine the position: mixed windows and outliers must not move it.
+    # Mixed windows and outliers must not move the position.
     middle = (median(logs[:at]) + median(logs[at:])) / 2
     sides = np.where((logs > middle) == (median(logs[at:]) > middle), 1, -1)
     return int(np.argmin(np.cumsum(sides))) + 1

@@ -1,7 +1,4 @@
-"""Compute a clock from time stamps: the rate, missing samples, and findings about the stamps.
-
-Samples keep the order of the log, because stamps jitter.
-"""
+"""Compute a clock from stamps: the rate, missing samples, and findings. Samples keep the order of the log."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,14 +27,13 @@ from imucal.recording import gap_findings
 
 LOG_TIME = "log time"
 
-#: Share of zero stamps above which log time is used.
 _MAX_ZEROS = 0.01
 #: A longer jump forward means that the clock was set: one day, in ns.
 _DAY = 86_400 * 10**9
-#: Fewest samples per clock reset; with fewer the stamps are noise.
+#: With fewer samples per clock reset, the stamps are noise.
 _RESETS = 20
 _MAX_EXAMINED = 100_000
-#: Shortest log for a comparison of clocks, in s, and smallest reported relative difference.
+#: Shortest log for a comparison of clocks, and smallest reported relative difference.
 _MIN_DURATION_S, _MIN_DRIFT = 60.0, 5e-4
 
 
@@ -141,8 +137,8 @@ def repeats(
     """Return which samples repeat the previous stamp and values, shape (n,); None if none was sent twice.
 
     `stamps` and each of the `rows` have shape (n,). Zero stamps are ignored. Equal values are attributed to
-    the sensor's resolution if at most half of the samples with equal stamps have equal values (bursts, a
-    coarse clock), or if equal values are nearly as frequent between different stamps.
+    the sensor's resolution if they are nearly as frequent between different stamps, or if at most half of the
+    samples with equal stamps have them.
     """
     advancing = 0
 
@@ -213,9 +209,8 @@ def clock_from_stamps(
     """Return the clock of samples from their stamps in ns, int64, shape (n,), in the order of the log.
 
     `source` names the stamps; errors start with `where`. Log times, shape (n,), replace stamps that are zero,
-    constant or not increasing, and determine how far a clock was set. `rate_hz` overrides the measured rate.
-    `repeated`, shape (n,), marks samples to drop because they repeat the previous stamp *and* values. `room`
-    allocates long arrays.
+    constant or not increasing, and determine how far a clock was set. `repeated`, shape (n,), marks samples
+    to drop because they repeat the previous stamp *and* values.
 
     Raises DataError without samples or a measurable rate; ChoiceError if the stamps fit two rates and none is
     given.
@@ -229,8 +224,6 @@ def clock_from_stamps(
 
 
 class _Stamps:
-    """Stamps and findings during the search for the clock."""
-
     def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None, room: Room) -> None:
         self.stamps = np.ascontiguousarray(stamps, dtype=np.int64)
         self.source = source
@@ -326,7 +319,7 @@ class _Stamps:
             raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
         breaks = NO_BREAKS
         stamps = evened(stamps, period, self.room)
-        # The first estimate has an error of 1 %, so only short gaps have reliable counts at first.
+        # The first estimate has an error of 1 %, so only short gaps have reliable counts.
         for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
@@ -366,7 +359,6 @@ class _Stamps:
 def _filled(stamps: IntArray, room: Room) -> IntArray:
     found = [np.flatnonzero(stamps[part] == 0) + part.start for part in blocks(stamps.size, stamps)]
     bad = np.concatenate(found)
-    # Only stamps next to zeros are needed.
     starts = bad[np.flatnonzero(np.diff(bad, prepend=-2) > 1)]
     ends = bad[np.flatnonzero(np.diff(bad, append=stamps.size + 1) > 1)]
     first = int(ends[0]) + 1 if starts[0] == 0 else 0
@@ -388,8 +380,7 @@ def _believable(
     """Return the number of missing samples at each break, and for each clock jump.
 
     The clock was set if it goes back, or forward much further than log time. Without log time, it must go
-    forward by more than a day and ten times the sampled time. Log time gives the missing samples at a jump;
-    without it there is one.
+    forward by more than a day and ten times the sampled time.
     """
 
     def by_log(at: int) -> int:

@@ -36,7 +36,6 @@ class Batch:
     starts: IntArray
     sizes: IntArray
     log_ns: IntArray
-    #: Damage found by the container.
     loss: Loss | None = None
 
     @property
@@ -55,8 +54,7 @@ class Batch:
 def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
     """Copy `width` bytes from each position in `at`, shape (n,), into an array of n items.
 
-    Indexing a view whose item i starts at byte i copies only once, at any alignment. Raises DamagedError if a
-    position is outside the buffer.
+    Raises DamagedError if a position is outside the buffer.
     """
     count = max(len(buffer) - width + 1, 0)
     # As unsigned numbers, negative positions are beyond any buffer.
@@ -80,16 +78,15 @@ class Channel:
     key: int
     topic: str
     type: str
-    #: ``cdr``, ``ros1``, ``json`` or another name in the log.
     encoding: str
     #: Text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
     definition: str = ""
     definition_kind: str = ""
     #: Definition in bytes if it is not text.
     schema: bytes = b""
-    #: Number of messages; None if unknown before reading; for SQLite an upper bound.
+    #: None if unknown before reading; for SQLite an upper bound.
     count: int | None = None
-    #: Recording times of the first and last message, in ns; None if not in the index.
+    #: Of the first and last message, in ns; None if not in the index.
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -97,9 +94,8 @@ class Channel:
 class Task(NamedTuple):
     """A part of a file, loaded by one thread."""
 
-    #: Bytes of the file, for progress.
+    #: In bytes, for progress.
     size: int
-    #: Wanted channels with messages in it.
     keys: frozenset[int]
     #: Yields the messages of each channel; raises DamagedError if the part can't be read.
     load: Callable[[], Iterable[tuple[int, Batch]]]
@@ -114,7 +110,7 @@ class Container(ABC):
     size: int
     channels: list[Channel]
     findings: list[Finding]
-    #: First and last time of any message, in ns; None if unknown.
+    #: Of any message, in ns; None if unknown.
     start_ns: int | None = None
     end_ns: int | None = None
     parallel: bool = True

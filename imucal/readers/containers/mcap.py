@@ -1,8 +1,8 @@
 """MCAP: ROS 2, ROS 1 and JSON messages, chunks uncompressed or in lz4 or zstd.
 
-The `mcap` package parses the index, but builds an object per message, so messages are located here. Without a
-valid index, records are scanned up to the first incomplete one or to zeros left by a crash. Source: MCAP
-specification 0, https://mcap.dev/spec.
+The `mcap` package builds an object per message, so messages are located here. Without a valid index, records
+are scanned up to the first incomplete one or to zeros left by a crash. Source: MCAP specification 0,
+https://mcap.dev/spec.
 """
 
 import struct
@@ -119,10 +119,7 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
 
 
 def batch_of(raw: Bytes, positions: Sequence[int] | IntArray, key: int) -> Batch:
-    """Return the messages of a channel at `positions`.
-
-    Raises DamagedError if one is not a complete message of the channel.
-    """
+    """Return the messages of a channel at `positions`; raises DamagedError if one is something else."""
     starts = np.asarray(positions, np.int64)
     heads = gather(raw, starts, _PAYLOAD)
     sizes = cells(heads, 1, "<i8") - (_PAYLOAD - HEAD.size)
@@ -250,17 +247,14 @@ class McapFile(MessageFile):
                 self._counts[key] += (end - at - _INDEX.size) // 16
 
     def _search(self, chunk: Chunk) -> None:
-        """Read definitions from a chunk without index or with an unknown channel; count its messages.
-
-        Without a summary, the first chunk with messages of a channel defines it.
-        """
+        """Read definitions from a chunk without index or with an unknown channel; count its messages."""
         if chunk.indexes and self._records.keys() >= chunk.indexes.keys():
             return
         try:
             raw = self._content(chunk)
         except DamagedError:
             if not chunk.indexes:
-                # Count at least one message, so that loading the chunk reports the loss.
+                # So that loading the chunk reports the loss.
                 self._counts.update(self._records.keys())
             return
         for opcode, at, end in each_record(raw):
@@ -316,10 +310,7 @@ class McapFile(MessageFile):
         return record if chunk.compression is None else unpack(record)
 
     def _entries(self, at: int, key: int) -> IntArray:
-        """Return times and offsets of a channel's messages, shape (n, 2), from the index at `at`.
-
-        Raises DamagedError if there is no such index.
-        """
+        """Return times and offsets of a channel's messages, shape (n, 2); raises DamagedError."""
         opcode, length, channel, size = _INDEX.unpack(self._file.read(at, _INDEX.size))
         wrong = opcode != MESSAGE_INDEX or channel != key or size + 6 != length or size % 16
         damaged_if(wrong, "a message index is damaged", "index")

@@ -1,8 +1,7 @@
 """ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2.
 
-The index section lists the chunks, and index records after a chunk list its messages; without them the
-records are scanned up to the first incomplete one. `rosbags` refuses unindexed and truncated bags, and builds
-an object per message. Source: https://wiki.ros.org/Bags/Format/2.0.
+Without index records, all records are scanned up to the first incomplete one. `rosbags` refuses unindexed and
+truncated bags, and builds an object per message. Source: https://wiki.ros.org/Bags/Format/2.0.
 """
 
 import struct
@@ -24,13 +23,12 @@ MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 U32 = struct.Struct("<I")
 PAIR = struct.Struct("<II")
-#: Longest header of a record in a chunk; it may contain a topic.
+#: In a chunk; it may contain a topic.
 _MAX_HEADER = 1 << 20
 #: A larger index section is damage, in bytes.
 _MAX_INDEX = 1 << 31
 #: Longest header of other records.
 _HEAD_BLOCK = 1 << 12
-#: Bytes per message in an index record.
 _ENTRY = 12
 
 
@@ -146,8 +144,7 @@ def unpack(region: memoryview) -> tuple[memoryview, int]:
 def listed(raw: memoryview, key: int, data: Bytes) -> Batch:
     """Return the messages of an index record; raises DamagedError if an entry is wrong.
 
-    All headers are compared with the last one, apart from time and size. Different ones are parsed one by
-    one: the first may follow the connection's record.
+    Most headers equal the last one, apart from time and size; only the others are parsed.
     """
     log_ns, starts = entries_of(data)
     if not starts.size:
@@ -243,7 +240,6 @@ class BagFile(MessageFile):
         cut = end < len(section) or len(self._chunks) < bag.number(b"chunk_count", 4)
         cut |= len(self._connections) < bag.number(b"conn_count", 4)
         damaged_if(cut, "the index is cut off", "truncated")
-        # A chunk with its index records ends at the next chunk or at the index section.
         ordered = sorted(self._chunks, key=lambda chunk: chunk.start)
         for chunk, after in pairwise([*ordered, Chunk(start, 0, None)]):
             damaged_if(not len(MAGIC) < chunk.start < after.start, "the index points to wrong chunks")
@@ -341,7 +337,7 @@ class BagFile(MessageFile):
                 damaged_if(key not in indexes, "an index record is missing")
                 batch = listed(raw, key, indexes[key])
             except DamagedError as error:
-                # Chunks of an unclosed bag may have no index records; this is no damage.
+                # Chunks of an unclosed bag may have no index records.
                 text = f"{error}; all records of its chunk were read instead"
                 starts, sizes, times = np.array(walked(raw).get(key, []), np.int64).reshape(-1, 3).T.copy()
                 batch = Batch(raw, starts, sizes, times, Loss("index", text) if rest else None)

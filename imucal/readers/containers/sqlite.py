@@ -23,7 +23,6 @@ from imucal.readers.files import first_bytes
 
 Value = TypeVar("Value")
 
-#: Signature of a write-ahead log.
 _WAL = b"\x37\x7f\x06"
 #: Average bytes per task, and fewest rows.
 _PART, _ROWS = 1 << 22, 256
@@ -31,7 +30,7 @@ _PART, _ROWS = 1 << 22, 256
 _FETCH = 1024
 #: Ranges of damaged rows are halved down to this many rows.
 _MIN_RANGE = 16
-#: Most rows counted if the metadata lack counts.
+#: Most rows counted without the metadata.
 _COUNTED = 2_000_000
 #: Errors of damaged pages; the last three come from values of a wrong type.
 _ERRORS = (sqlite3.Error, TypeError, ValueError, OverflowError)
@@ -70,7 +69,6 @@ class SqliteFile(MessageFile):
         head = self._file.read(0, min(self.size, 100)).ljust(100, b"\0")
         if log != _WAL:
             self._check_size(head)
-        # For a database of version 2 SQLite would create a log.
         if log == _WAL or (not log and head[18] != 2):
             try:
                 return self._query_only("mode=ro")

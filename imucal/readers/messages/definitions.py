@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 from imucal.readers.containers import Channel
 from imucal.readers.files import refused
 
-#: Kinds of fields; "other" covers structures and everything else without a fixed layout.
+#: "other" covers structures and everything else without a fixed layout.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
 
 
@@ -24,7 +24,7 @@ class Field:
 
     path: str
     kind: Kind
-    #: NumPy code of a number without byte order, such as ``f8``; empty for other kinds.
+    #: NumPy code of a number without byte order, such as ``f8``.
     code: str = ""
     #: Numbers in a fixed array, or in one element of a sequence; otherwise 1.
     count: int = 1
@@ -44,7 +44,6 @@ _TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 #: rosbags expects 80 characters between types, and rejects constants in lower case.
 _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
-#: Limits of nesting, and of fields and files.
 _MAX_DEPTH, _MAX_FIELDS = 16, 20_000
 
 
@@ -61,9 +60,9 @@ def long_type(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One field of a definition.
+    """One field of a definition; `kind` is a basic type or ``package/msg/Name``.
 
-    `kind` is a basic type or ``package/msg/Name``. `count` is the length of an array, None for a sequence.
+    `count` is the length of an array, None for a sequence.
     """
 
     kind: str
@@ -128,10 +127,9 @@ class Definition:
         return found
 
     def fields(self) -> tuple[Field, ...]:
-        """Return the fields of a message with nested ones in place; raises DefinitionError for unknown types.
+        """Return the fields with nested ones in place; raises DefinitionError for unknown types.
 
-        The last field is of kind "other" if its size is unknown, such as a sequence of strings: the positions
-        of later fields depend on it.
+        The last field is of kind "other" if its size is unknown: the positions of later ones depend on it.
         """
         return tuple(_laid_out(self.name, self._fields(self.name)))
 
@@ -166,7 +164,7 @@ class Definition:
         if not line.array:
             yield from self._fields(nested, path + ".", depth)
         elif line.count is None:
-            # A sequence has a layout only if its structures contain numbers of a single size.
+            # Only structures with numbers of a single size have a layout.
             inner = _laid_out(nested, self._fields(nested, path + "[].", depth))
             if len({one.size for one in inner}) == 1 and {one.kind for one in inner} <= {"number", "array"}:
                 yield Field(path, "sequence", inner[0].code, sum(one.count for one in inner))
@@ -199,7 +197,6 @@ def _line(name: str, kind: Any) -> Line:  # noqa: ANN401 - rosbags nests tuples
     array = node in {"ARRAY", "SEQUENCE"}
     element, base = inner[0] if array else kind
     base = base if element.name == "NAME" else base[0]
-    # rosbags parses it as a structure.
     base = "wstring" if base.endswith("/wstring") else base
     return Line(base, name, array, inner[1] if node == "ARRAY" else None)
 
@@ -208,7 +205,6 @@ def _line(name: str, kind: Any) -> Line:  # noqa: ANN401 - rosbags nests tuples
 def _parsed(name: str, text: str) -> Mapping[str, Any]:
     from rosbags.typesys import get_types_from_msg
 
-    # A definition may end with a separator.
     text = _CONSTANT.sub("", "\n".join(text.splitlines()).rstrip("= \n") + "\n")
     try:
         return get_types_from_msg(_SEPARATOR.sub("=" * 80 + "\nMSG: ", text), name)
@@ -240,8 +236,8 @@ def built_in(name: str, *, ros1: bool) -> Definition | None:
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     """Return the definitions in files and folders: ``package/Name`` -> text.
 
-    The package is the folder above ``msg/``; empty without one. Raises ReadError if a file can't be read, or
-    a folder contains none.
+    The package is the folder above ``msg/``. Raises ReadError if a file can't be read, or a folder contains
+    none.
     """
     found = {}
     for path in paths:

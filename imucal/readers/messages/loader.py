@@ -22,14 +22,14 @@ from imucal.resources import threads as allowed_threads
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: More threads are useless because of the interpreter's lock.
+#: The interpreter's lock makes more threads useless.
 _MAX_THREADS = 4
-#: Preparing the allocator is worthwhile above this number of messages.
+#: With more messages, preparing the allocator is worthwhile.
 _LARGE = 50_000
 #: Chunks searched for a channel's first message.
 _LOOKS = 8
 _MAX_LOSSES = 1000
-#: If more messages in a row are damaged, the others are not tried separately.
+#: After more damaged messages in a row, the others are not tried separately.
 _MAX_TRIED = 64
 #: Least bytes of a message in a file: an index entry.
 _MIN_MESSAGE_BYTES = 12
@@ -92,10 +92,7 @@ def decode(
 
 
 class _Output:
-    """The decoded samples of a stream.
-
-    The files count `stated` messages; memory is reserved for at most `most`. `limit` is in bytes.
-    """
+    """The decoded samples of a stream; memory is reserved for `stated` messages, at most `most`."""
 
     def __init__(self, types: Sequence[type[np.generic]], stated: int | None, most: int, limit: int) -> None:
         self._stated, self._found = stated, 0
@@ -191,7 +188,7 @@ def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int
 def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:
     """Return the samples; if some messages are damaged, halve the batch down to them.
 
-    If all of many are damaged, the type is wrong and the others are not split.
+    If all of many are damaged, the type is wrong.
     """
     try:
         return [decoder.decode(batch)]

@@ -1,8 +1,8 @@
 """Decode ROS 1 and CDR messages: find the fields of many messages at once, and gather their bytes.
 
 A position is one integer while all previous strings and sequences have the same length in every message,
-otherwise an int64 vector. ROS 1 has no alignment; CDR and XCDR2 align numbers to their size, at most 8 or 4
-bytes, after the encapsulation. Source: OMG DDS-XTypes 1.3, 7.4.
+otherwise an int64 vector. CDR and XCDR2 align numbers to their size, at most 8 or 4 bytes, after the
+encapsulation. Source: OMG DDS-XTypes 1.3, 7.4.
 """
 
 import re
@@ -34,7 +34,6 @@ _PADDING = 3
 class Layout:
     """Byte order and alignment of numbers."""
 
-    #: ``<`` or ``>``.
     order: str = "<"
     #: Largest alignment in bytes; 1 for ROS 1.
     align: int = 8
@@ -84,8 +83,8 @@ def _parts(path: str, known: Container[str]) -> tuple[str, ...]:
 class BinaryDecoder:
     """Decodes the wanted fields of one channel's ROS 1 or CDR messages.
 
-    A path names a number, a time (decoded as ns), or one element of an array or a sequence: ``gyro[0]``.
-    ``step[0]/dt`` is a number over its duration in µs.
+    A path names a number, a time (decoded as ns), or one element: ``gyro[0]``. ``step[0]/dt`` is a number
+    over its duration in µs.
     """
 
     def __init__(self, fields: Sequence[Field], paths: Sequence[str], *, ros1: bool) -> None:
@@ -97,19 +96,18 @@ class BinaryDecoder:
         for path in self._wanted - known:
             if match := _ELEMENT.fullmatch(path):
                 self._elements.setdefault(match[1], {})[int(match[2])] = path
-        #: Whether the size is known: the walk ends before a list of structures.
+        #: Whether the size is known.
         self._whole = all(entry.kind != "other" for entry in fields)
         self._fields = [entry for entry in fields if entry.kind != "other"]
 
     def decode(self, batch: Batch) -> Block:
-        """Return the samples; raises DamagedError for an unknown layout or a wrong size."""
+        """Raise DamagedError for an unknown layout or a wrong size."""
         if self._ros1:
             return self._decode(batch, 0, _ROS1)
         damaged_if(int(batch.sizes.min()) < 4, "a message is too short for CDR")
         codes = gather(batch.buffer, batch.starts, 2).view(">u2")
         if (codes == codes[0]).all():
             return self._decode(batch, 4, _layout(int(codes[0])))
-        # Decode the messages of each encapsulation separately.
         chosen = [np.flatnonzero(codes == code) for code in np.unique(codes)]
         blocks = [self._decode(batch.part(rows), 4, _layout(int(codes[rows[0]]))) for rows in chosen]
         order = np.argsort(np.concatenate(chosen))
@@ -150,7 +148,6 @@ class BinaryDecoder:
                 places |= self._places(entry, at, layout)
                 at = at + entry.size * entry.count
                 continue
-            # A string or a sequence, after its length.
             at = layout.aligned(at, 4)
             length = self._length(buffer, starts + at, entry, layout)
             first = at + 4 if entry.kind == "string" else layout.aligned(at + 4, entry.size)

@@ -48,7 +48,7 @@ def frame_of(message: bytes, encoding: str) -> str:
 def temperature_topic(topics: Sequence[Topic], imu: str) -> Topic | None:
     """Return the topic of an IMU's temperature; None if there is none.
 
-    It must be the only one in the IMU's namespace: a log may contain temperatures of other devices.
+    It must be the only one in the IMU's namespace: other devices may have temperatures.
     """
     space = imu.rpartition("/")[0]
     found = [

@@ -34,11 +34,10 @@ from imucal.recording import Sensor
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
 #: Separators in a columns text, and times that are not columns.
 _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
-#: Longest array whose elements are columns without being named.
+#: Elements of longer arrays are columns only if they are named.
 _MAX_ELEMENTS = 9
 #: Messages examined, and chunks read for them (more if the first contain too few).
 _HEAD, _LOOKS = 100, (1, 32)
-#: Rows examined of a table in memory.
 HELD_ROWS = 400
 #: Packages of general vectors, read only if the user names the topic.
 _PLAIN = ("geometry_msgs/", "nav_msgs/")
@@ -68,7 +67,6 @@ class Column(NamedTuple):
 class Topic:
     """A topic over all files of a log."""
 
-    #: For example ``/imu/data`` and ``sensor_msgs/msg/Imu``.
     name: str
     type: str
     channels: tuple[tuple[int, Channel], ...]
@@ -79,7 +77,6 @@ class Topic:
     plain: bool = False
     #: Why its messages can't be read; otherwise empty.
     reason: str = ""
-    #: The sensor requested by the user.
     wanted: Sensor | None = None
     given: Mapping[str, str] = field(default_factory=dict)
     #: Columns in memory, shape (n,) each; if `sparse`, rows without values are not samples.
@@ -222,7 +219,6 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
         )
         raise DefinitionError(msg)
     definition = definition_of_channel(channel, given)
-    # Raises DefinitionError if the definition is incomplete.
     definition.fields()
     return schemas.ros_leaves(definition)
 
@@ -262,7 +258,7 @@ def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str
 
 
 def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
-    # Column numbers are the same with and without a columns text.
+    # Column numbers must not depend on the columns text.
     columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
     topic = replace(topic, columns=tuple(columns))
     if len(options.topics) == 2 and topic.name in options.topics:
@@ -314,7 +310,7 @@ def plan_of(
 ) -> tuple[TablePlan, frozenset[Sensor]]:
     """Choose the columns of a topic; also return the sensors whose first samples change.
 
-    Fewer than two decoded messages count as a change. Raises ChoiceError if the choice is ambiguous.
+    Raises ChoiceError if the choice is ambiguous.
     """
     heads = topic.held or _heads(containers, topic, options.columns or "")
     time = None if options.time in _CLOCKS and not topic.held else options.time

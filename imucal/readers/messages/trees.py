@@ -16,11 +16,10 @@ from imucal.readers.store import Block
 #: Bytes of a message -> mappings, lists and numbers, or objects with attributes.
 Parse: TypeAlias = Callable[[bytes], Any]
 
-#: Type of a leaf with seconds and nanoseconds.
+#: Seconds and nanoseconds.
 TIME = "time"
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nanos", "nsec", "nsecs", "nanoseconds")
-#: Most members examined of a JSON object.
 _MAX_MEMBERS = 600
 
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
@@ -30,8 +29,8 @@ _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 class Leaf:
     """A number, a time, or an array of numbers in a message.
 
-    The path is as in Python: ``imu.gyro.x``; ``imus[0].gyro.x`` represents all elements of a list of
-    structures. The type is such as ``float64``, ``time``, ``int16[3]`` or ``int16[]``.
+    ``imus[0].gyro.x`` represents all elements of a list of structures. The type is such as ``float64``,
+    ``time``, ``int16[3]`` or ``int16[]``.
     """
 
     path: str
@@ -42,17 +41,14 @@ class Leaf:
 
 
 class TreeDecoder:
-    """Decodes messages one by one, in 6 µs or more each.
-
-    `paths` are the wanted numbers in the result of `parse`; `kind` is for error messages.
-    """
+    """Decodes messages one by one, in 6 µs or more each; `paths` are the wanted numbers."""
 
     def __init__(self, paths: Sequence[str], parse: Parse = json.loads, kind: str = "JSON") -> None:
         self._parse, self._kind = parse, kind
         self._steps = [[name or int(index) for index, name in _STEP.findall(path)] for path in paths]
 
     def decode(self, batch: Batch) -> Block:
-        """Return the numbers; raises DamagedError if a message is damaged or lacks a field."""
+        """Raise DamagedError if a message is damaged or lacks a field."""
         rows = [self._row(bytes(data)) for data in batch.messages()]
         columns = (list(cells) for cells in zip(*rows, strict=True))
         return [batch.log_ns, *(np.array(cells, _common_type(cells)) for cells in columns)]
