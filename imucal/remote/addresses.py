@@ -27,7 +27,7 @@ OBJECT_STORES = {
     "abfs": ("abfs", "adlfs", "azure"),
     "abfss": ("abfs", "adlfs", "azure"),
 }
-#: Longest file name on common file systems, in bytes.
+#: In bytes, for common file systems.
 _MAX_NAME_BYTES = 200
 _GLOB = frozenset("*?[")
 
@@ -51,8 +51,7 @@ def scheme_of(url: str) -> str:
 def shown(url: str) -> str:
     """Return a URL without user, password, query and fragment, for messages and results.
 
-    The query of a signed URL is a secret. Object keys may contain question marks and are kept. Local paths
-    are returned unchanged.
+    The query of a signed URL is a secret. Object keys may contain question marks and are kept.
     """
     if not _URL.match(url):
         return url
@@ -110,11 +109,11 @@ def without_secrets(text: str, url: str) -> str:
 class RemoteFile:
     """One object of a store."""
 
-    #: With its query, which may be a secret.
+    #: A secret if it is signed.
     url: str = field(repr=False)
     #: ETag, or time of last change; empty if unknown.
     etag: str
-    #: In bytes; None if unknown.
+    #: None if unknown.
     size: int | None
     #: Whether the store serves parts of the object.
     ranges: bool = True
@@ -123,8 +122,7 @@ class RemoteFile:
     def key(self) -> str:
         """Digest of URL, ETag and size.
 
-        An ETag identifies the content, so the query, which changes with each signature, is ignored. Otherwise
-        the query stays: it may select the content.
+        Without an ETag of the content, the query may select the content, so it counts too.
         """
         url = shown(self.url) if self.etag.startswith(('"', "W/")) else self.url
         return _digest(f"{url}\n{self.etag}\n{self.size}")
@@ -139,7 +137,6 @@ class RemoteLog:
     files: tuple[RemoteFile, ...]
     #: Whether it is a folder, perhaps of one file.
     folder: bool = False
-    #: Whether the copy stays in the cache after use.
     keep: bool = True
 
     @property
@@ -177,14 +174,13 @@ def _digest(text: str) -> str:
 
 Result = TypeVar("Result")
 
-#: Seconds before each further attempt.
+#: In s, before each further attempt.
 WAITS = (0.5, 1.0, 2.0)
 _RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
-#: Default timeout in s.
 _DEFAULT_TIMEOUT_S = 30.0
 
-#: Kind -> error names of libraries, which may not be installed; the first match is used.
+#: Names of errors of libraries, which may not be installed; the first match is used.
 _ERRORS = {
     "missing": "FileNotFoundError ResourceNotFoundError NoSuchBucket NoSuchKey",
     "forbidden": "PermissionError",
@@ -217,7 +213,7 @@ class ChangedError(Exception):
 
 
 def timeout() -> float:
-    """Return the timeout in s: ``IMUCAL_REMOTE_TIMEOUT``, or 30; raises SettingError if it is invalid."""
+    """Return the timeout in s from ``IMUCAL_REMOTE_TIMEOUT``; raises SettingError if it is invalid."""
     text = os.environ.get(TIMEOUT, "").strip()
     if not text:
         return _DEFAULT_TIMEOUT_S
@@ -243,7 +239,7 @@ class Attempts:
         self._failed = 0
 
     def wait(self, error: PassingError) -> None:
-        """Wait before the next attempt; raises ReadError after the last one."""
+        """Raise ReadError after the last attempt."""
         self._failed += 1
         if self._failed > len(self._waits):
             often = f" ({self._failed} attempts)" if self._waits else ""

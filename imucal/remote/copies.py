@@ -1,12 +1,7 @@
 """Cache of remote logs: complete copies only, locked during use.
 
-The least recently used copy is removed first. The system releases the locks of a dead process.
-
-::
-
-    KEY.lock     lock for reading the copy (shared) or changing it (exclusive); its time is the last use
-    KEY/         the copy: a file, or the folder of a bag, under the log's own name
-    KEY.part/    an unfinished copy
+The least recently used copy is removed first. ``KEY.lock`` is the lock for reading (shared) or changing
+(exclusive) a copy, and its time is the last use. ``KEY.part/`` is an unfinished copy.
 """
 
 import os
@@ -40,7 +35,7 @@ except ImportError:  # Windows: open files can't be removed
 
 @contextmanager
 def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock file `path`; yield whether the lock was acquired, always true with `wait`.
+    """Hold the lock file `path`; yield whether the lock was acquired.
 
     The holder of an exclusive lock may remove the file, so waiting processes then lock the new one.
     """
@@ -66,7 +61,7 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
 
 
 FOLDER, SIZE = "IMUCAL_CACHE", "IMUCAL_CACHE_SIZE"
-#: Default size in bytes.
+#: In bytes.
 _DEFAULT_SIZE = 10 << 30
 #: Bytes left free.
 _MARGIN = 1 << 24
@@ -112,7 +107,7 @@ class Entry:
             with locked(self.lock, wait=False) as had:
                 if not had:
                     return False
-                # Rename first, so that a partly removed copy is never used.
+                # A partly removed copy must never be used.
                 with suppress(FileNotFoundError):
                     shutil.rmtree(self.part)
                 with suppress(FileNotFoundError):
@@ -151,7 +146,7 @@ def cache_folder() -> Path:
 
 
 def cache_size() -> int:
-    """Return ``IMUCAL_CACHE_SIZE`` in bytes, or 10 GB; 0 keeps no copies. Raises SettingError if invalid."""
+    """Return ``IMUCAL_CACHE_SIZE`` in bytes, or 10 GB; 0 keeps no copies. Raises SettingError."""
     size = size_setting(SIZE, least=0)
     return _DEFAULT_SIZE if size is None else size
 
@@ -162,10 +157,9 @@ def entry_of(log: RemoteLog) -> Entry:
 
 
 def make_room(root: Path, wanted: int, *, most: int) -> None:
-    """Remove unused copies, the least recently used first.
+    """Remove unused copies until the cache takes at most `most` bytes and `wanted` bytes are free.
 
-    Stops once the cache takes at most `most` bytes and `wanted` bytes are free. Raises ReadError if fewer are
-    free at the end.
+    Raises ReadError if fewer are free at the end.
     """
     used: list[tuple[float, str]] = []
     for path in root.glob("*.lock"):
@@ -194,7 +188,7 @@ def _lacks(root: Path, wanted: int) -> bool:
 #: Called with the bytes done and the total (0 if unknown).
 Progress: TypeAlias = Callable[[int, int], None]
 
-#: Most changes of an object during reading; with more it is still being written.
+#: With more changes during reading, the object is still being written.
 _MAX_CHANGES = 3
 
 
@@ -203,7 +197,7 @@ class LocalCopy:
     """The copy of a remote log."""
 
     log: RemoteLog
-    #: File, or folder of a bag; valid inside the ``with`` block.
+    #: Valid inside the ``with`` block.
     path: Path
     files: tuple[Path, ...]
 
@@ -214,10 +208,9 @@ def fetched(
 ) -> Iterator[LocalCopy]:
     """Yield a copy of a remote log, from the cache or downloaded; it is not removed during use.
 
-    Afterwards it stays in the cache if there is space, unless `RemoteLog.keep` is false or `RemoteLog.etag`
-    is empty. With `exact`, a changed object is refused, because results would be stored under the wrong key;
-    otherwise the new object is used. Raises ReadError if the log is missing, can't be fetched or has changed,
-    or if the disk is full.
+    It stays in the cache unless `RemoteLog.keep` is false or `RemoteLog.etag` is empty. With `exact`, a
+    changed object is refused, because results would be stored under the wrong key. Raises ReadError if the
+    log is missing, can't be fetched or has changed, or if the disk is full.
     """
     asked = identify(log) if isinstance(log, str) else log
     for _ in range(_MAX_CHANGES):
@@ -243,18 +236,16 @@ def fetched(
 
 @contextmanager
 def _made(log: RemoteLog, entry: Entry, progress: Progress | None) -> Iterator[LocalCopy]:
-    """Hold a copy; download it if there is none."""
     while True:
         with locked(entry.lock, shared=True):
             if entry.is_whole(log):
-                # Set the time of the last use.
                 with suppress(OSError):
                     os.utime(entry.lock)
                 files = tuple(entry.files(log, entry.whole))
                 yield LocalCopy(log=log, path=entry.path(log), files=files)
                 return
         with locked(entry.lock):
-            # Another process may have made the copy during the wait.
+            # Another process may have made the copy meanwhile.
             if not entry.is_whole(log):
                 _make(log, entry, progress)
 
@@ -295,8 +286,7 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
 def _download(file: RemoteFile, out: IO[bytes], count_bytes: Callable[[int], None]) -> None:
     """Write an object to an open file; resume after a broken connection.
 
-    Repeated bytes do not count as progress; otherwise a server without parts that always ends early is
-    retried endlessly.
+    Repeated bytes do not count as progress: a server without parts could end early forever.
     """
     store = store_of(file.url)
     attempts = Attempts(file.url)

@@ -1,8 +1,7 @@
 """Stores of logs: read objects, and list the logs of a URL.
 
-http and https use the standard library, and identify objects by a GET of the first bytes, because addresses
-signed for GET refuse HEAD. Object stores (S3, Google Cloud Storage, Azure) use fsspec with s3fs, gcsfs and
-adlfs.
+Web files are identified by a GET of the first bytes, because addresses signed for GET refuse HEAD. Object
+stores (S3, Google Cloud Storage, Azure) use fsspec with s3fs, gcsfs and adlfs.
 """
 
 import contextlib
@@ -59,12 +58,10 @@ def store_of(url: str) -> "Store":
     return ObjectStore(url)
 
 
-#: HTTP codes of temporary failures.
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
-#: Bytes fetched to identify an object, enough to recognise a web page.
+#: In bytes, to identify an object and to recognise a web page.
 _HEAD = 512
 _BLOCK = 1 << 20
-#: Largest listing of a folder, in bytes.
 _PAGE = 1 << 24
 _PAGE_STARTS = (b"<!doctype html", b"<html")
 _RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
@@ -74,7 +71,7 @@ class HttpStore:
     """Files of web servers; methods raise ReadError, as in `ObjectStore`."""
 
     def look_at(self, url: str) -> RemoteFile | None:
-        """Return ETag and size of an object; None for a folder."""
+        """Return None for a folder."""
         if is_folder_name(url):
             return None
 
@@ -96,7 +93,7 @@ class HttpStore:
         return retried(url, looked_at)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        """Return bytes `start` to `stop` of an object; raises ChangedError if it has changed."""
+        """Raise ChangedError if the object has changed."""
 
         def part() -> bytes:
             data = b"".join(self.blocks(file, start, stop))
@@ -152,9 +149,9 @@ def _bad_redirect(url: str, where: str) -> ReadError:
 def _open(
     url: str, part: str | None = None, *, empty: bool = False
 ) -> Iterator[tuple[int, Message, IO[bytes]]]:
-    """Yield status, headers and body; `empty` allows a file without bytes.
+    """Yield status, headers and body; errors are converted by `explained`.
 
-    Errors of the library, also during reading of the body, are converted by `explained`.
+    `empty` allows a file without bytes.
     """
     try:
         with build_opener(_WebRedirects).open(_request(url, part), timeout=timeout()) as response:
@@ -188,7 +185,7 @@ def _request(url: str, part: str | None) -> Request:
     """Return a request; credentials from the URL or ~/.netrc are sent only to this host."""
     parts = urlsplit(url)
     user, _, host = parts.netloc.rpartition("@")
-    # Quote spaces and non-ASCII letters; keep quoted characters.
+    # Keep quoted characters.
     path = quote(parts.path, safe="/%:@!$&'()*+,;=~-._")
     request = Request(urlunsplit((parts.scheme.lower(), host, path, parts.query, "")))  # noqa: S310
     request.add_header("User-Agent", f"imucal/{__version__}")
@@ -232,7 +229,6 @@ def _links(folder: str) -> list[str]:
     return sorted(found)
 
 
-#: Bytes per request of a download.
 _PART = 1 << 24
 
 
@@ -328,7 +324,7 @@ def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
 Store: TypeAlias = HttpStore | ObjectStore
 
 _METADATA = "metadata.yaml"
-#: Extensions of logs; a compressed text may have one more.
+#: A compressed text may have one more extension.
 _MESSAGES = (".mcap", ".bag", ".db3", ".bag.active", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst")
 _TEXTS = (".csv", ".tsv", ".txt", ".log", ".dat", ".jsonl")
 _TABLES = (*_TEXTS, ".parquet", ".h5", ".hdf5", ".npz", ".npy", ".mat", ".ulg", ".bin")
@@ -339,8 +335,8 @@ _LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED
 def expand(url: str) -> list[str]:
     """Return the URLs of the logs of a URL: itself, the matches of its wildcards, or a folder's logs.
 
-    A folder with ``metadata.yaml``, or with only tables (as an app writes them), is one log; in other folders
-    each file is. Raises ReadError without logs, or if the store can't list them.
+    A folder with ``metadata.yaml``, or with only tables, is one log. Raises ReadError without logs, or if the
+    store can't list them.
     """
     store = store_of(url)
     return [url] if _object_at(store, url) else _expanded(store, url)

@@ -1,7 +1,7 @@
 """The pictures of a report: each axis alone, and the three axes of a sensor together.
 
-They use matplotlib's Agg canvas: no window, no pyplot, no global state. Forked processes draw in parallel if
-possible, because a picture takes half a second. The smallest text has 9 px at a width of 800 px.
+They use matplotlib's Agg canvas without global state. Forked processes draw in parallel if possible, because
+a picture takes half a second.
 """
 
 import base64
@@ -93,7 +93,7 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     return figure
 
 
-#: One column of a paper in inches, and text size in points.
+#: In inches, and text size in points.
 _COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
 
 
@@ -139,7 +139,7 @@ def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
     canvas: Any = figure.canvas
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba()).view(np.uint32)[..., 0]
-    # To save time, quantize only the tenth of the pixels that is not white; white is the last colour.
+    # To save time, quantize only the pixels that are not white.
     inked = np.flatnonzero(pixels != _WHITE)
     ink = Image.fromarray(pixels.ravel()[inked].view(np.uint8).reshape(1, -1, 4), "RGBA").convert("RGB")
     ink = ink.quantize(255, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -230,7 +230,7 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
             figure.text(x, y, text, **style)
 
 
-#: Media types, the best first.
+#: The best first.
 _SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
@@ -264,7 +264,7 @@ def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
 def _files(
     item: AxisReport | Sensor, formats: Sequence[str], *, paper: bool
 ) -> dict[str, Callable[[Report, Any], "Figure"]]:
-    """Return file name -> function that draws it; pictures for papers are vector formats, by default pdf."""
+    """Return file name -> function that draws it; pictures for papers are vector formats."""
     stem, whole = (item.short, sensor_figure) if isinstance(item, Sensor) else (item.name, axis_figure)
     scaling = [form for form in formats if form != "png"] or ["pdf"]
     return {
@@ -283,8 +283,7 @@ def draw(
 ) -> Drawings:
     """Draw the pictures of a report in some formats.
 
-    Up to `workers` processes draw at a time, by default `imucal.resources.threads`. `page` adds png if a page
-    can show none of the formats. `paper` adds pictures such as ``gyro-paper.pdf``.
+    `page` adds png if a page can show none of the formats. `paper` adds pictures such as ``gyro-paper.pdf``.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
@@ -311,7 +310,7 @@ def _draw_one(
     result = Drawings()
     for name, figure in _files(item, formats, paper=paper).items():
         form = name.rpartition(".")[2]
-        # Hinting is invisible at this size, and takes a tenth of the time.
+        # Hinting is invisible at this size, and slow.
         with rc_context({"text.hinting": "none"}):
             content, failed = try_side_work(
                 lambda figure=figure, form=form: render(made(figure), form, version=report.version),  # type: ignore[misc]

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
 _LEFT, _RIGHT = 0.095, 0.985
 _POINTS, _AVERAGES = 1500, 1000
-#: Half the width of the band, in standard errors.
+#: In standard errors.
 _BAND = 2.0
 
 
@@ -88,9 +88,9 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
 
 
 def averages(parts: Decomposition, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return averages of `width` neighbouring samples: middle times in s, means, and numbers of samples.
+    """Return averages of `width` neighbouring samples: middle times in s, means, and numbers, shape (k,).
 
-    Shapes (k,). The last average may have fewer samples. The mean is NaN if all samples are missing.
+    The mean is NaN if all samples are missing.
     """
     first = np.arange(0, parts.n, width)
     seen = np.isfinite(parts.samples)
@@ -165,7 +165,6 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
 
 #: The document marks the folder of a decomposition.
 SCHEMA, DOCUMENT = "imucal/decomposition/1", "decomposition.json"
-#: Largest number of rows of a table by default.
 _ROWS = 10_000
 
 
@@ -191,9 +190,8 @@ def write_decomposition(
 ) -> tuple[Path, ...]:  # fmt: skip
     """Write the files of one axis into a folder, each complete or not at all; return their paths.
 
-    The files are NAME.csv, NAME.png (or other `formats`: png, svg, pdf) and, with `arrays`, NAME.npz at the
-    rate of the samples. The table has a row every `every_s` seconds, by default at most 10 000 rows. `source`
-    is the log's name. Raises WriteError if a file can't be written.
+    With `arrays`, NAME.npz has the rate of the samples. The table has a row every `every_s` seconds, by
+    default at most 10 000 rows. `source` is the log's name. Raises WriteError if a file can't be written.
     """
     name = parts.series.name
     made: dict[str, Callable[[], bytes]] = {f"{name}.csv": lambda: table(parts, every_s=every_s).encode()}

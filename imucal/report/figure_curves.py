@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Fewest ordinates of the first point and of the others: fewer show single spikes, more hide the lowest
-#: slope.
+#: Of the first point and of the others: fewer show single spikes, more hide the lowest slope.
 _MIN_FIRST_ORDINATES, _MIN_ORDINATES = 6.0, 12.0
 
 
@@ -56,8 +55,8 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
     """Return an axis's spectrum; neighbouring bins are merged until each point averages 12 ordinates.
 
     The ratio to the model is averaged, because averages of a steep density would be too high. Limits are
-    chi-squared at the level of the fit, with one degree of freedom per ordinate. Source: Blackman & Tukey
-    (1958), The Measurement of Power Spectra, sec. B.18.
+    chi-squared, with one degree of freedom per ordinate. Source: Blackman & Tukey (1958), The Measurement of
+    Power Spectra, sec. B.18.
     """
     from scipy.special import chdtri
 
@@ -151,7 +150,7 @@ def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) 
     return "\n".join(lines)
 
 
-#: Read-offs up to this factor below the curve are inside the plot.
+#: Factor below the curve down to which the plot includes read-offs.
 _DEEPEST = 40.0
 
 
@@ -173,7 +172,6 @@ def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
         obstacles.append((tau, line, 0.7))
         labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
-    # Terms with a mark have a label at a single point.
     marked_symbols = {d.term.symbol for d, label in zip(terms, labels, strict=True) if not np.ndim(label.x)}
     (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
     axes.plot([at], [lowest * factor], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
@@ -264,7 +262,7 @@ def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list
 def _term(
     axes: "Axes", fit: NoiseFit, drawn: Drawn, units: SheetUnits, lines: tuple[FloatArray, ...]
 ) -> Label:
-    """Draw a term's line and read-off; return its label. `lines` are tau, the term and the model."""
+    """Draw a term's line and read-off; `lines` are tau, the term and the model."""
     stroke, (tau, line, total) = drawn.term.stroke, lines
     width, alpha = (1.0, 0.65) if drawn.bounded else (1.3, 1.0)
     axes.plot(tau, line, zorder=3, **stroked(stroke, linewidth=width, alpha=alpha))
@@ -288,7 +286,7 @@ def _term(
     return Label(text, tau[some], line[some], stroke.light)
 
 
-#: Number of lines with a label, the strongest first; all have a mark.
+#: The strongest lines have a label; all have a mark.
 _NAMED_LINES = 3
 
 

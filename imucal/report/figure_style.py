@@ -1,9 +1,8 @@
 """The style of pictures: colours, text sizes, ticks of logarithmic scales, header and footer.
 
 Colours are from Okabe & Ito (2008), "Color universal design", darkened so that text on white is legible
-(contrast above 4.5). Every colour also has its own line style or marker. Terms define their own colours.
-
-All minor ticks are one artist: matplotlib's own take ten times as long.
+(contrast above 4.5). Every colour also has its own line style or marker. All minor ticks are one artist:
+matplotlib's own take ten times as long.
 """
 
 import math

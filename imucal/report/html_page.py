@@ -1,6 +1,6 @@
 """`report.html`: one page that contains everything and opens without a network.
 
-Only the interactive plots need a script: Plotly's basic script, compressed in the page.
+Only the interactive plots need a script, which is compressed in the page.
 """
 
 import base64
@@ -33,11 +33,10 @@ from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.units import duration, pretty
 
-#: Points of a smooth line.
 _FINE = 60
 #: Gaps closer than this fraction of the recording are drawn as one.
 _MERGED = 1 / 500
-#: A stretch is an outlier if its extreme is this many robust deviations from the median of its neighbours.
+#: Least distance of an outlier from its neighbours, in robust deviations.
 _STANDS_OUT = 8.0
 _NEIGHBOURS = 25
 
@@ -198,10 +197,7 @@ def _fixed(values: FloatArray, std: float) -> list[float | None]:
 
 
 def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> str:
-    """Return the page; the same report always gives the same text.
-
-    Without `drawings` the pictures are drawn here.
-    """
+    """Return the page; the same report always gives the same text."""
     pictures = (drawings or figure.draw(report, ("png",))).addresses
     drifts = "Effect on a filter"
     makers: list[tuple[str, str, Callable[[], Markup | None]]] = [

@@ -1,7 +1,6 @@
 """`report.json` and `signal.json`: SI units, keys in a stable order; written and read back.
 
-``schema/report-2.schema.json`` defines the layout. Increase the number in `SCHEMA` if an old reader would
-misunderstand a change. In version 1 an axis also contains its raw signal and findings.
+Increase the number in `SCHEMA` if an old reader would misunderstand a change.
 """
 
 import json
@@ -56,7 +55,7 @@ from imucal.report.result import AxisReport, Overview, Report
 
 SCHEMA = "imucal/report/2"
 _READABLE = ("imucal/report/1", SCHEMA)
-#: Raw signals are in their own file: pictures need them, scripts do not.
+#: Pictures need the raw signals, scripts do not.
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
 #: Digits of spectra and signals: enough for pictures, and half the size.
 _DIGITS = 8
@@ -72,7 +71,6 @@ def _axis(node: Node) -> AxisReport:
 def _goodness(node: Node) -> Goodness:
     table = node.table()
     if "statistic" in table:
-        # Version 1 has another name.
         node = Node({**table, "misfit_score": table["statistic"]}, node.file, node.place)
     return _GOODNESS.read(node)
 
@@ -337,7 +335,7 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
 def _fit_entry(fit: NoiseFit, sensor: Sensor) -> JsonObject:
     message: JsonObject = {}
     if (bins := fit.bins) is not None:
-        # The products are symmetric: write the lower triangle.
+        # The products are symmetric.
         message["bins"] = _BINS.write(bins, gram=bins.gram[np.tril_indices(len(bins.names))])
     return _FIT.write(
         fit,
@@ -385,7 +383,7 @@ def schema() -> JsonObject:
 def load(path: str | Path) -> Report:
     """Read a report back; `path` is a ``report.json`` or its folder.
 
-    Raw signals are read from ``signal.json`` next to it; without this file they are empty.
+    Raw signals are empty without ``signal.json`` next to it.
 
     Raises
     ------

@@ -1,7 +1,6 @@
 """JSON documents: nodes with a place in the document, and layouts of dataclasses.
 
-``node["fit"]["method"].text()`` raises a `ReadError` with the place, the value and the expected type. Numbers
-that are not finite are null.
+Errors contain the place, the value and the expected type. Numbers that are not finite are null.
 """
 
 import json
@@ -52,7 +51,6 @@ class Node:
         return self._of("an object", dict)
 
     def maybe(self, read: Callable[["Node"], A]) -> A | None:
-        """Return None for null, otherwise `read(self)`."""
         return None if self.value is None else read(self)
 
     def text(self, *allowed: str) -> str:
@@ -100,7 +98,7 @@ class Node:
         return self.sized(np.array([item.number(null=math.nan) for item in self], np.float64), like)
 
     def counts(self, *, like: int | None = None) -> IntArray:
-        """Return whole numbers from 0, with `like` items if given; shape (k,)."""
+        """Return whole numbers from 0; shape (k,)."""
         return self.sized(np.array([item.count() for item in self], dtype=np.int64), like)
 
     def matrix(self, size: int) -> FloatArray:
@@ -215,8 +213,8 @@ def layout_of(make: type[A], keys: str, **read: Reader) -> Layout[A]:
     """Return the layout of a dataclass and register it for values that contain the class.
 
     A key has the form ``name?=attribute~like``. With the question mark it may be missing, and None is not
-    written. Without ``=`` the attribute has the name of the key; with ``=`` alone there is no attribute, and
-    the caller of `Layout.write` gives the value. `read` has readers of types that `READERS` lacks.
+    written. Without ``=`` the attribute has the name of the key; with ``=`` alone there is no attribute.
+    `read` has readers of types that `READERS` lacks.
     """
     types: dict[str, Any] = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
     made = []
@@ -236,10 +234,7 @@ def layout_of(make: type[A], keys: str, **read: Reader) -> Layout[A]:
 
 
 def plain(value: object) -> object:
-    """Return JSON values: arrays as lists, values with a layout as objects, NaN as null.
-
-    Raises TypeError for other types.
-    """
+    """Return JSON values: arrays as lists, NaN as null; raises TypeError for unknown types."""
     if value is None or isinstance(value, bool | str | int):
         return value
     if isinstance(value, float):

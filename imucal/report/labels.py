@@ -1,7 +1,7 @@
 """Place labels next to their points, inside the plot and without overlap.
 
-Each label tries positions on circles around its anchor and takes the cheapest. Positions are in display
-pixels, so the layout of the figure must be final.
+Each label takes the cheapest position on circles around its anchor. Positions are in pixels, so the layout of
+the figure must be final.
 """
 
 import math
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.backend_bases import RendererBase
     from matplotlib.text import Annotation
 
-#: Distances from the anchor, in points.
+#: From the anchor, in points.
 _DISTANCES = (7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0)
 _ANGLES = np.deg2rad([45, 315, 135, 225, 90, 270, 0, 180, 22, 338, 158, 202, 67, 293, 113, 247])
 _PAD = 2.5
@@ -55,7 +55,6 @@ class _Box(NamedTuple):
         return _Box(self.x0 - pad, self.y0 - pad, self.x1 + pad, self.y1 + pad)
 
     def holds(self, points: FloatArray) -> int:
-        """Return the number of `points`, shape (k, 2), inside."""
         x, y = points[:, 0], points[:, 1]
         return int(np.count_nonzero((x > self.x0) & (x < self.x1) & (y > self.y0) & (y < self.y1)))
 
@@ -73,7 +72,6 @@ def place_labels(
     """
     if not labels:
         return []
-    # From a subfigure to the whole figure.
     figure = axes.figure.figure
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     scale = figure.dpi / 72
@@ -85,7 +83,7 @@ def place_labels(
     anchors = [axes.transData.transform(np.column_stack([label.x, label.y])) for label in labels]
     room.taken += [_Box(x, y, x, y).grown(4 * scale) for (x, y), *more in anchors if not more]
     written = []
-    # Marks near the left or right side first; labels of lines are more flexible.
+    # Marks near a side first; labels of lines are more flexible.
     pairs = zip(labels, anchors, strict=True)
     for label, points in sorted(pairs, key=lambda pair: (len(pair[1]) > 1, room.freedom(pair[1]))):
         anchor, box = room.best(points, _size(axes, label.text, fontsize, renderer))
@@ -121,7 +119,6 @@ class _Room:
         )
         lowest, anchor, box = self._lowest(near)
         if lowest >= _TAKEN:
-            # No free position nearby.
             farther = self._lowest(self._anywhere(anchors, size))
             return (anchor, box) if lowest <= farther[0] else farther[1:]
         return anchor, box
@@ -153,7 +150,7 @@ class _Room:
         cost += _TAKEN * sum(box.overlaps(other) for other in self.taken)
         if cost:
             return cost
-        # The leader starts in the box of its own anchor, which does not count.
+        # The leader starts in its own anchor's box.
         leader = _leader(anchor, box)
         others = [other for other in self.taken if not other.holds(anchor[None, :])]
         crossed = sum(other.holds(leader) for other in others)
@@ -162,7 +159,6 @@ class _Room:
 
 
 def _leader(anchor: FloatArray, box: _Box) -> FloatArray:
-    """Return points between anchor and box, shape (k, 2)."""
     steps = np.linspace(0, 1, 40)[:, None]
     line = anchor + steps * (box.middle - anchor)
     inside = (line[:, 0] > box.x0) & (line[:, 0] < box.x1) & (line[:, 1] > box.y0) & (line[:, 1] < box.y1)

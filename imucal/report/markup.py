@@ -18,8 +18,8 @@ __all__ = ["Markup", "both_units", "render"]
 def render(template: str, /, *, package: str = "imucal.report", **values: object) -> Markup:
     """Return a template of a package's folder ``templates``, filled with values.
 
-    Templates can extend, include and import those of their own package and of this one. ``text_of(name)``
-    returns a file of the folder unchanged. None is shown as an empty text; a missing value is an error.
+    ``text_of(name)`` returns a file of the folder unchanged. None is shown as an empty text; a missing value
+    is an error.
     """
     return Markup(_environment(package).get_template(template).render(values))  # noqa: S704 - escaped
 

@@ -1,7 +1,7 @@
 """Format values for people: as many digits as the interval supports; bounds as ``< high``.
 
-Each sensor has one set of data-sheet units. Rounding: an uncertainty whose three leading digits are below 355
-keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
+Rounding: an uncertainty whose three leading digits are below 355 keeps two digits, otherwise one. Source:
+PDG, Review of Particle Physics (2022), sec. 5.3.
 """
 
 import math
@@ -19,11 +19,10 @@ from imucal.recording import Sensor
 from imucal.units import DATASHEET_UNITS, DatasheetUnit, pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-#: Above this ratio of the sides, the interval is printed instead of a symmetric uncertainty.
+#: At a larger ratio of the sides, the interval is printed instead of a symmetric uncertainty.
 _ASYMMETRY = 1.25
-#: Longer numbers are written with an exponent.
 _LONGEST = 10
-#: Drifts below this are printed in thousandths.
+#: Smaller drifts are printed in thousandths.
 _SMALL = 0.1
 
 
@@ -31,7 +30,7 @@ _SMALL = 0.1
 class Quantity:
     """A value with its limits and unit; `value` is None if only the bound `high` is known.
 
-    Without an interval, ``low == value == high``. `drawn` is the coefficient in the model of a bounded term.
+    `drawn` is the coefficient in the model of a bounded term.
     """
 
     value: float | None
@@ -42,7 +41,6 @@ class Quantity:
 
     @classmethod
     def of(cls, known: Any, unit: str = "") -> "Quantity":  # noqa: ANN401
-        """Return the quantity of an object with value and limits."""
         return cls(value=known.value, low=known.low, high=known.high, unit=unit)
 
     @classmethod
@@ -88,7 +86,7 @@ def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
 
 
 def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
-    """Return an estimate's coefficient in the unit of data sheets; in SI if the sensor is unknown."""
+    """Return the coefficient in the unit of data sheets; in SI if the sensor is unknown."""
     if sensor is None:
         return si(estimate, sensor)
     unit = TERMS[estimate.symbol].datasheet_unit(sensor)
@@ -163,7 +161,6 @@ def decimals(quantity: Quantity) -> int:
         return _places(quantity.value, 2)
     if half == 0:
         return _places(quantity.value, 4)
-    # More than five digits help no reader.
     if half <= 1e-4 * abs(quantity.value):
         return _places(quantity.value, 5)
     exponent = math.floor(math.log10(half))
@@ -196,7 +193,7 @@ def engineering_exponent(quantities: Iterable[Quantity]) -> int:
 
 
 def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
-    """Return value and interval divided by ``10**exponent``, such as ``("0.2013", "[0.2010, 0.2016]")``.
+    """Return value and interval over ``10**exponent``, such as ``("0.2013", "[0.2010, 0.2016]")``.
 
     A bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` if the model contains the term.
     """
@@ -215,7 +212,7 @@ def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
 def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
     """Return ``0.2013 ± 0.0003 deg/√h``, ``12.1 [11.2, 13.9] deg/h`` or ``< 0.12 deg/h/√h``.
 
-    `exponent` is a row's common power of ten, by default the quantity's own.
+    `exponent` is the common power of ten, by default the quantity's own.
     """
     exponent = power_of_ten(quantity) if exponent is None else exponent
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
@@ -247,7 +244,7 @@ def scientific(value: float) -> str:
     """Return three digits, such as ``0.0332`` or ``1.49 ×10⁻⁵``."""
     if not (math.isfinite(value) and value):
         return f"{value:g}"
-    # Take the exponent after rounding, which may carry into the next decade.
+    # Rounding may carry into the next decade.
     mantissa, exponent = f"{value:.2e}".split("e")
     if -3 <= int(exponent) <= 3:
         return f"{float(f'{value:.3g}'):g}"
@@ -265,7 +262,7 @@ def _places(size: float, digits: int) -> int:
     if not (math.isfinite(size) and size):
         return 0
     exponent = math.floor(math.log10(abs(size)))
-    # Rounding may carry into the next decade: 0.0996 with two digits is 0.10.
+    # Rounding may carry: 0.0996 with two digits is 0.10.
     if abs(round(size, digits - 1 - exponent)) >= 10.0 ** (exponent + 1):
         exponent += 1
     return digits - 1 - exponent

@@ -30,19 +30,10 @@ class OutFolder:
     document comes last; until then it contains only its schema and the key ``incomplete``. An earlier
     failure, Ctrl-C included, changes nothing. If two processes write, one waits.
 
-    Attributes
-    ----------
-    what
-        Name of the results in messages, such as ``imucal report``.
-    document
-        Name of the document, which marks the folder as ours.
-    schema
-        Schema of the document, such as ``imucal/report/2``.
-    own
-        Pattern of the names of all files that any version writes; `write` removes obsolete ones.
-    shared
-        Whether the folder contains other files of imucal too. Then foreign files are accepted, and the
-        document is missing while files are replaced.
+    - `what`: name of the results in messages, such as ``imucal report``
+    - `document`: file that marks the folder as ours, with its `schema`
+    - `own`: pattern of the names of all files that any version writes; `write` removes obsolete ones
+    - `shared`: whether foreign files are accepted; the document is then missing while files are replaced
     """
 
     path: Path
@@ -59,7 +50,7 @@ class OutFolder:
     def refuse_foreign(self, names: Iterable[str] = ()) -> None:
         """Raise a WriteError unless the folder is missing, empty or ours, and files may have the names."""
         with self._translated():
-            # Look for files first: a folder of another run appears in one step, with its document.
+            # Look for files first: a folder of another run appears in one step.
             held = held_by(self.path)
             if held and not (self.shared or has_schema(self.path / self.document, self.schema)):
                 msg = (
@@ -122,7 +113,6 @@ class OutFolder:
             try:
                 scratch.rename(self.path)
             except OSError:
-                # Another run may have created it since.
                 if not self.path.is_dir():
                     raise
             else:

@@ -1,8 +1,4 @@
-"""The sections of the page.
-
-Numbers are given in data-sheet units and in SI; the page shows one or the other. The noise over time has
-relative heights, which fit both.
-"""
+"""The sections of the page, in data-sheet units and in SI; the page shows one or the other."""
 
 import json
 import math
@@ -35,7 +31,7 @@ from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
 _Row: TypeAlias = tuple[str, list[str]]
-#: Findings are grouped by level, code, advice and the part of the log to keep.
+#: Level, code, advice and the part of the log to keep.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 _NOTHING = "–"
@@ -155,7 +151,7 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
 
 #: User units of the SVG.
 _WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
-#: Limits of the half-height of a row, as a logarithm and as a ratio.
+#: Of the half-height of a row, as a logarithm and as a ratio.
 _MIN_HEIGHT, _MAX_HEIGHT = 0.02, 4.0
 _MARKS = 6
 
@@ -186,10 +182,7 @@ def segments_figure(axis: AxisReport) -> Markup | None:
 def _segments_row(
     segments: Segments, trace: Trace, name: str, top: int, *, whole: Estimate | None = None
 ) -> dict[str, object]:
-    """Return one row: a bar per segment, the interval of the whole record, and a scale.
-
-    Heights are relative to the geometric mean.
-    """
+    """Return one row: a bar per segment, the interval of the whole record, and a relative scale."""
     mean = float(np.exp(np.mean(np.log(trace.value))))
     band = (whole.low / mean, whole.high / mean) if whole else ()
     ratios = np.stack([trace.low, trace.value, trace.high], axis=1) / mean

@@ -16,17 +16,16 @@ from imucal.frozen import frozen_alone
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
-#: Shorter records, in s, do not show the errors of filters that coast for a minute, a fifth of this.
+#: In s; a fifth of a shorter record is less than a minute, for which filters coast.
 _MIN_LENGTH_S = 300.0
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
 @frozen_alone
 class Overview(ReadOnlyArrays):
-    """The raw signal to draw: lowest and highest sample of each of k stretches, in U, not centred.
+    """The raw signal to draw: lowest and highest sample of each of k stretches, in U, shape (k,).
 
-    Shapes (k,). `time_s` is the middle of each stretch, in s from the first sample. Stretches in gaps are
-    NaN.
+    `time_s` is the middle of each stretch from the first sample. Stretches in gaps are NaN.
     """
 
     time_s: FloatArray
@@ -35,13 +34,12 @@ class Overview(ReadOnlyArrays):
 
     @classmethod
     def none(cls) -> "Overview":
-        """Return an empty overview."""
         empty = np.zeros(0)
         return cls(time_s=empty, low=empty, high=empty)
 
     @classmethod
     def of(cls, series: AxisSeries, *, stretches: int = 1000) -> "Overview":
-        """Return the extremes of up to `stretches` equal stretches of time. O(n), no copy of the samples."""
+        """Return the extremes of up to `stretches` equal stretches of time, without a copy of the samples."""
         clock = series.clock
         size = clock.grid_size
         if not size:
@@ -109,14 +107,11 @@ class Report(Displayed):
     Attributes
     ----------
     axes
-        One entry per axis, gyroscope x, y, z first. An axis that can't be analysed is missing; `findings`
-        names it.
+        Gyroscope x, y, z first. An axis that can't be analysed is missing; `findings` names it.
     settings
         Everything needed to repeat the run; JSON values only.
     findings
         Findings about the whole log.
-    version
-        imucal's version.
     """
 
     source: Source

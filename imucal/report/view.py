@@ -1,7 +1,6 @@
 """One view of results: ordered rows with a cell for each axis, in data-sheet units and in SI.
 
-The terminal, the page, notebooks, data frames and pictures all show these rows. To add a row, add a function
-to `ROWS`.
+The terminal, the page, notebooks, data frames and pictures all show these rows.
 """
 
 import math
@@ -57,7 +56,7 @@ class Row:
     """A quantity on every axis of a view; None if an axis does not have it.
 
     `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``. The keys ``GM1 T`` and
-    ``minimum`` have no symbol. Rows are sorted by `place`: terms by rising slope, the minimum last.
+    ``minimum`` have no symbol. Rows are sorted by `place`.
     """
 
     key: str

@@ -40,7 +40,7 @@ def write_report(
     Parameters
     ----------
     out
-        The folder. An existing report of imucal is replaced, other files are kept.
+        An existing report of imucal is replaced, other files are kept.
     formats
         Formats of the pictures: ``png``, ``svg``, ``pdf``; empty for none.
     html

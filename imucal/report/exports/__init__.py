@@ -69,13 +69,12 @@ def export(
 ) -> tuple[Path, ...]:
     """Write the config file of a downstream consumer, with every conversion in a comment; return its files.
 
-    `target` is a key of `TARGETS`, an alias, or ``all``. `path` is the file to write, or a folder, in which
-    the file gets the format's usual name. For ``all`` it is a folder, which is created if necessary.
+    `target` is a key of `TARGETS`, an alias, or ``all``. `path` is a file, or a folder (for ``all``), in
+    which the file gets the format's usual name.
 
     Raises DataError, and writes nothing, if the report lacks a sensor or an axis that the format needs, or if
     a term was not detected and its bound is refused. Raises WriteError if a file can't be written, or if
-    imucal did not write the existing file of that name. Raises ValueError if the format or an option is
-    unknown.
+    imucal did not write the existing one. Raises ValueError if the format or an option is unknown.
     """
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
     texts = {each.file_name: each.render(report, options) for each in targets}
@@ -85,8 +84,7 @@ def export(
 def _is_slip(typed: str, name: str) -> bool:
     """Return whether one letter is missing, extra or wrong, or two neighbours are swapped.
 
-    Two wrong letters or another digit mean another program: LVI-SAM is not LIO-SAM. Short names must match
-    exactly: DLO is not DLIO.
+    Two wrong letters or another digit mean another program: LVI-SAM is not LIO-SAM. Short names must match.
     """
     if min(len(typed), len(name)) < 5 or re.sub(r"\D", "", typed) != re.sub(r"\D", "", name):
         return False
