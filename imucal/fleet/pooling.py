@@ -4,7 +4,7 @@ The likelihood is the product of the records' likelihoods. Each term is tested f
 a term differs, its estimate is the mean of the records, with an interval that includes their spread.
 
 Sources: Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial
-sensor calibration" (joint fit); Hartung & Knapp (2001), Statistics in Medicine 20, 1771 (interval).
+sensor calibration"; Hartung & Knapp (2001), Statistics in Medicine 20, 1771 (interval of the mean).
 """
 
 import math
@@ -36,7 +36,7 @@ from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 
-#: False alarm rate of the test of equality, per term.
+#: Per term.
 CHANCE = 0.05
 #: Largest relative difference of equal sampling rates, and of equal corners of a filter.
 _SAME_RATE, _SAME_CORNER = 1e-3, 0.15
@@ -48,10 +48,9 @@ _PRECISE = 0.3
 class Homogeneity:
     """Test of whether records have the same coefficient of the term `key`, with the `symbol` of its kind.
 
-    `statistic` is twice the log-likelihood ratio of one coefficient for each record to one for all, and is
-    chi-squared with `dof` degrees of freedom for equal records. `values` are the coefficients of the records
-    in SI, 0 if the data prefer that. `spread` is the relative standard deviation between records beyond
-    chance. If a term `differs`, its estimate is widened.
+    `statistic` is twice the log-likelihood ratio: chi-squared with `dof` degrees of freedom if all are equal.
+    `values` are the coefficients of the records in SI. `spread` is the relative standard deviation between
+    records beyond chance. If a term `differs`, its estimate is widened.
     """
 
     key: str
@@ -70,7 +69,7 @@ class PooledFit:
 
     `model` contains the detected terms; `estimates` also has N, B and K. If the records differ, the limits
     are for the mean over records, and `widening` is the ratio of their distance to the one of a common
-    coefficient. `homogeneity` contains the test of each term except the ramp; it is empty for one record.
+    coefficient. `homogeneity` is empty for one record.
     """
 
     sensor: Sensor | None
@@ -93,14 +92,11 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
 
     Each of the `fits` needs bins (`NoiseFit.bins`): from `imucal.fit` or `imucal.characterize`, or from a
     report written with bins. `model` must not be ``auto``, so that all units have the same terms. The limits
-    are profile limits at the confidence `level`.
+    are profile limits. A ramp is common to all records.
 
     Raises a DataError if a fit has no bins, or if the records differ in sensor, sampling rate or output
     filter. Raises a ValueError if there is no fit, if `model` is not a sum of terms, or if `level` is not
     between 0 and 1.
-
-    Steps, cycles, effects of temperature, spikes and heavy tails are treated in each record separately. An
-    output filter is only used if a record shows it alone. A ramp is common to all records.
     """
     structure, every = _structure_of(model, level), _bins_of(fits)
     _refuse_different(fits)

@@ -1,12 +1,11 @@
 """The distribution of a coefficient over the units of a sensor model.
 
-Each unit is compared with the other units, because an outlier would widen a spread that includes it. The
-procedure of Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289, controls the
-false discovery rate.
+Each unit is compared with the other units, because an outlier would widen a spread that includes it.
+Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289: false discovery rate.
 
-If all logs only bound a coefficient, the mean of the units' squares is still estimated without bias. It
-bounds a share p of the units for any spread: for a lognormal distribution with root mean square r and spread
-t, a share p is below r exp(z t - t²) ≤ r exp(z² / 4), with the normal quantile z of p.
+If all logs only bound a coefficient, the mean of the units' squares bounds a share p of the units for any
+spread t: for a lognormal distribution with root mean square r, the share is below r exp(z t - t²) ≤
+r exp(z² / 4), with the normal quantile z of p.
 """
 
 import math
@@ -29,7 +28,7 @@ from imucal.frozen import frozen
 MIN_UNITS = 3
 #: False discovery rate of odd units.
 FALSE_SHARE = 0.05
-#: Percentage of bounded logs above which a finding is reported.
+#: In percent of the logs.
 _MANY_BOUNDS = 50.0
 #: Most units that are tested exactly, and the largest quick p-value that leads to an exact test.
 _SUSPECTS, _SUSPECT = 5, 0.2
@@ -44,7 +43,7 @@ _TOO_FEW = (
     "{}: the spread between units, the next unit and a tolerance bound need at least "
     f"{MIN_UNITS}; test about 10."
 )
-#: Grid of the log-likelihood of a mean square: points, its relative value at the end, doublings, and chunk.
+#: Grid of a mean square: points, least log-likelihood, doublings, and chunk.
 _POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 
 
@@ -52,8 +51,7 @@ _POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 class UnitValue:
     """The coefficient of one unit of a fleet, from all of its logs; the value is None if it is only bounded.
 
-    `p_value` is from the comparison with the other units, None if it was not tested. `p_odd` is adjusted for
-    the number of units.
+    `p_value` is from the comparison with the other units; `p_odd` is adjusted for the number of units.
     """
 
     unit: str
@@ -70,13 +68,13 @@ class UnitValue:
 class Population:
     """The distribution of a coefficient over the units of one sensor model.
 
-    `units` are in the order of their first log. `median` is the coefficient of the median unit with its 95 %
-    interval. It is `bounded` if all logs together do not show the term: the interval then begins at 0, value
-    and high are the upper limit, and the spreads are None.
+    `median` is the coefficient of the median unit with its 95 % interval. It is `bounded` if all logs
+    together do not show the term: the interval then begins at 0, value and high are the upper limit, and the
+    spreads are None.
 
     `spread` is the standard deviation between units, in the logarithm (0.1 is 10 %), and `within` the one
     between logs of a unit, None if no unit has two logs. `prediction` are limits that contain the next unit
-    with probability 0.95; `next_log` is the distribution of a log of the next unit.
+    with probability 0.95.
 
     `quantile` is the median estimate of the coefficient below which a share `content` of all units is.
     `tolerance` is its upper bound at `confidence`: the number for a config file that suits every unit. With
@@ -162,7 +160,6 @@ def membership(found: Population, new: LogValue) -> float:
 
 
 def _too_few(values: LogValues, answer: Callable[..., Population]) -> Population:
-    """Return the population of one or two units, without a spread."""
     units = _units(values, UnitLikelihoods(values, 0.0))
     determined = [unit.value for unit in units if unit.value is not None]
     low, high = min(unit.low for unit in units), max(unit.high for unit in units)
@@ -188,8 +185,7 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
 def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> tuple[UnitValue, ...]:
     """Return each unit with its p-values.
 
-    The quick test is Student's t for precise units, otherwise the posterior of all units. The exact test uses
-    the posterior of the other units.
+    The quick test uses the posterior of all units, or Student's t; the exact test that of the other units.
     """
     determined = bool(units.normal.all())
     squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))
@@ -230,8 +226,8 @@ def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int
 def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> FloatArray:
     """Return two-sided p-values of the units, each compared with the mean and the spread of the others.
 
-    `centre` and `deviation`, shape (units,), are the logarithm of each unit's coefficient and its standard
-    error. `tau`, the deviation between units, only sets their weights.
+    `centre` and `deviation`, shape (units,), are in the logarithm. `tau`, the deviation between units, only
+    sets their weights.
     """
     n = centre.size
     if n <= MIN_UNITS:
@@ -242,7 +238,6 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     rest = total - w
     off = centre - np.sum(w * centre) / total
     apart = off * total / rest
-    # Sum of squares about the mean of the others, from the sum about the mean of all.
     squares = np.sum(w * off**2) - w * off * apart
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
     result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)
@@ -310,7 +305,7 @@ class MeanSquare:
         return float(np.interp(confidence, total / total[-1], square))
 
     def _of_different(self, confidence: float) -> float:
-        """Return the bound of the mean of different squares; 0 if they scatter no more than their errors."""
+        """Return 0 if the squares scatter no more than their errors."""
         units = self._units
         at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
         mean, error, spread = random_mean(units.estimate, units.deviation(at))

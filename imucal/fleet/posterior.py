@@ -1,11 +1,11 @@
 """The posterior of a fleet's median mu, the spread tau between units and the scatter omega within them.
 
-The logarithm of the coefficient in log l of unit u is ``mu + tau b_u + omega c_ul``. b and c are standard
-normal. The likelihood of a unit is normal if all of its logs are precise, and is tabulated on a grid if not.
+The logarithm of the coefficient in log l of unit u is ``mu + tau b_u + omega c_ul``, with standard normal b
+and c. The likelihood of a unit is normal if all of its logs are precise, otherwise tabulated on a grid.
 
-If the units are precise, the prior of mu is flat and tau has Jeffreys' prior. If the units are only bounded,
-a flat prior would determine the result, because the likelihood does not fall towards zero. The prior is then
-flat in the square of the median, and the prior of tau is the usual spread of units of one model.
+If the units are precise, the prior of mu is flat and tau has Jeffreys' prior. If they are only bounded, a
+flat prior would determine the result. The prior is then flat in the square of the median, and the prior of
+tau is the usual spread of units of one model.
 
 Sources: Hardy & Thompson (1996), Statistics in Medicine 15, p. 619 (likelihood of random effects); Tiao & Tan
 (1965), Biometrika 52, p. 37 (prior for a one-way layout); Krishnamoorthy & Mathew (2009), Statistical
@@ -23,30 +23,29 @@ from imucal.fitting.noise_fit import Interval
 from imucal.fleet.values import LogValues, Squares
 from imucal.frozen import frozen
 
-#: Grid points of the coefficient of imprecise units, of mu, of tau and of omega.
+#: Grid points of an imprecise unit's coefficient, of mu, of tau and of omega.
 _POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
 _ROUNDS = 6
-#: Extent of the grids about the first guess, in the logarithm; a coefficient 50 times smaller is invisible.
+#: Extent of the grids, in the logarithm; a coefficient 50 times smaller is invisible.
 _DEEPEST = 4.0
-#: Usual spread between units or logs, and the largest spread considered, in the logarithm.
+#: Spread between units or logs, in the logarithm: usual, and largest.
 _USUAL, _WIDEST = 0.5, 2.0
-#: Tail probability, and relative weight, below which a scatter within units is left out.
+#: Tail probability, and relative weight, of a negligible scatter within units.
 _RARE, _LITTLE = 1e-3, 1e-4
-#: Depth below the peak of the log-posterior at which points are ignored.
+#: Log-posterior below its peak at which points are ignored.
 _NOTHING = 16.0
-#: Limits that keep logarithms of small probabilities and exponentials finite.
+#: They keep logarithms and exponentials finite.
 _TINY, _LARGEST = math.exp(-690), 600.0
 #: Points of the predictive distributions; smaller weights of the posterior are ignored.
 _GRID, _UNLIKELY = 801, 1e-7
-#: Normal distributions are merged if their widths and their centres differ by less than these shares.
+#: Shares by which widths and centres of merged normal distributions may differ.
 _SAME_NORMAL, _SAME_CENTRE = 0.02, 0.2
 #: In standard deviations.
 _FARTHEST = 6.0
-#: Points with which an imprecise unit is compared.
 _DRAWS = 4000
 #: Multiples of the golden ratio modulo 1 fill the unit interval evenly and look random.
 _GOLDEN = (math.sqrt(5) - 1) / 2
-#: Two-sided normal quantile of 95 %; probabilities of the lower limit, the median and the upper limit.
+#: Two-sided normal quantile of 95 %, and probabilities of limits and median.
 TWO_SIDED = 1.959963984540054
 TAILS = (0.025, 0.5, 0.975)
 
@@ -60,9 +59,9 @@ def interval_of(quantiles: FloatArray) -> Interval:
 class UnitLikelihoods:
     """Likelihoods of the logarithms of the units' coefficients, if logs of one unit scatter by `omega`.
 
-    The likelihoods of `normal` units have a `centre` and a `deviation`, shape (units,). For other units the
-    likelihoods divided by their peaks are `weak`, shape (weak units, points), at `theta`, shape (points,).
-    `constant` is the rest of the log-likelihood. `about` is the first guess of mu.
+    `normal` units have a `centre` and a `deviation`, shape (units,). For other units the likelihoods divided
+    by their peaks are `weak`, shape (weak units, points), at `theta`, shape (points,). `constant` is the rest
+    of the log-likelihood.
     """
 
     def __init__(self, logs: LogValues, omega: float) -> None:
@@ -102,7 +101,7 @@ class UnitLikelihoods:
         return values, limits
 
     def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
-        """Return the log-posterior, shape (tau, mu), as a density in log tau; `mu` has the same shape.
+        """Return the log-posterior as a density in log tau; its shape and that of `mu` are (tau, mu).
 
         `blurs` contains for each tau the matrix that averages likelihoods at `theta` around its row of mu.
         """
@@ -129,7 +128,6 @@ class UnitLikelihoods:
         """Return Jeffreys' log-prior of mu at the usual spread; for weak units it is flat in exp(2 mu)."""
         variance = self.deviation**2
         values = float(np.sum(1 / (variance[self.normal] + _USUAL**2)))
-        # One deviation for all units is accurate enough for a prior.
         weak, precision = len(self.weak), float(np.mean(1 / variance[~self.normal]))
         at = np.exp(np.minimum(-4 * (mu - self.about), _LARGEST)) / precision
         return 0.5 * np.log((values + weak / (at + _USUAL**2)) / (values + weak / _USUAL**2))
@@ -154,7 +152,7 @@ def two_sided(chance: FloatArray) -> FloatArray:
 
 @frozen
 class NextLog:
-    """Distribution of the logarithm of the coefficient in a log of a new unit, without the log's own error.
+    """Distribution of the logarithm of a new unit's log, without the log's own error.
 
     `below` is the distribution function at the ascending `points`.
     """
@@ -259,7 +257,7 @@ class _Law:
         self.points = middle + usual * np.sinh(np.linspace(-ends[0], ends[1], _GRID))
 
     def below(self, points: FloatArray) -> FloatArray:
-        # One point at a time, because all together would need more memory than the posterior.
+        # All points at once would need too much memory.
         apart = ((at - self._mu) / self._wide for at in points)
         return np.array([float(scipy.special.ndtr(one) @ self._weight) for one in apart])
 

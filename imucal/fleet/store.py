@@ -1,8 +1,8 @@
 """The store of a fleet: a folder of parquet parts for parallel writers, which remains valid after a crash.
 
-A part is forced to disk and then renamed, so it is never incomplete. A batch of logs has three parts; the one
-in ``logs`` is written last and commits the others. No part is changed in place, so several runs can use one
-store. Each file contains a checksum of its bytes and expected columns.
+A part is forced to disk and then renamed, so it is never incomplete. In a batch of three parts, the one in
+``logs`` is written last and commits the others. No part is changed in place, so several runs can use one
+store. Each file contains its checksum.
 """
 
 import hashlib
@@ -21,13 +21,12 @@ import polars as pl
 from imucal.atomic import alone, replacing, sweep, sync_folder
 from imucal.errors import ReadError, StoreError, WriteError
 
-#: Results of a log. The first three depend on the log alone.
+#: The first three depend on the log alone.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
 
 _TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
-#: Labels of a log, from the manifest or its path.
 LABELS = {"model": _TEXT, "unit": _TEXT, "temperature_c": _REAL, "started": _TEXT}
-#: One row per requested log; free columns of text may follow. `options` are reading options (JSON).
+#: One row per requested log; free columns of text may follow.
 MANIFEST = {"path": _TEXT, **LABELS, "options": _TEXT, "copy_of": _TEXT}
 #: One row per finished log. `edge` is a checksum of size and both ends, `finished` a Unix time in s.
 LOGS = {
@@ -47,7 +46,6 @@ RESULTS = {
     **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
     **dict.fromkeys(OF_VALUE, _REAL),
 }
-#: One row per log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
 #: Statistics of other rows (JSON); the key is a checksum of these rows.
 DERIVED = {"key": _TEXT, "value": _TEXT}
@@ -63,7 +61,7 @@ Row = Mapping[str, object]
 
 
 class FleetStore:
-    """The folder of a fleet, made by `create`: its manifest and the results of each log.
+    """The folder of a fleet: its manifest and the results of each log.
 
     Methods raise `WriteError` if a file can't be written or removed, and `StoreError` if a file is damaged.
     """
@@ -104,7 +102,7 @@ class FleetStore:
             (self.folder / _MANIFEST).unlink(missing_ok=True)
 
     def settings(self) -> dict[str, object]:
-        """Return the settings of all logs, as given to `keep_settings`; empty if there are none."""
+        """Return the settings of all logs; empty if there are none."""
         path = self.folder / _SETTINGS
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -123,7 +121,7 @@ class FleetStore:
             scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
 
     def manifest(self) -> pl.DataFrame:
-        """Return the requested logs, one row each; raise `ReadError` if there is no fleet."""
+        """Raise `ReadError` if there is no fleet."""
         path = self.folder / _MANIFEST
         try:
             if _is_whole(path, ()):
@@ -135,7 +133,7 @@ class FleetStore:
         raise StoreError(f"{path}: {_NOT_WHOLE}; remove it and give the logs again: finished logs are kept")
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
-        """Add logs to the manifest, and return it; known logs get their new labels."""
+        """Add logs to the manifest, or change their labels; return it."""
         with translated(self.folder), alone(self.folder / ".lock"):
             if self.exists:
                 old = self.manifest()
@@ -160,7 +158,6 @@ class FleetStore:
         return name
 
     def derived(self, keys: Collection[str]) -> dict[str, str]:
-        """Return the stored statistics of those keys that have any."""
         found = self._read("derived", self._parts("derived"), pl.Series(keys, dtype=pl.String))
         return dict(found.select("key", "value").iter_rows())
 

@@ -23,7 +23,7 @@ from imucal.remote import is_url
 from imucal.remote.stores import identify
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: Another log may be the cause of a process's end.
+#: Another log may end a process.
 _ATTEMPTS = 2
 #: Printed by Rust and C++ if an allocation fails.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
@@ -36,10 +36,7 @@ LogRow: TypeAlias = dict[str, Any]
 
 
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
-    """Process logs in a child process and commit all or none of them; return how many failed.
-
-    Raises WriteError if the store can't be written.
-    """
+    """Process logs in a child process, commit all or none of them, and return how many failed."""
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 

@@ -29,11 +29,10 @@ _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
     ending + packed for form in FORMATS for ending in {*form.suffixes} - {*_VAGUE} for packed in _PACKED
 )
-#: Bytes at each end of a file.
 _EDGE = 1 << 16
 #: Block size in bytes. The checksum of a log depends on it.
 _BLOCK = 1 << 20
-#: Parallel requests to stores, which wait most of the time.
+#: Requests to stores wait most of the time.
 _AT_ONCE = 32
 
 
@@ -47,7 +46,7 @@ def find_logs(names: Iterable[str]) -> list[str]:
 
 
 def _logs_of(name: str) -> list[str]:
-    # A store is not asked about each of a million logs; reading reports a missing file.
+    # A store is not asked about each of a million logs.
     if is_url(name):
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
@@ -97,9 +96,9 @@ def _walk(folder: str, above: frozenset[str] = frozenset()) -> Iterator[str]:
 
 
 class Stamp(NamedTuple):
-    """The size of a log in bytes, and the time of its newest file in ns since 1970.
+    """Size of a log in bytes, and time of its newest file in ns since 1970; both identify its content.
 
-    If both are unchanged, the content is assumed to be equal. A URL has a number from its ETag as its time.
+    A URL has a number from its ETag as its time.
     """
 
     size: int
@@ -107,7 +106,7 @@ class Stamp(NamedTuple):
 
 
 def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp]:
-    """Return path -> stamp of logs, from path -> place, without logs that have no stamp."""
+    """Return path -> stamp, from path -> place, without logs that have no stamp."""
     urls = [path for path, place in places.items() if is_url(place)]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         asked = dict(zip(urls, pool.map(stamp_of, map(places.__getitem__, urls)), strict=True))
@@ -159,8 +158,8 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 def content_at(place: str) -> str:
     """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
 
-    A remote log is downloaded. Raises OSError or ReadError if the files can't be read. It does not protect
-    against forgery: a cryptographic checksum of all bytes would be slow.
+    A remote log is downloaded. Raises OSError or ReadError. A cryptographic checksum of all bytes, against
+    forgery, would be slow.
     """
     if is_url(place):
         with fetched(place) as copy:
@@ -190,8 +189,8 @@ _SUCH = "write for example '{model}/{unit}/*.mcap'"
 def label_pattern(pattern: str) -> re.Pattern[str]:
     """Return the regular expression of a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
-    It matches the end of a path; a label is as short as possible. Raises ArgumentError for a pattern without
-    a label, with a label twice, or with an unmatched brace.
+    It matches the end of a path. Raises ArgumentError for a pattern without a label, with a label twice, or
+    with an unmatched brace.
     """
     parts, mistake, body = [*_PART.finditer(pattern)], "", ""
     labels = [part["label"] for part in parts if part["label"] is not None]

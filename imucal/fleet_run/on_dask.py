@@ -1,6 +1,6 @@
 """Batches of a fleet on an existing Dask cluster; work on this machine needs no Dask.
 
-Results are in the store, so a lost scheduler costs only the batches in progress. All waits have a time limit.
+Results are in the store, so a lost scheduler costs only the batches in progress.
 """
 
 import ipaddress
@@ -19,13 +19,12 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Time limits in s; the second is for a first worker.
+#: In s; the second is for a first worker.
 CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
-#: In s; a longer silence means that the scheduler is lost.
+#: A longer silence, in s, means that the scheduler is lost.
 SILENCE_S = 30.0
 #: Batches per worker: one in progress, the others on their way.
 WINDOW = 3
-#: In s, between checks of time limits and of the connection.
 _LOOK_S = 1.0
 _NOISY = ("distributed", "tornado", "asyncio")
 _TIMES = {
@@ -63,7 +62,7 @@ def unprotected(address: str | None) -> str:
 
 
 class DaskWorkers(Generic[T, R]):
-    """The workers of a cluster, and their batches in progress; see `imucal.fleet_run.running`."""
+    """The workers of a cluster, and their batches in progress."""
 
     def __init__(self, client: "Client", where: str, work: Callable[[T], R]) -> None:
         self._client, self._where, self._work = client, where, work

@@ -1,7 +1,4 @@
-"""The settings and the plan of a fleet run: the requested logs that the store does not contain yet.
-
-Logs are given by name, or by a manifest: a CSV table with one row per log.
-"""
+"""The settings and the plan of a fleet run: the requested logs that the store does not contain yet."""
 
 import csv
 import hashlib
@@ -32,7 +29,7 @@ from imucal.units import parse_sample_unit
 MODEL, LEVEL = "N + B + K", 0.95
 #: For the imported packages and a short log, in bytes.
 MIN_MEMORY = 300 << 20
-#: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
+#: In s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
 #: `imucal.fitting.bins.PACKED_VERSION`, whose import is slow.
 _BINS = 2
@@ -41,7 +38,7 @@ _SETTLED = ("ok", "unreadable", "no-data")
 _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
 #: In bytes/s on one core, and additional seconds per log.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
-#: Fewest batches per worker, so that all end together; in a long run batches may last longer by the factor.
+#: Fewest per worker, so that all end together; number in a long run, whose batches may last longer.
 _MIN_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 _SEVERAL = ("topic", "fields", "message_definition")
 
@@ -55,11 +52,10 @@ class LogTask:
     """A requested log and its state.
 
     `place` is the given path, relative to `FleetSettings.folder`, or a URL with its secrets, which is never
-    stored. `reading` contains arguments of `imucal.read`, ``skip_s`` and ``take_s`` as JSON values. `size` is
-    in bytes, 0 if unknown. A log of another shard is not `own`.
+    stored. `reading` contains arguments of `imucal.read`, ``skip_s`` and ``take_s``. `size` is in bytes, 0 if
+    unknown. A log of another shard is not `own`.
 
-    States: ``run``; ``again`` after a failure such as a time limit; ``done`` if the store contains it;
-    ``copy`` of `copy_of`, a log with the same content.
+    A log is to ``run``, to run ``again`` after a failure, ``done``, or a ``copy`` of another log, `copy_of`.
     """
 
     place: str = field(repr=False)
@@ -84,9 +80,8 @@ class LogTask:
 class FleetSettings:
     """The settings of a run, from the arguments of `imucal.run_fleet`.
 
-    `store` and `folder`, at which relative paths start, are absolute. All fits have the same `model`: models
-    chosen per log would make logs differ although units do not. With `timeout_s` None, the time limit depends
-    on the size of a log.
+    `store` and `folder`, at which relative paths start, are absolute. All fits have the same `model`, because
+    models chosen per log would differ although units do not.
     """
 
     store: str
@@ -177,7 +172,7 @@ def read_manifest(file: Path) -> list[LogTask]:
 
 
 def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask:
-    """Return the log of a row; raise ValueError with what is wrong."""
+    """Raise ValueError with what is wrong."""
     _refuse_unless(len(row) == len(heading), f"{len(row)} cells, expected {len(heading)} as in the headings")
     cells = ((name, text) for name, text in zip(heading, row, strict=True) if text)
     labels = {name: meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is") for name, text in cells}
@@ -228,10 +223,7 @@ _COLUMNS: dict[str, Column] = {
 
 
 def as_json(reading: Mapping[str, object]) -> dict[str, object]:
-    """Return arguments of `imucal.read` as JSON values for the key of a result, without empty values.
-
-    A 0 other than a skip of 0 is kept, so that the reader refuses it.
-    """
+    """Return arguments of `imucal.read` as JSON values for the key of a result, without empty values."""
     result: dict[str, Any] = {}
     for name, value in reading.items():
         plain: Any = str(value) if isinstance(value, Path) else value
@@ -263,10 +255,10 @@ ASKED = (*_ARGUMENTS, "labels", "scheduler", "fresh")
 
 
 def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSettings:
-    """Return the settings of a run from the arguments of `run_fleet`.
+    """Return the settings of a run from the arguments of `run_fleet` and the settings of an existing fleet.
 
-    The existing fleet determines the default model and level. Raises ArgumentError if an argument is invalid,
-    or if the fleet has another model or level; StoreError if its settings are damaged.
+    Raises ArgumentError if an argument is invalid, or if the fleet has another model or level; StoreError if
+    its settings are damaged.
     """
     given = {name: _meant(name, value) for name, value in asked.items() if value is not None}
     if "shard" in given and "scheduler" in given:
@@ -304,11 +296,9 @@ def planned(
 ) -> FleetPlan:
     """Return the plan for the logs of `names` (see `find_logs`) and of a `manifest`, which has priority.
 
-    Without both, the logs of the store's manifest are used. Labels in paths have priority over the store's.
-
-    Damaged parts of the store are removed; a `dry` run raises StoreError instead. Raises ReadError if
-    wildcards match nothing, a folder contains no log, or there is no store; ManifestError if the manifest or
-    a label is wrong.
+    Without both, the logs of the store's manifest are used. Damaged parts of the store are removed; a `dry`
+    run raises StoreError instead. Raises ReadError if there are no logs or no store; ManifestError if the
+    manifest or a label is wrong.
     """
     store = FleetStore(settings.store)
     if not settings.fresh:
@@ -339,9 +329,9 @@ def _stored_logs(manifest: pl.DataFrame) -> Iterator[LogTask]:
 
 
 def plan_fleet(asked: Collection[LogTask], settings: FleetSettings) -> FleetPlan:
-    """Return the plan for requested logs with different paths; the store need not exist yet.
+    """Return the plan for requested logs with different paths; raises StoreError.
 
-    The logs of a shard do not depend on finished logs, so shards may start at any time. Raises StoreError.
+    The logs of a shard do not depend on finished logs, so shards may start at any time.
     """
     known = [] if settings.fresh else FleetStore(settings.store).logs().select(_KNOWN).rows(named=True)
     settled = {log["key"]: log["path"] for log in known if log["content"] and log["status"] in _SETTLED}
@@ -388,10 +378,7 @@ def _contents(
 
 
 def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterator[list[LogTask]]:
-    """Yield tasks in batches of about `seconds` each; shorter if workers would be idle otherwise.
-
-    Batches of a long run are longer, because each becomes a part of the store.
-    """
+    """Yield tasks in batches of about `seconds` each; shorter if workers would be idle otherwise."""
     total = sum(task.seconds for task in tasks)
     longer = min(total / (_BATCHES * workers), _LONGER * seconds)
     target = min(max(seconds, longer), total / (_MIN_BATCHES * workers))

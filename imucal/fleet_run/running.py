@@ -31,7 +31,7 @@ from imucal.fleet_run.plan import (
 )
 from imucal.processes import ChildProcess
 
-#: Length of a batch in s on a cluster, where distributing it takes time, and on this machine.
+#: Length of a batch in s, longer on a cluster, where distributing it takes time.
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
 _LOOK_S = 0.1
 _QUESTIONS = 4
@@ -39,7 +39,7 @@ _QUESTIONS = 4
 
 @dataclass(slots=True)
 class RunCount:
-    """Sizes are in bytes. `failed` of the `done` logs have no usable numbers."""
+    """Sizes are in bytes; logs without usable numbers are `failed`."""
 
     logs: int
     size: int
@@ -70,8 +70,8 @@ def run_fleet(
 ) -> Fleet:
     """Fit the same noise model to many logs, and keep the results in a folder.
 
-    This is ``imucal fleet run``: finished logs are kept, and the same call continues with the others. It
-    returns the fleet as `imucal.load_fleet` does. Logs that fail are in `Fleet.failures` and raise no error.
+    This is ``imucal fleet run``: finished logs are kept, and the same call continues with the others. Logs
+    that fail are in `Fleet.failures` and raise no error.
 
     Child processes do not import the calling script, so it needs no ``if __name__ == "__main__"``.
 
@@ -81,14 +81,13 @@ def run_fleet(
         One or several files, folders, names with wildcards, or URLs; by default the `manifest`'s logs or
         those of the folder.
     folder
-        The folder of the fleet; created if it does not exist.
+        Created if it does not exist.
     labels
         Pattern of the labels in the paths, such as ``{model}/{unit}/*.mcap``.
     manifest
         A table of logs (CSV) with a column ``path``.
     model, level
-        Terms, and confidence level of all intervals: by default those of the folder, otherwise ``N + B + K``
-        and 0.95.
+        Terms, and confidence level of all intervals; by default the folder's, or ``N + B + K`` and 0.95.
     jobs
         Number of logs at a time, each in its own process; by default one per processor.
     scheduler
@@ -96,8 +95,8 @@ def run_fleet(
     shard
         ``(i, n)``: process part i of n, from 1, one log at a time.
     memory
-        Memory limit of a log in bytes, or a text such as ``2GB``; by default 80 % of the machine's memory,
-        shared by the workers.
+        Memory limit of a log in bytes, or a text such as ``2GB``; by default the workers share 80 % of the
+        machine's memory.
     timeout_s
         Time limit of a log in s; by default 300 and 3 for each MB.
     reports
@@ -107,7 +106,7 @@ def run_fleet(
     reading
         Arguments of `imucal.read`, and ``skip_s`` and ``take_s``, for every log.
     progress
-        Called with the number of finished logs and the number of all logs to process.
+        Called with the numbers of finished logs and of all logs to process.
 
     Raises
     ------
@@ -127,7 +126,7 @@ def run_fleet(
     asked = locals()
     names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
     if not names and logs is not None and manifest is None:
-        # An empty list, for example from a pattern without a match, must not mean all logs of the folder.
+        # An empty list must not mean all logs of the folder.
         raise ArgumentError(f"logs {logs!r}, expected at least one; omit them to continue the folder's logs")
     settings = fleet_settings(folder, {name: asked[name] for name in ASKED})
     plan = planned(settings, names, manifest=None if manifest is None else Path(manifest))
@@ -154,7 +153,7 @@ def prepare(plan: FleetPlan, settings: FleetSettings) -> None:
 def run_plan(
     plan: FleetPlan, settings: FleetSettings, *, tell: Callable[[RunCount], object] = lambda _: None
 ) -> RunCount:
-    """Process the logs of a plan and commit them to the store; `tell` is called whenever the count changes.
+    """Process the logs of a plan and commit them; `tell` is called whenever the count changes.
 
     Raises WriteError, and EngineError if the workers of a cluster can't be reached or ended.
     """
@@ -178,7 +177,7 @@ def run_plan(
     for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
         if isinstance(failed, Lost):
-            # Another log may be the cause: repeat each alone. A single log gets one more attempt.
+            # Another log may be the cause: repeat each alone, and a single log once.
             (task, *others) = batch
             if others or task.path not in lost:
                 lost |= set() if others else {task.path}
@@ -216,10 +215,10 @@ def _answered(
 def outcomes(
     take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings
 ) -> Iterator[tuple[T, R | Lost]]:
-    """Yield batches with the result of `work(batch, child)` when they are finished; `work` can be pickled.
+    """Yield batches with the result of `work(batch, child)`, which can be pickled, when they are finished.
 
-    `take` returns the next batch, or None if there is none at present. Raises EngineError if the workers of a
-    cluster can't be reached or ended.
+    `take` returns the next batch, or None. Raises EngineError if the workers of a cluster can't be reached or
+    ended.
     """
     if settings.scheduler:
         with dask_workers(settings.scheduler, partial(_on_worker, work, settings)) as workers:

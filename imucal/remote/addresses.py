@@ -113,7 +113,7 @@ class RemoteFile:
     url: str = field(repr=False)
     #: ETag, or time of last change; empty if unknown.
     etag: str
-    #: None if unknown.
+    #: In bytes; None if unknown.
     size: int | None
     #: Whether the store serves parts of the object.
     ranges: bool = True
@@ -122,7 +122,7 @@ class RemoteFile:
     def key(self) -> str:
         """Digest of URL, ETag and size.
 
-        Without an ETag of the content, the query may select the content, so it counts too.
+        The query, which changes with each signature, counts only without an ETag: it may select the content.
         """
         url = shown(self.url) if self.etag.startswith(('"', "W/")) else self.url
         return _digest(f"{url}\n{self.etag}\n{self.size}")

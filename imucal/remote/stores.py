@@ -62,6 +62,7 @@ _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
 #: In bytes, to identify an object and to recognise a web page.
 _HEAD = 512
 _BLOCK = 1 << 20
+#: Largest listing, in bytes.
 _PAGE = 1 << 24
 _PAGE_STARTS = (b"<!doctype html", b"<html")
 _RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
@@ -229,6 +230,7 @@ def _links(folder: str) -> list[str]:
     return sorted(found)
 
 
+#: Bytes per request.
 _PART = 1 << 24
 
 

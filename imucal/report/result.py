@@ -16,7 +16,7 @@ from imucal.frozen import frozen_alone
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
-#: In s; a fifth of a shorter record is less than a minute, for which filters coast.
+#: Shorter records do not show the errors of filters that coast for a minute, a fifth of this.
 _MIN_LENGTH_S = 300.0
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 

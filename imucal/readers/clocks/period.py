@@ -21,32 +21,31 @@ _RUNS, _RUN = 10, 4096
 #: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
 _SAME = 0.03
-#: Steps in a mean step: much longer than batches of up to 128 samples.
+#: In steps: much longer than batches of up to 128 samples.
 _WINDOW = 512
 _MAX_BATCHES = 64
-#: Longest batch of a buffer, in samples, and longest step within it, in ns.
+#: Of a buffer: longest batch in samples, and longest step within it in ns.
 _MAX_BURST, _MAX_BURST_STEP = 512, 2_000_000
-#: Anchors of a batch: (last stamp or first, last sample or first).
+#: Last stamp or first, and last sample or first.
 _READ = ((True, True), (False, False), (False, True))
 #: Limits of white jitter; jitter in periods.
 _MIN_JITTER, _MIN_NEAR_SHARE, _MIN_STAMPS, _MAX_STAMPS, _MIN_COHERENCE = 0.1, 0.55, 256, 2048, 0.12
-#: Least ratio of mean step to period; below it losses are too few to matter.
+#: At a smaller ratio of mean step to period, losses are too few to matter.
 _MIN_LOST_RATIO = 1.003
 #: Limits of trials; the shortest pause is in usual steps.
 _MIN_PAUSE, _MIN_TRIAL, _MIN_PAUSES, _MIN_BATCHES = 4, 8, 3, 6
-#: Highest rate, in Hz, at which steps inside a batch may be those of a sensor.
+#: In Hz; faster steps inside a batch are not those of a sensor.
 _MAX_SENSOR_RATE = 2000.0
-#: Largest share of losses explained by a nominal period in stamps of batches.
+#: Largest share of losses explained by a nominal period in batches.
 _MAX_NOMINAL_LOSS = 0.1
 #: Above this share of losses, steps inside a batch are too short for a sensor.
 _MAX_MISSING = 0.55
 #: Limits of cycles of losses: samples, cycles, losses per sample, and two relative tolerances.
 _MAX_CYCLE, _MIN_CYCLES, _MAX_LOSS, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
-#: Relative difference of equal periods of a clock with coarse ticks.
 _EXACT = 1e-3
 _LOOK = 4096
 REACH = 1 << 13
-#: Samples per block, which fits the processor's cache.
+#: In samples; it fits the processor's cache.
 BLOCK = 1 << 16
 
 
@@ -54,17 +53,17 @@ BLOCK = 1 << 16
 class Period:
     """A first estimate of the sampling period, with the explanation of the stamps."""
 
-    #: Period in ns, within about 1 %.
+    #: Within about 1 %.
     tau_ns: float
     #: Standard deviation of a stamp about its neighbours, in samples.
     jitter: float = 0.0
-    #: Greatest common divisor of the steps, in ns.
+    #: Greatest common divisor of the steps.
     resolution_ns: int = 1
     burst: int = 1
-    #: Whether a batch is anchored at its last stamp (else first) and at its last sample (else first).
+    #: Whether a batch is anchored at its last stamp, and at its last sample (otherwise the first).
     last_stamp: bool = True
     last_place: bool = True
-    #: Longest step within a batch, in ns.
+    #: Longest step within a batch.
     pause_ns: float = 0.0
     #: Median step in ns; regular if most steps are within 5 % of it.
     usual_ns: float = 0.0
@@ -75,9 +74,9 @@ class Period:
     bounded: bool = True
     #: Whether the period is from the stamps' phases, which losses do not change.
     coherent: bool = False
-    #: Tick in ns of a clock slightly shorter than the period; otherwise 0.
+    #: Tick of a clock slightly shorter than the period; otherwise 0.
     tick_ns: float = 0.0
-    #: Another period in ns that fits equally well; otherwise 0.
+    #: Another period that fits equally well; otherwise 0.
     other_ns: float = 0.0
     trials: bool = False
 
@@ -151,7 +150,7 @@ def _reading(
 
 
 def _quantum(steps: IntArray) -> int:
-    """Return the greatest common divisor in ns, ignoring float errors of stamps in whole us."""
+    """Ignore float errors of stamps in whole us."""
     some = steps[:100_000]
     whole = 1000 * np.rint(some / 1000).astype(np.int64)
     return int(np.gcd.reduce(np.abs(whole if whole.any() and np.abs(some - whole).max() <= 250 else some)))
@@ -160,7 +159,7 @@ def _quantum(steps: IntArray) -> int:
 def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[list[IntArray], float]:
     """Return the runs without pauses between trials (empty without trials), and a period inside batches.
 
-    The period in ns is 0 unless the batches of a buffer may also be trials. Raises ChoiceError as above.
+    The period, in ns, is 0 unless the batches of a buffer may also be trials. Raises ChoiceError if both fit.
     """
     steps = np.concatenate([np.diff(run) for run in runs])
     usual = median(steps)
@@ -191,7 +190,6 @@ def _are_apart(missing: Period, batches: Period, pauses: FloatArray, uneven: flo
     """Return whether pauses, in periods, separate trials rather than batches of a buffer."""
     share = 1 - missing.tau_ns / batches.tau_ns
     if share < _MAX_MISSING:
-        # With a nominal period in stamps of batches, pauses are not whole periods.
         return share > _MAX_NOMINAL_LOSS or median(np.abs(pauses - np.rint(pauses))) < 0.12
     odd = batches.burst > _MAX_BURST or batches.rate_hz < RATES[0]
     return odd or uneven > (1.0 if missing.tau_ns > _MAX_BURST_STEP else 1.5)
@@ -207,7 +205,7 @@ def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
 def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float, int]:
     """Return period (ns, 0 if unknown), unevenness and number of batches of about `size` samples.
 
-    The unevenness is the range of deviations from an even beat, in batches: about 1 for a buffer.
+    The unevenness is the range of deviations from an even beat: about 1 batch for a buffer.
     """
     found = []
     for last_stamp, last_place in _READ:
@@ -242,9 +240,8 @@ def _of_ticks(
 ) -> Period | None:
     """Return the period of samples stamped by a clock with ticks of `unit` ns; None if no such clock fits.
 
-    Steps are one tick, or two where the grid gains a tick. The highest line in the spectrum of the occupied
-    ticks is at the rate of these gains. If they are evenly spaced, a period of one tick with regular losses
-    fits equally well.
+    The highest line in the spectrum of the occupied ticks is at the rate of steps of two ticks. If these are
+    evenly spaced, a period of one tick with regular losses fits equally well.
     """
     whole = np.rint(steps / unit)
     longer = whole[whole > 1]
@@ -283,10 +280,7 @@ def _or_cycle(found: Period, runs: list[IntArray], quantum: int, rate_hz: float 
 
 
 def _cycle(stamps: IntArray, quantum: int) -> Period | None:
-    """Return the period if the same samples are missing in every cycle; otherwise None.
-
-    The mean step at each place of the cycle is one period, except one of several periods.
-    """
+    """Return the period if the mean step at one place of a cycle is several times that at the others."""
     steps = np.diff(stamps).astype(np.float64)
     for size in range(2, min(_MAX_CYCLE, steps.size // _MIN_CYCLES) + 1):
         cycles = steps[: steps.size // size * size].reshape(-1, size)
@@ -415,10 +409,7 @@ def _mean_step(runs: list[IntArray]) -> float:
 
 
 def _whole_unit(positive: IntArray, short: float) -> float:
-    """Return the unit near the short step that longer steps are multiples of; otherwise 0.
-
-    The mean cosine of the steps' phases is 1 for multiples, 0 otherwise.
-    """
+    """Return the unit near the short step that longer steps are multiples of; otherwise 0."""
     units = short * np.linspace(0.9, 1.35, 91)
     some = positive[:: max(positive.size // 4000, 1)]
     unit = float(units[np.argmax([np.cos(2 * np.pi * some / unit).mean() for unit in units])])
@@ -448,7 +439,7 @@ def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> t
 def _batched(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
     """As `_late` for batches, with the anchor of least scatter."""
     best, least, bounded = Period(tau_ns=wide), np.inf, False
-    # A batch ends at a step above those within it, or above the tick of a coarse clock.
+    # A batch ends at a longer step than those within it, and than the tick of a coarse clock.
     pauses = {(median(steps[steps < wide]) + wide) / 2, max(1.5 * quantum, wide)}
     for pause, (last_stamp, last_place) in product(sorted(pauses), _READ):
         anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
@@ -549,7 +540,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         sizes = last - first + 1
         times = block[last if period.last_stamp else first]
         places = last if period.last_place else first
-        # The first and last batch may be incomplete: place them by the next one, except after a gap.
+        # Place incomplete batches at the ends by their neighbours, except after a gap.
         for end, near in ((0, 1), (-1, -2)) if times.size > 2 else ():
             follows = times[near] + round((places[end] - places[near]) * period.tau_ns)
             if abs(follows - times[end]) < 2 * period.burst * period.tau_ns:

@@ -1,7 +1,6 @@
 """The numbers that go into a file: covering numbers or fitted coefficients, inflated on request.
 
-The covering pair is from `imucal.prediction.filter_numbers`: a filter with the fitted N and K alone would be
-overconfident.
+A filter with the fitted N and K alone would be overconfident; see `imucal.prediction.filter_numbers`.
 """
 
 import math
@@ -49,13 +48,11 @@ def _require(value: str, choices: tuple[str, ...], what: str) -> None:
 class ExportOptions:
     """The user's options for a downstream file.
 
-    - `axis_policy`: for formats with one number per sensor: the largest axis, the root of the mean variance,
-    or one axis
+    - `axis_policy`: for formats with one number per sensor: largest axis, root of the mean variance, one axis
     - `inflate`: ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance)
     - `unidentified`: whether to write the upper bound of a term that was not detected
-    - `topic`: None for the log's topic
     - `numbers`: ``covered``: white noise and walk that cover the fitted spectrum; ``as-fitted``: N and K
-    - `horizon_s`: how long the filter may coast; None for the format's usual value
+    - `horizon_s`: how long the filter may coast
     - `step_s`: interval between two updates of the filter
     """
 
@@ -81,7 +78,6 @@ class ExportOptions:
                 raise ValueError(f"inflation of {name} must be a positive number, got {factor}")
 
     def factor(self, symbol: str) -> float:
-        """Return the factor on a term's coefficient."""
         return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
 
 
@@ -94,7 +90,6 @@ class Number:
 
     - `covers`: whether `value` is from a covering pair; the other attributes describe the fitted coefficient
     - `bounded`: the axes whose upper bound replaced the value
-    - `interval`: confidence interval; None for a bound and for several axes
     - `excess`: ratio of a bound to the largest coefficient whose line is below the measured Allan curve
     - `alternatives`: symbols of terms that the record can't distinguish from this one
     - `origin`: description of a number that was not estimated from one record
@@ -172,7 +167,7 @@ class Numbers:
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """The sensors of the log, the gyroscope first."""
+        """The gyroscope first, if the log has one."""
         return tuple(self.report.by_sensor)
 
     @property
@@ -199,7 +194,6 @@ class Numbers:
         return float(f"{self.axes(sensor)[0].rate_hz:.9g}")
 
     def one(self, sensor: Sensor, symbol: str) -> Number:
-        """Return one number for a sensor, by the axis policy."""
         return self._number(self.chosen(sensor), symbol)
 
     def _number(self, axes: Sequence[AxisReport], symbol: str) -> Number:
@@ -235,7 +229,7 @@ class Numbers:
         return replace(found, white=found.white * factor("N"), walk=found.walk * factor("K"))
 
     def pairs(self, *, per_axis: bool) -> Iterator[tuple[tuple[AxisReport, ...], FilterNumbers]]:
-        """Yield the axes and the pair of each axis, or of each sensor by the axis policy."""
+        """Yield each axis, or the chosen axes of each sensor, with their pair."""
         for sensor in self.sensors:
             for axes in zip(self.triad(sensor)) if per_axis else [self.chosen(sensor)]:
                 yield axes, self.pair(axes)
@@ -290,7 +284,6 @@ class Numbers:
         )
 
     def gauss_markov(self, axis: AxisReport) -> dict[str, GaussMarkov]:
-        """Return key -> inflated term."""
         return {
             e.key: GaussMarkov(sigma=e.value * self.options.factor(e.symbol), T=e.correlation_time.value)
             for e in axis.fit.estimates
@@ -301,7 +294,7 @@ class Numbers:
         return max(self.gauss_markov(axis).values(), key=lambda term: (term.T, term.sigma), default=None)
 
     def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
-        """Return each axis as white noise and a bias; all biases have the same correlation time."""
+        """Return white noise and a bias for each axis; all biases have the same correlation time."""
         if not self.covers:
             fitted = [self._fitted_bias(axis) for axis in axes]
             time = max(each.correlation_time for each in fitted)
@@ -340,11 +333,7 @@ class Numbers:
         return [(term.T, axis.name) for axis in axes if (term := self.slowest(axis))]
 
     def states(self, axis: AxisReport) -> Iterator[tuple[str, GaussMarkov]]:
-        """Yield key and process of each state x[t+1] = phi x[t] + q w[t] that models an axis's slow noise.
-
-        The bank for flicker noise begins below the time at which it exceeds white noise, and ends at the
-        length of the record.
-        """
+        """Yield key and process of each state x[t+1] = phi x[t] + q w[t] that models an axis's slow noise."""
         yield from self.gauss_markov(axis).items()
         if axis.fit["B"].value is None:
             return
@@ -378,7 +367,7 @@ class Numbers:
         )
 
     def topic(self) -> tuple[str, str]:
-        """Return the IMU topic to write, and a remark on its origin."""
+        """Return the IMU topic, and a remark on its origin."""
         if self.options.topic is not None:
             return self.options.topic, "as given"
         source = self.report.source

@@ -1,7 +1,4 @@
-"""One downstream format: its file, its keys and their formulas, and the comment at the top of the file.
-
-`formats/*.toml` define the formats as data. Numbers are formatted for the consumers' own parsers.
-"""
+"""One downstream format, defined in `formats/*.toml`: its file, its keys with formulas, and the comment."""
 
 import json
 import math
@@ -36,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def name_key(name: str) -> str:
-    """Return the letters and digits of a name in lower case, for comparisons."""
+    """Return the letters and digits in lower case, for comparisons."""
     return "".join(sign for sign in name.lower() if sign.isalnum())
 
 
@@ -174,19 +171,16 @@ class Target:
     - `file_name`: name of the file if the user gives a folder
     - `source`: source code that was read, and programs that were run, to find the meaning of the numbers
     - `kind`: whether the numbers are continuous or discrete
-    - `text`: template of the file without the comment (see `Target._known`)
+    - `text`: template of the file without the comment
     - `about`: how the consumers of the family use the numbers
-    - `keys`: keys that contain one term each
     - `every`: symbols of the terms that the file contains for every axis
     - `bias`: whether each axis has a bias with its own T, or all axes share one T; empty without bias
     - `read_back`: whether `imucal` recognises a user's file by its keys and checks them
     - `documented`: key -> lowest and highest value that the consumer documents
     - `carries`: symbols of the terms that the format supports
-    - `per_axis`: whether the file contains a number for each axis
-    - `own_rates`: whether each sensor has its own rate
+    - `per_axis`, `own_rates`: whether each axis has a number, and each sensor a rate
     - `notes`: further lines of the comment
     - `layout`: ``json``, ``xml``, ``opencv``, or the sign that starts a comment
-    - `horizon_s`: default time that a filter may coast
     """
 
     name: str
@@ -294,7 +288,6 @@ def read_targets(families: Iterable[str]) -> Iterator[Target]:
 
 
 def _entries(numbers: Numbers, keys: Iterable[Key]) -> Iterator[Entry]:
-    """Yield the numbers of the keys whose sensor is in the log."""
     for key in keys:
         if key.sensor not in numbers.sensors:
             continue
