@@ -36,7 +36,6 @@ class RecordingBuilder:
         return Room(self.options.memory_limit)
 
     def decide(self, what: str, how: str) -> None:
-        """Add a decision and its reason, once."""
         if (what, how) not in self.decisions:
             self.decisions.append((what, how))
 
@@ -61,7 +60,7 @@ class RecordingBuilder:
             self.add_sensor(entry, scale)
 
     def add_sensor(self, entry: Unscaled, scale: float) -> None:
-        """Add the axes of a sensor; `scale` converts to SI, in place if the samples are writeable."""
+        """Add the axes of a sensor; `scale` converts to SI, in place if possible."""
         for axis, values in zip(entry.axes, entry.rows, strict=True):
             samples = _scaled(_kept(values, entry.order, self.room), scale, self.room)
             self.series.append(AxisSeries(sensor=entry.sensor, axis=axis, samples=samples, clock=entry.clock))

@@ -37,10 +37,10 @@ KINDS = ("", "none", "zstd", "lz4", "bz2")
 def keep_freed_memory() -> None:
     """Make glibc keep freed chunk buffers instead of returning each one to the system.
 
-    Freeing one block of 31 MiB raises glibc's thresholds for mapping memory. Otherwise page faults take six
-    times as long as decompressing lz4.
+    Freeing a block of 31 MiB raises glibc's thresholds. Otherwise page faults take six times as long as
+    decompressing lz4.
     """
-    # `bytes` of zeros are never written, so they take no pages; a bytearray would.
+    # `bytes` of zeros take no pages; a bytearray would.
     del_me = bytes(31 << 20)
     del del_me
 

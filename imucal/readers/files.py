@@ -54,7 +54,7 @@ class LogFile:
         self._file.close()
 
     def scan_finding(self, reason: DamagedError, end: int) -> Finding:
-        """Return the finding for a file scanned up to `end` because its index is damaged."""
+        """Return the finding for a file whose index is damaged; `end` is the last scanned byte."""
         text = f"The index can't be used ({reason}); all records were scanned instead."
         if end < self.size:
             text += f" The last {self.size - end} of {self.size} bytes are cut off or damaged."
@@ -62,7 +62,7 @@ class LogFile:
         return Finding("warning", code, text)
 
     def read(self, position: int, size: int) -> bytes:
-        """Return `size` bytes from `position` on; raises DamagedError if the file ends earlier."""
+        """Raise DamagedError if the file ends earlier."""
         beyond = min(position, size) < 0 or position + size > self.size
         damaged_if(beyond, f"{size} bytes at byte {position} are beyond the end of the file", "truncated")
         data = self._bytes(position, size)

@@ -1,10 +1,8 @@
 """Logs of flight controllers: PX4's ULog (pyulog) and ArduPilot's ``.bin`` (pymavlink, an extra).
 
 Both packages may loop forever on a damaged file, so they run in a child process. Each instance of a message
-is a topic, such as ``sensor_gyro:1``.
-
-PX4 has µs since boot, rad/s and m/s^2; ``_fifo`` messages contain every sample of a buffer. ArduPilot has SI.
-Sources: PX4's message definitions; `AP_InertialSensor/LogStructure.h`.
+is a topic. PX4's ``_fifo`` messages contain every sample of a buffer. Sources: PX4's message definitions;
+`AP_InertialSensor/LogStructure.h`.
 """
 
 import re
@@ -39,7 +37,7 @@ Fields: TypeAlias = Mapping[str, NDArray[Any]]
 _MIN_RATE_SHARE = 0.2
 #: In µs; later stamps are damaged.
 _MAX_STAMP_US = 1 << 52
-#: Most bytes of an unfinished page at the end, which is no damage.
+#: Bytes of an unfinished page at the end, which is no damage.
 _MAX_PAGE_BYTES = 528
 
 _GYRO, _ACCEL = (tuple(f"{name}[{i}]" for i in range(3)) for name in ("gyro_rad", "accelerometer_m_s2"))
@@ -55,7 +53,7 @@ _TEMPERATURES = ("temperature", "T")
 
 
 class FlightLog(NamedTuple):
-    """IMU messages by name and instance, whether the log is damaged, and the logger's dropouts in ms."""
+    """IMU messages by name and instance, whether the log is damaged, and the dropouts in ms."""
 
     messages: dict[tuple[str, int], Fields]
     damaged: bool
@@ -96,10 +94,7 @@ def flight_log(
 
 
 def columns_of(message: str, fields: Fields, names: Sequence[str]) -> Fields:
-    """Return time in ns, samples and temperature of a message, without damaged stamps.
-
-    Raises KeyError or StopIteration if a field is missing.
-    """
+    """Return time in ns, samples and temperature without damaged stamps; raises KeyError or StopIteration."""
     there = [name for name in _STAMPS if name in fields]
     best = next((name for name in there if bool(np.all(fields[name]))), there[-1] if there else "")
     stamps = fields[best]
@@ -200,7 +195,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 
 
 def _open(path: Path, options: ReadOptions) -> tuple[OpenLog, ReadOptions]:
-    """Return the topics of a log, and the options with the log's names of instances."""
+    """Return the topics of a log, and the options with the log's names."""
     if first_bytes(path, len(ULOG)).startswith(ULOG[:4]):
         form, maker, log = "ulog", "PX4", isolated(path, ulog_content, "ULog")(path.absolute())
     else:
@@ -220,7 +215,6 @@ def _open(path: Path, options: ReadOptions) -> tuple[OpenLog, ReadOptions]:
         for (name, n), fields in log.messages.items()
     ]
     fastest = max((topic.rate_hz or 0.0 for topic in topics), default=0.0)
-    # A slow instance is read only if it is named.
     topics = [replace(topic, plain=(topic.rate_hz or 0.0) < _MIN_RATE_SHARE * fastest) for topic in topics]
     return OpenLog(path, form, topics, list(log_findings(log))), options
 

@@ -135,7 +135,7 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
 
 
 def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
-    """Return the sensors of a topic whose samples change; all if its columns are ambiguous."""
+    """Return the sensors whose samples change; all if the columns are ambiguous."""
     try:
         return plan_of(containers, topic, options)[1]
     except ChoiceError:

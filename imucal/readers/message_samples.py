@@ -45,7 +45,7 @@ class Job:
 
 
 def job_of(containers: Sequence[Container], choice: Choice, options: ReadOptions) -> Job:
-    """Return the columns to read of a chosen topic; raises ChoiceError if they are ambiguous."""
+    """Return the columns to read of a chosen topic; raises ChoiceError."""
     topic = choice.topic
     plan, _ = plan_of(containers, topic, options)
     chosen = [sensor for sensor in plan.sensors if sensor.triad.sensor in choice.sensors]
@@ -63,7 +63,7 @@ def job_of(containers: Sequence[Container], choice: Choice, options: ReadOptions
 
 
 def _with_times(topic: Topic, first: SensorPlan, sensor: SensorPlan, options: ReadOptions) -> SensorPlan:
-    """Use the first sensor's time for a sensor in messages, or log time if it has none."""
+    """Use the first sensor's time for a sensor in messages, or log time."""
     if sensor.triad.rows != first.triad.rows:
         raise _of_other_rows(topic)
     # Log time is better than a count of samples.
@@ -97,7 +97,7 @@ class _Values:
     log: Sequence[IntArray]
 
     def axes(self, sensor: SensorPlan, limit: int) -> list[FloatArray]:
-        """Return a sensor's samples; copies if in memory, because samples are scaled in place."""
+        """Return samples that may be scaled in place."""
         rows = [self.columns[index] for index in sensor.triad.indices]
         if not self.topic.held:
             return [np.asarray(row, np.float64) for row in rows]
@@ -122,7 +122,7 @@ class _Values:
         return found
 
     def source(self, time: TimeChoice | None) -> str:
-        """Return the source name of a clock; empty for a file's own columns."""
+        """Return the source of a clock; empty for a file's own columns."""
         if self.topic.held:
             return "" if self.topic.file or time is None else f"{time.name} of {self.topic.name}"
         return LOG_TIME if time is LOG else HEADER
@@ -135,10 +135,7 @@ class _Values:
 
 
 def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[SensorColumns]:
-    """Return the columns of each sensor; a block of messages begins with the log times.
-
-    A sensor with constant samples becomes a finding.
-    """
+    """Return the columns of each sensor; constant samples become a finding."""
     topic, plan = job.topic, job.plan
     log = [] if topic.held else [block[0]]
     values = _Values(topic, dict(zip(job.indices, block[len(log) :], strict=True)), log)
@@ -218,7 +215,7 @@ def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
 def in_time_order(stamps: IntArray, log: IntArray, others: Block, room: Room) -> list[Finding]:
     """Sort samples by log time in place if joined files or parallel writers disordered them.
 
-    Nothing is sorted if that disorders the stamps: then the recorder's clock was set back.
+    If that disorders the stamps, the recorder's clock was set back: nothing is sorted.
     """
     late = steps_back(log)
     if not late:

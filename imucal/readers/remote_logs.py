@@ -23,7 +23,7 @@ Value = TypeVar("Value")
 
 #: In bytes; latency makes smaller requests inefficient.
 _BLOCK = 1 << 17
-#: Above this fraction (1/n) of the file and this many bytes, downloading the whole file is faster.
+#: Above this fraction (1/n) of the file and this many bytes, downloading it is faster.
 _SHARE, _MIN_BYTES = 4, 1 << 22
 
 

@@ -25,7 +25,7 @@ _ENDINGS = re.compile(
     r"(?:\.(?:csv|tsv|txt|log|dat|mcap|db3|bag|active|ulg|parquet|npz|npy|mat|gz|bz2|xz|lz4|zst|zstd))+"
     r"(?P<number>(?:\.\d+)?)$"
 )
-#: Numbers of devices: unit1, imu2, sensor3. Parts of a recording are imu_0, imu_1.
+#: Names of devices: unit1, imu2, sensor3. Parts of a recording are imu_0, imu_1.
 _DEVICE = re.compile(r"(?<![a-z])(?:(?:unit|device|dev|board|serial|sn)[\W_]*|imu|sensor|gyro)\d+$")
 
 _SAME_RATE = 0.01
@@ -37,10 +37,7 @@ _COMMON = ("frame", "layout", "gyroscope unit", "accelerometer unit")
 
 
 def why_not_one(paths: Sequence[Path], parts: Sequence[Recording]) -> str:
-    """Return why recordings, ordered by time, are not parts of one; empty if they are.
-
-    Parts have names that differ only in numbers, the same topics, frame and units, and no pause in between.
-    """
+    """Return why recordings, ordered by time, are not parts of one; empty if they are."""
     names = [path.name for path in paths]
     return overlap(names, parts) or _differences(parts) or _names(names) or _pauses(names, parts)
 
@@ -175,7 +172,7 @@ def _refuse_others(paths: Sequence[Path], parts: Sequence[Recording]) -> None:
 def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, limit: int) -> Recording:
     """Join recordings axis by axis; a `problem` that the user overrides becomes a warning."""
     columns: list[tuple[AxisSeries, ...]] = list(zip(*(part.series for part in parts), strict=True))
-    # Axes that share the clocks of their parts share the joined clock.
+    # Axes that share clocks share the joined clock.
     clocks: dict[tuple[int, ...], Clock] = {}
     in_order = not overlap([path.name for path in paths], parts)
     rows = join_rows([[series.samples for series in column] for column in columns], limit=limit)
@@ -215,7 +212,7 @@ def _temperature(
 def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
     """Join the clocks of parts on one grid; parts that overlap are placed one sample apart.
 
-    Each part is placed relative to the end of the previous one, so errors of the rate do not accumulate.
+    Errors of the rate must not accumulate.
     """
     total = sum(clock.grid_size for clock in clocks)
     tau = sum(clock.tau0 * clock.grid_size for clock in clocks) / total

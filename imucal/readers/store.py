@@ -26,7 +26,7 @@ _FIRST = 1 << 16
 
 
 def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
-    """Return an array of n unset values, in a temporary file if it has more than `most` bytes.
+    """Return an array of n unset values, in a temporary file above `most` bytes.
 
     Raises ReadError if the disk has too little space: a later failure would kill the process.
     """
@@ -61,7 +61,7 @@ class Room:
     def made(
         self, n: int, dtype: type[T] | np.dtype[T], of: Callable[[slice], Any], *sources: NDArray[Any]
     ) -> NDArray[T]:
-        """Return an array of n values; `of` computes each block from the `sources`."""
+        """Return an array of n values; `of` computes each block."""
         result = self.empty(n, dtype)
         for part in blocks(n, result, *sources):
             result[part] = of(part)
@@ -118,7 +118,7 @@ def copy_to(target: NDArray[Any], source: NDArray[Any]) -> None:
 
 
 def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = None) -> list[FloatArray]:
-    """Return rows joined from their pieces; in a temporary file above `limit` bytes in total."""
+    """Return joined rows; in a temporary file above `limit` bytes in total."""
     rows = [sum(piece.size for piece in row) for row in pieces]
     held = allocated(sum(rows), np.float64, column_limit() if limit is None else limit)
     joined, start = [], 0

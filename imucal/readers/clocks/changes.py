@@ -1,7 +1,7 @@
 """Find a lasting change of the sampling rate.
 
-The rate is measured in windows over the log, without gaps. A change splits them into two parts with a stable
-rate each. If only losses begin, the short steps keep their length.
+A change splits windows over the log into two parts with a stable rate each. If only losses begin, the short
+steps keep their length.
 """
 
 import numpy as np
@@ -10,13 +10,12 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
 from imucal.frozen import frozen
 
 _MAX_WINDOWS, _MIN_SAMPLES, _MAX_SAMPLES = 400, 32, 512
-#: Fewest windows of a part, and least share of them.
 _MIN_WINDOWS, _MIN_SHARE = 8, 0.04
 #: Of two rates, and of their short steps.
 _MIN_RATIO, _MIN_SHORT_RATIO = 1.4, 1.3
 #: A longer step, in long steps, is a gap.
 _GAP = 8
-#: Least span of a window, in short steps between different stamps.
+#: Least span of a window, in short steps.
 _MIN_TICKS = 8
 #: A rate is stable if this share of the windows is near the median.
 _STABLE, _NEAR = 0.6, 0.2
@@ -28,7 +27,7 @@ class Change:
 
     #: Rates before and after, in Hz.
     rates_hz: tuple[float, float]
-    #: The first part ends before sample `end`; the second begins at `start`.
+    #: The first part ends before `end`; the second begins at `start`.
     end: int
     start: int
 
@@ -93,6 +92,6 @@ def _lasting(means: FloatArray, short: FloatArray, before: BoolArray) -> bool:
     (fast, fast_short), (slow, slow_short) = sorted(levels)
     if slow < _MIN_RATIO * fast:
         return False
-    # Short steps within batches, or of a coarse clock, do not depend on the sensor's rate.
+    # Short steps within batches do not depend on the sensor's rate.
     batches = fast_short < 0.5 * fast and slow_short < 0.5 * slow
     return batches or slow_short > _MIN_SHORT_RATIO * fast_short

@@ -28,7 +28,7 @@ from imucal.recording import gap_findings
 LOG_TIME = "log time"
 
 _MAX_ZEROS = 0.01
-#: A longer jump forward means that the clock was set: one day, in ns.
+#: One day in ns: a longer jump forward means that the clock was set.
 _DAY = 86_400 * 10**9
 #: With fewer samples per clock reset, the stamps are noise.
 _RESETS = 20
@@ -117,7 +117,7 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
 
 
 def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
-    """Return a finding if the clock was set: how often, and the largest step."""
+    """Return a finding if the clock was set."""
     if not jumps:
         return []
     step, at = max(
@@ -136,8 +136,8 @@ def repeats(
 ) -> BoolArray | None:
     """Return which samples repeat the previous stamp and values, shape (n,); None if none was sent twice.
 
-    `stamps` and each of the `rows` have shape (n,). Zero stamps are ignored. Equal values are attributed to
-    the sensor's resolution if they are nearly as frequent between different stamps, or if at most half of the
+    `stamps` and each of the `rows` have shape (n,). Zero stamps are ignored. Equal values are due to the
+    sensor's resolution if they are nearly as frequent between different stamps, or if at most half of the
     samples with equal stamps have them.
     """
     advancing = 0
@@ -208,9 +208,9 @@ def clock_from_stamps(
 ) -> ClockReading:
     """Return the clock of samples from their stamps in ns, int64, shape (n,), in the order of the log.
 
-    `source` names the stamps; errors start with `where`. Log times, shape (n,), replace stamps that are zero,
-    constant or not increasing, and determine how far a clock was set. `repeated`, shape (n,), marks samples
-    to drop because they repeat the previous stamp *and* values.
+    Errors start with `where`. Log times, shape (n,), replace stamps that are zero, constant or not
+    increasing. `rate_hz` overrides the measured rate. `repeated`, shape (n,), marks samples to drop because
+    they repeat the previous stamp *and* values.
 
     Raises DataError without samples or a measurable rate; ChoiceError if the stamps fit two rates and none is
     given.
@@ -379,8 +379,8 @@ def _believable(
 ) -> tuple[IntArray, dict[int, int]]:
     """Return the number of missing samples at each break, and for each clock jump.
 
-    The clock was set if it goes back, or forward much further than log time. Without log time, it must go
-    forward by more than a day and ten times the sampled time.
+    The clock was set if it goes back, or forward much further than log time; without log time, by more than a
+    day and ten times the sampled time.
     """
 
     def by_log(at: int) -> int:

@@ -159,7 +159,7 @@ def _quantum(steps: IntArray) -> int:
 def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[list[IntArray], float]:
     """Return the runs without pauses between trials (empty without trials), and a period inside batches.
 
-    The period, in ns, is 0 unless the batches of a buffer may also be trials. Raises ChoiceError if both fit.
+    The period is in ns, or 0. Raises ChoiceError if both explanations fit.
     """
     steps = np.concatenate([np.diff(run) for run in runs])
     usual = median(steps)
@@ -168,7 +168,7 @@ def _trials(runs: list[IntArray], late: Period, rate_hz: float | None) -> tuple[
         return [], 0.0
     inside = sum(map(len, pieces))
     own = sum(int(piece[-1] - piece[0]) for piece in pieces) / (inside - len(pieces))
-    # If samples are missing everywhere, pauses are longer losses. No sensor is faster than RATES.
+    # If samples are missing everywhere, pauses are longer losses.
     if inside < 0.9 * sum(map(len, runs)) or own > 1.1 * usual or own < 1e9 / RATES[1]:
         return [], 0.0
     size = inside / len(pieces)
@@ -205,14 +205,14 @@ def _pieces(runs: list[IntArray], pause: float) -> list[IntArray]:
 def _beat(runs: list[IntArray], pause: float, size: float) -> tuple[float, float, int]:
     """Return period (ns, 0 if unknown), unevenness and number of batches of about `size` samples.
 
-    The unevenness is the range of deviations from an even beat: about 1 batch for a buffer.
+    The unevenness of a buffer is about 1.
     """
     found = []
     for last_stamp, last_place in _READ:
         anchors = [_anchors(run, pause, last_stamp=last_stamp, last_place=last_place) for run in runs]
         beat = _slope_of(anchors)
         if not beat > 0:
-            # Stamps of a damaged file may run backwards from batch to batch.
+            # Stamps of a damaged file may run backwards.
             continue
         late = [times / beat - places for times, places in anchors if times.size]
         spread = [float(np.ptp(_about_a_line(_without_jumps(one, 0.0)))) / size for one in late]
@@ -240,8 +240,7 @@ def _of_ticks(
 ) -> Period | None:
     """Return the period of samples stamped by a clock with ticks of `unit` ns; None if no such clock fits.
 
-    The highest line in the spectrum of the occupied ticks is at the rate of steps of two ticks. If these are
-    evenly spaced, a period of one tick with regular losses fits equally well.
+    The highest line in the spectrum of the occupied ticks is at the rate of steps of two ticks.
     """
     whole = np.rint(steps / unit)
     longer = whole[whole > 1]
@@ -322,7 +321,7 @@ def _slips(ticks: IntArray) -> float:
     few = np.log(1e6 * n) / np.log(1 / lost)
     # Lines at multiples of the rate are nearly as high.
     for first in (near, near / 2, near / 3):
-        # Phases may smear by a quarter of the empty part.
+        # Phases may smear.
         rates = first + np.linspace(-0.2, 0.2, int(min(max(40, 1.6 / first), 160)) + 1) / n
         each = [_least_taken(rate * np.arange(n) % 1.0, taken, 0.6 * rate, few) for rate in rates.tolist()]
         shares = np.array(each)
@@ -425,7 +424,7 @@ def _whole_unit(positive: IntArray, short: float) -> float:
 
 
 def _late(runs: list[IntArray], steps: IntArray, wide: float, quantum: int) -> tuple[Period, bool]:
-    """Return the period if no sample is missing, and whether stamps then stay near their places."""
+    """Return the period if no sample is missing, and whether stamps stay near their places."""
     if _bursty(steps, wide):
         return _batched(runs, steps, wide, quantum)
     tick = quantum / wide
@@ -481,7 +480,6 @@ def _anchors(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the read times of batches, in ns from the first, and the samples taken at those times."""
     first, last = _edges(run, pause)
-    # The first and the last batch may be incomplete.
     first, last = first[1:-1], last[1:-1]
     times, places = run[last if last_stamp else first], (last if last_place else first)
     return (times - times[:1]).astype(np.float64), (places - places[:1]).astype(np.float64)
@@ -540,7 +538,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         sizes = last - first + 1
         times = block[last if period.last_stamp else first]
         places = last if period.last_place else first
-        # Place incomplete batches at the ends by their neighbours, except after a gap.
+        # Incomplete batches at the ends follow their neighbours, except after a gap.
         for end, near in ((0, 1), (-1, -2)) if times.size > 2 else ():
             follows = times[near] + round((places[end] - places[near]) * period.tau_ns)
             if abs(follows - times[end]) < 2 * period.burst * period.tau_ns:

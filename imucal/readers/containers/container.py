@@ -20,7 +20,7 @@ Bytes: TypeAlias = bytes | bytearray | memoryview
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A damaged part of a log: the finding's code, the reason, and lost messages (None: unknown number)."""
+    """A damaged part of a log; `messages` is the number of lost ones, None if unknown."""
 
     code: str
     text: str
@@ -57,7 +57,7 @@ def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
     Raises DamagedError if a position is outside the buffer.
     """
     count = max(len(buffer) - width + 1, 0)
-    # As unsigned numbers, negative positions are beyond any buffer.
+    # As unsigned numbers, negative positions are too large.
     beyond = at.size and int(at.view(np.uint64).max()) >= count
     damaged_if(beyond, "a message extends beyond its chunk")
     view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, strides=(1,))
@@ -79,14 +79,14 @@ class Channel:
     topic: str
     type: str
     encoding: str
-    #: Text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
+    #: Text of the message definition, or empty.
     definition: str = ""
     definition_kind: str = ""
     #: Definition in bytes if it is not text.
     schema: bytes = b""
     #: None if unknown before reading; for SQLite an upper bound.
     count: int | None = None
-    #: Of the first and last message, in ns; None if not in the index.
+    #: In ns; None if not in the index.
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -110,7 +110,7 @@ class Container(ABC):
     size: int
     channels: list[Channel]
     findings: list[Finding]
-    #: Of any message, in ns; None if unknown.
+    #: In ns; None if unknown.
     start_ns: int | None = None
     end_ns: int | None = None
     parallel: bool = True

@@ -1,4 +1,4 @@
-"""MCAP: ROS 2, ROS 1 and JSON messages, chunks uncompressed or in lz4 or zstd.
+"""MCAP files with chunks uncompressed or in lz4 or zstd.
 
 The `mcap` package builds an object per message, so messages are located here. Without a valid index, records
 are scanned up to the first incomplete one or to zeros left by a crash. Source: MCAP specification 0,
@@ -32,15 +32,15 @@ HEAD = struct.Struct("<BQ")
 #: Channel and log time of a Message record; the payload starts after `_PAYLOAD` bytes.
 _MESSAGE = struct.Struct("<9xH4xq")
 _PAYLOAD = 31
-#: MessageIndex record: opcode, length, channel, bytes of entries.
+#: Opcode, length, channel, bytes of entries.
 _INDEX = struct.Struct("<BQHI")
-#: Chunk record: content size, CRC, length of the compression's name, which follows.
+#: Content size, CRC, length of the compression's name, which follows.
 _CHUNK = struct.Struct("<9x16xQII")
 _U64 = struct.Struct("<Q")
 _TAIL = 9 + 20 + 8
 #: A larger summary is damage (ids have 16 bits), in bytes.
 _MAX_SUMMARY = 1 << 31
-#: Messages outside chunks are loaded in parts of this size, in bytes.
+#: In bytes, for messages outside chunks.
 _PART = 1 << 22
 #: A longer definition is damage, in bytes.
 _MAX_DEFINITION = 1 << 24
@@ -119,7 +119,7 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
 
 
 def batch_of(raw: Bytes, positions: Sequence[int] | IntArray, key: int) -> Batch:
-    """Return the messages of a channel at `positions`; raises DamagedError if one is something else."""
+    """Return the messages of a channel at `positions`; raises DamagedError."""
     starts = np.asarray(positions, np.int64)
     heads = gather(raw, starts, _PAYLOAD)
     sizes = cells(heads, 1, "<i8") - (_PAYLOAD - HEAD.size)
@@ -156,7 +156,7 @@ class McapFile(MessageFile):
         self._records: dict[int, Any] = {}
         self._chunks: list[Chunk] = []
         self._counts: Counter[int] = Counter()
-        #: First and last log time by channel, for messages outside chunks.
+        #: For messages outside chunks: channel -> first and last log time.
         self._times: dict[int, list[int]] = {}
 
     def _summary(self) -> bytes:

@@ -1,7 +1,7 @@
 """ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2.
 
-Without index records, all records are scanned up to the first incomplete one. `rosbags` refuses unindexed and
-truncated bags, and builds an object per message. Source: https://wiki.ros.org/Bags/Format/2.0.
+`rosbags` refuses unindexed and truncated bags, and builds an object per message. Source:
+https://wiki.ros.org/Bags/Format/2.0.
 """
 
 import struct
@@ -51,7 +51,7 @@ class Record(NamedTuple):
         return self.head.get(name, default).decode("utf-8", "replace")
 
     def number(self, name: bytes, size: int) -> int:
-        """Return an integer field of `size` bytes; raises DamagedError if it is not one."""
+        """Return an integer field of `size` bytes; raises DamagedError."""
         value = self.head.get(name, b"")
         damaged_if(len(value) != size, "a record header is damaged")
         return int.from_bytes(value, "little")
@@ -62,7 +62,7 @@ class Record(NamedTuple):
 
 
 def record(buffer: Bytes, at: int) -> Record:
-    """Return the record at `at`; its data may extend beyond the buffer. Raises DamagedError."""
+    """Return the record at `at`, which may extend beyond the buffer; raises DamagedError."""
     try:
         end = at + 4 + U32.unpack_from(buffer, at)[0]
         damaged_if(end - at - 4 > _MAX_HEADER or end > len(buffer), "a record header is damaged")
@@ -142,9 +142,9 @@ def unpack(region: memoryview) -> tuple[memoryview, int]:
 
 
 def listed(raw: memoryview, key: int, data: Bytes) -> Batch:
-    """Return the messages of an index record; raises DamagedError if an entry is wrong.
+    """Return the messages of an index record; raises DamagedError.
 
-    Most headers equal the last one, apart from time and size; only the others are parsed.
+    Only headers that differ from the last one, apart from time and size, are parsed.
     """
     log_ns, starts = entries_of(data)
     if not starts.size:
@@ -299,7 +299,7 @@ class BagFile(MessageFile):
         )
 
     def _compression(self) -> str:
-        """Return the compression of the first chunk, which all chunks of a bag share."""
+        """All chunks of a bag have the same compression."""
         if not self._chunks:
             return "none"
         try:

@@ -64,7 +64,7 @@ def _open(
 
 
 def mcap_part(folder: Folder, log: McapFile) -> Container:
-    """Return an MCAP file of a bag, whose messages may be compressed separately."""
+    """Return an MCAP file of a bag; its messages may be compressed separately."""
     return _ZstdMessages(log) if folder.per_message else log
 
 

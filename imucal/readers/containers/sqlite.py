@@ -28,11 +28,11 @@ _WAL = b"\x37\x7f\x06"
 _PART, _ROWS = 1 << 22, 256
 #: Rows fetched at once; more is slower.
 _FETCH = 1024
-#: Ranges of damaged rows are halved down to this many rows.
+#: Damaged ranges are halved down to this many rows.
 _MIN_RANGE = 16
 #: Most rows counted without the metadata.
 _COUNTED = 2_000_000
-#: Errors of damaged pages; the last three come from values of a wrong type.
+#: The last three come from values of a wrong type.
 _ERRORS = (sqlite3.Error, TypeError, ValueError, OverflowError)
 
 
@@ -60,7 +60,7 @@ class SqliteFile(MessageFile):
             raise _refusal(self.path, error) from error
 
     def _connect(self) -> sqlite3.Connection:
-        """Open the database without creating files next to it if it has no write-ahead log."""
+        """Open the database without creating files next to it if possible."""
         wal = self.path.with_name(self.path.name + "-wal")
         try:
             log = first_bytes(wal, 3) if wal.exists() else b""
@@ -83,7 +83,7 @@ class SqliteFile(MessageFile):
         return base
 
     def _check_size(self, head: bytes) -> None:
-        """Raise an error if the file is truncated; SQLite reads zeros in a partial page."""
+        """Raise an error for a truncated file, of which SQLite reads zeros."""
         page, pages = struct.unpack_from(">H10xI", head, 16)
         stated = pages * (page if page > 1 else 1 << 16)
         # Encrypted files lack these constants.
@@ -139,7 +139,7 @@ class SqliteFile(MessageFile):
         return replace(batch, loss=loss)
 
     def _fetch_range(self, key: int, rows: range) -> Batch:
-        # `order by` would use the index of times instead of the table.
+        # `order by` would use the index of times.
         query = "select timestamp, data from messages where rowid between ? and ? and topic_id = ?"
         values: list[Any] = []
         cursor = self._base.execute(query, (rows.start, rows.stop - 1, key))

@@ -31,7 +31,7 @@ def choose(
 ) -> list[Choice]:
     """Choose topics; `live` returns the sensors of a topic whose samples change.
 
-    Raises ChoiceError with a list of topics if several fit, or none.
+    Raises ChoiceError if several fit, or none.
     """
     if options.topics:
         return _named(path, topics, options, live)
@@ -53,7 +53,7 @@ def choose(
 
 
 def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choice:
-    """Return the only topic with numbers, whose columns must be named; raises ChoiceError without one."""
+    """Return the only topic with numbers; raises ChoiceError without one, or without a columns text."""
     if options.columns is not None:
         lines = [f"  {topic.name} ({topic.type}): {topic.reason}; found {columns(topic)}" for topic in topics]
         listed = "\n".join(lines[:_MAX_TOPICS]) or "  no topics"
@@ -121,7 +121,6 @@ def _named(
         if topic.count == 0:
             raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
     if len(found) == 1:
-        # A topic without sensors in its names has columns that must be named.
         return [Choice(found[0], found[0].sensors or tuple(Sensor), "as given")]
     alive = [live(topic) for topic in found]
     for gyro, accel in ((0, 1), (1, 0)):

@@ -41,7 +41,7 @@ _NUMBERS = {
     "float64": "f8",
 }
 _TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
-#: rosbags expects 80 characters between types, and rejects constants in lower case.
+#: rosbags expects 80 characters between types, and no constants in lower case.
 _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
 _MAX_DEPTH, _MAX_FIELDS = 16, 20_000
@@ -86,8 +86,7 @@ class Line:
 class Definition:
     """The definition of a message type, as parsed by rosbags.
 
-    `types` contains known types by name, `given` texts of further types by ``package/Name``. If `given` is
-    not None, standard types of ROS are also known.
+    `given` contains texts of further types by ``package/Name``; if it is not None, standard types are known.
     """
 
     def __init__(
@@ -129,7 +128,7 @@ class Definition:
     def fields(self) -> tuple[Field, ...]:
         """Return the fields with nested ones in place; raises DefinitionError for unknown types.
 
-        The last field is of kind "other" if its size is unknown: the positions of later ones depend on it.
+        The last field is of kind "other" if its size is unknown.
         """
         return tuple(_laid_out(self.name, self._fields(self.name)))
 
@@ -138,7 +137,7 @@ class Definition:
             raise _too_large(name)
         lines = self.lines(name)
         if not lines and not self.ros1:
-            # A ROS 2 structure without members takes one byte: rosidl adds a member.
+            # rosidl adds a member to a structure without members.
             yield Field(prefix + "structure_needs_at_least_one_member", "number", "u1")
         for line in lines:
             path = prefix + line.name
@@ -234,10 +233,9 @@ def built_in(name: str, *, ros1: bool) -> Definition | None:
 
 
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
-    """Return the definitions in files and folders: ``package/Name`` -> text.
+    """Return the definitions in files and folders: ``package/Name`` -> text; raises ReadError.
 
-    The package is the folder above ``msg/``. Raises ReadError if a file can't be read, or a folder contains
-    none.
+    The package is the folder above ``msg/``.
     """
     found = {}
     for path in paths:
@@ -257,7 +255,7 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
 
 
 def definition_of(kind: str, given: Mapping[str, str]) -> str | None:
-    """Return the given definition of a type, from its package or without a package; otherwise None."""
+    """Return the given definition of a type, with or without a package; otherwise None."""
     name = plain_type(kind)
     return given.get(name, given.get("/" + name.rpartition("/")[2]))
 
@@ -265,7 +263,7 @@ def definition_of(kind: str, given: Mapping[str, str]) -> str | None:
 def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definition:
     """Return the definition of a channel's type from the log, from `given`, or from the standard types.
 
-    Raises DefinitionError if the type has no definition, or an unreadable one.
+    Raises DefinitionError if it is missing or unreadable.
     """
     ros1 = channel.encoding == "ros1"
     standard: Definition | None = None

@@ -29,9 +29,9 @@ _LARGE = 50_000
 #: Chunks searched for a channel's first message.
 _LOOKS = 8
 _MAX_LOSSES = 1000
-#: After more damaged messages in a row, the others are not tried separately.
+#: After more damaged messages in a row, the others are skipped.
 _MAX_TRIED = 64
-#: Least bytes of a message in a file: an index entry.
+#: An index entry.
 _MIN_MESSAGE_BYTES = 12
 
 
@@ -52,7 +52,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoding:
-    """The columns of a stream in the order of the file, log time first, and the losses."""
+    """The columns of a stream, log time first, and the losses."""
 
     columns: Block
     losses: list[Loss]
@@ -68,7 +68,7 @@ def decode(
     progress: Progress | None = None,
     most_chunks: int | None = None,
 ) -> list[Decoding]:
-    """Decode streams from containers; with `most_chunks` only the start of the first file with messages.
+    """Decode streams; with `most_chunks` only the start of the first file with messages.
 
     Samples above `limit` bytes are in temporary files.
     """
@@ -118,7 +118,7 @@ class _Output:
 
 
 def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -> bytes | None:
-    """Return a channel's first complete message in some chunks (None: all); None if there is none."""
+    """Return a channel's first complete message in some chunks (None: all)."""
     for task in islice(container.tasks(frozenset({key})), chunks):
         with suppress(DamagedError):
             for _, batch in task.load():
@@ -145,7 +145,7 @@ def _jobs(
 
 
 def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterator[R]:
-    """Yield results in the order of jobs; threads work at most a few jobs ahead."""
+    """Yield results in the order of jobs; threads work only a few jobs ahead."""
     if threads < 2:
         yield from map(work, jobs)
         return
@@ -159,7 +159,7 @@ def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterat
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            # An error or interrupt stops each thread after its current job.
+            # An error or interrupt stops each thread after its job.
             for future in waiting:
                 future.cancel()
 
@@ -186,10 +186,7 @@ def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int
 
 
 def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:
-    """Return the samples; if some messages are damaged, halve the batch down to them.
-
-    If all of many are damaged, the type is wrong.
-    """
+    """Return the samples; if some messages are damaged, halve the batch down to them."""
     try:
         return [decoder.decode(batch)]
     except DamagedError as error:

@@ -54,11 +54,7 @@ _ENCAPSULATIONS = {
 
 
 def is_reachable(paths: Sequence[str], fields: Sequence[Field]) -> bool:
-    """Return whether `BinaryDecoder` supports all paths.
-
-    It supports numbers, times, and elements of arrays and sequences of numbers, before the first list of
-    structures with texts.
-    """
+    """Return whether `BinaryDecoder` supports all paths: numbers and times before a list with texts."""
     known = {entry.path: entry for entry in fields}
 
     def reached(path: str) -> bool:
@@ -83,8 +79,8 @@ def _parts(path: str, known: Container[str]) -> tuple[str, ...]:
 class BinaryDecoder:
     """Decodes the wanted fields of one channel's ROS 1 or CDR messages.
 
-    A path names a number, a time (decoded as ns), or one element: ``gyro[0]``. ``step[0]/dt`` is a number
-    over its duration in µs.
+    A path names a number, a time (decoded as ns), or one element, ``gyro[0]``; ``step[0]/dt`` is a quotient
+    with a duration in µs.
     """
 
     def __init__(self, fields: Sequence[Field], paths: Sequence[str], *, ros1: bool) -> None:
@@ -123,7 +119,7 @@ class BinaryDecoder:
             row = int(np.argmax(wrong))
             size = int(batch.sizes[row])
             msg = f"a message has {size} bytes instead of the {size - spare[row]} of its definition"
-            # If all of several differ, the definition is wrong: do not try halves of the batch.
+            # If all of several differ, the definition is wrong.
             raise DamagedError(msg, "definition" if batch.n > 1 and wrong.all() else "damaged")
         wanted = [places[part] for _, parts in self._columns for part in parts]
         values = iter(_gathered(batch.buffer, starts, wanted))
@@ -138,7 +134,7 @@ class BinaryDecoder:
     def _walk(self, buffer: Bytes, starts: IntArray, layout: Layout) -> tuple[dict[str, Place], Position]:
         """Find the wanted fields, and the end, of messages whose payloads start at `starts`, shape (n,).
 
-        Raises DamagedError if a length reaches beyond the buffer.
+        Raises DamagedError.
         """
         places: dict[str, Place] = {}
         at: Position = 0

@@ -20,7 +20,7 @@ _CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32":
 
 
 def ros_leaves(known: Definition) -> list[Leaf]:
-    """Return the numbers in a message type; raises DefinitionError if a type is not defined."""
+    """Return the numbers in a message type; raises DefinitionError."""
     return list(_ros_leaves(known, known.name, "", 0, count()))
 
 
@@ -42,7 +42,7 @@ def _ros_leaves(
 
 
 def ros_parser(known: Definition) -> Parse:
-    """Return the parser for a message type; raises DefinitionError if its definition can't be read."""
+    """Return the parser for a message type; raises DefinitionError."""
     from rosbags.typesys import Stores, get_typestore
 
     try:
@@ -59,7 +59,7 @@ def ros_parser(known: Definition) -> Parse:
 
 
 def protobuf_parser(channel: Channel) -> Parse:
-    """Return the parser for a channel's messages; raises DefinitionError if its schema is damaged."""
+    """Return the parser for a channel's messages; raises DefinitionError."""
     from google.protobuf.message_factory import GetMessageClass
 
     parse: Parse = GetMessageClass(_descriptor(channel)).FromString
@@ -84,7 +84,7 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
             pool.Add(file)
         return pool.FindMessageTypeByName(channel.type)
     except Exception as error:
-        # The package has its own error classes, and raises TypeError for inconsistent types.
+        # The package raises its own errors, and TypeError.
         raise DefinitionError(f"its protobuf schema can't be read: {type(error).__name__} {error}") from error
 
 

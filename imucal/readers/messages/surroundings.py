@@ -46,10 +46,7 @@ def frame_of(message: bytes, encoding: str) -> str:
 
 
 def temperature_topic(topics: Sequence[Topic], imu: str) -> Topic | None:
-    """Return the topic of an IMU's temperature; None if there is none.
-
-    It must be the only one in the IMU's namespace: other devices may have temperatures.
-    """
+    """Return the topic of an IMU's temperature, the only one in its namespace; None if there is none."""
     space = imu.rpartition("/")[0]
     found = [
         topic
@@ -62,7 +59,7 @@ def temperature_topic(topics: Sequence[Topic], imu: str) -> Topic | None:
 
 
 def read_temperature(containers: Sequence[Container], topic: Topic) -> Temperature | None:
-    """Return the temperature in a topic; None if it can't be read, because it is optional."""
+    """Return the temperature in a topic; None if it can't be read."""
     columns = {column.name: column for column in topic.columns}
     try:
         stream = topic.stream([columns["header.stamp"], columns["temperature"]])

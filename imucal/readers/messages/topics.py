@@ -32,11 +32,10 @@ from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads,
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
-#: Separators in a columns text, and times that are not columns.
 _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
 #: Elements of longer arrays are columns only if they are named.
 _MAX_ELEMENTS = 9
-#: Messages examined, and chunks read for them (more if the first contain too few).
+#: Messages examined, and chunks read for them.
 _HEAD, _LOOKS = 100, (1, 32)
 HELD_ROWS = 400
 #: Packages of general vectors, read only if the user names the topic.
@@ -73,7 +72,7 @@ class Topic:
     leaves: tuple[Leaf, ...] = ()
     columns: tuple[Column, ...] = ()
     sensors: tuple[Sensor, ...] = ()
-    #: Whether its vectors are general: read only if the user names the topic.
+    #: Whether its vectors are general.
     plain: bool = False
     #: Why its messages can't be read; otherwise empty.
     reason: str = ""
@@ -84,7 +83,7 @@ class Topic:
     sparse: bool = False
     #: None if type or names decide.
     dialect: Dialect | None = None
-    #: The file of a table and the shapes of its arrays; otherwise empty.
+    #: The file of a table, with the shapes of its arrays.
     file: str = ""
     shapes: str = ""
 
@@ -120,7 +119,7 @@ class Topic:
         return replace(table, dialect=dialect)
 
     def stream(self, columns: Sequence[Column]) -> Stream:
-        """Return the decoders of some columns; raises ReadError if messages can't be decoded."""
+        """Return the decoders of some columns; raises ReadError."""
         paths = [column.path for column in columns]
         try:
             decoders = {(at, channel.key): self._decoder(channel, paths) for at, channel in self.channels}
@@ -154,7 +153,7 @@ def held_topic(
     options: ReadOptions,
     **more: Any,  # noqa: ANN401 - fields of `Topic`
 ) -> Topic:
-    """Return a topic in memory with its sensors; its first column of stamps, in ns, gives its duration."""
+    """Return a topic in memory with its sensors; its first stamps, in ns, give its duration."""
     arrays = tuple(columns.values())
     stamps = next((values for column, values in columns.items() if column.type == TIME), arrays[0][:0])
     first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (None, None)
@@ -200,10 +199,7 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
 
 
 def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) -> Sequence[Leaf]:
-    """Return the numbers in a channel's messages; for JSON those of the first message.
-
-    Raises DefinitionError if the messages can't be read.
-    """
+    """Return the numbers in a channel's messages; raises DefinitionError."""
     if channel.encoding == "json":
         first = first_message(container, channel.key)
         try:
@@ -224,7 +220,7 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
 
 
 def _columns(topic: Topic, text: str | None) -> Iterator[Column]:
-    """Yield the columns of a topic; elements of long arrays and lists only if a columns text names them."""
+    """Yield the columns of a topic; elements of long arrays and lists only if they are named."""
     kind = plain_type(topic.type)
     # Its field names do not contain the quantity.
     prefix = "accel." if kind == "geometry_msgs/Accel" else ""
@@ -262,7 +258,7 @@ def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
     columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
     topic = replace(topic, columns=tuple(columns))
     if len(options.topics) == 2 and topic.name in options.topics:
-        # Of two topics the first is the gyroscope, unless names decide.
+        # Of two topics the first is the gyroscope.
         topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
     if options.columns is None:
         return _by_name(topic, named=topic.name in options.topics)
@@ -294,7 +290,7 @@ def _by_name(topic: Topic, *, named: bool) -> Topic:
 
 
 def _word(topic: Topic) -> str:
-    """Return the sensor requested by the user or named by topic or type; empty if there is none."""
+    """Return the sensor requested by the user or named by topic or type, or an empty text."""
     last = plain_type(topic.type).rpartition("/")[2]
     candidates = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
     return str(next(filter(None, candidates), ""))
@@ -310,7 +306,7 @@ def plan_of(
 ) -> tuple[TablePlan, frozenset[Sensor]]:
     """Choose the columns of a topic; also return the sensors whose first samples change.
 
-    Raises ChoiceError if the choice is ambiguous.
+    Raises ChoiceError.
     """
     heads = topic.held or _heads(containers, topic, options.columns or "")
     time = None if options.time in _CLOCKS and not topic.held else options.time
@@ -325,7 +321,7 @@ def plan_of(
 
 
 def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
-    """Return the first values of each column; empty for lists that the columns text does not name."""
+    """Return the first values of each column; empty for lists that are not named."""
     names = {*re.split(_MARKS, text)}
     fixed = {leaf.path for leaf in topic.leaves if "]." not in leaf.path and not leaf.type.endswith("[]")}
     wanted = [
@@ -343,7 +339,7 @@ def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
 
 
 def _owner(name: str) -> str:
-    """Return the structure or array of a number: ``imu.gyro`` of ``imu.gyro.x``."""
+    """Return ``imu.gyro`` of ``imu.gyro.x``."""
     return re.sub(r"(\[\d+\]|\.\w+)$", "", name)
 
 

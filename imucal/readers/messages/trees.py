@@ -13,7 +13,7 @@ from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
 from imucal.readers.store import Block
 
-#: Bytes of a message -> mappings, lists and numbers, or objects with attributes.
+#: Bytes of a message -> mappings, lists and numbers, or objects.
 Parse: TypeAlias = Callable[[bytes], Any]
 
 #: Seconds and nanoseconds.
@@ -29,8 +29,8 @@ _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 class Leaf:
     """A number, a time, or an array of numbers in a message.
 
-    ``imus[0].gyro.x`` represents all elements of a list of structures. The type is such as ``float64``,
-    ``time``, ``int16[3]`` or ``int16[]``.
+    ``imus[0].gyro.x`` represents all elements of a list. The type is such as ``float64``, ``time`` or
+    ``int16[3]``.
     """
 
     path: str

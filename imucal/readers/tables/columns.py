@@ -57,7 +57,7 @@ class Triad:
 
     @property
     def units(self) -> tuple[str | None, ...]:
-        """Each column's unit, a key of `imucal.units.SAMPLE_UNITS`, or None."""
+        """Keys of `imucal.units.SAMPLE_UNITS`, or None."""
         return tuple(column.unit_of(self.sensor) for column in self.columns)
 
     @property
@@ -107,7 +107,7 @@ class NamedTable:
 
     @property
     def listed(self) -> str:
-        """The columns with indices, for a message; first cells if there are no names."""
+        """The columns with indices or first cells, for a message."""
         named, entries = any(column.header for column in self.columns), []
         for column in self.columns[:_MAX_LISTED]:
             first = "" if named else next(iter(column.cells), "")
@@ -122,7 +122,7 @@ class NamedTable:
         return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
 
     def index_of(self, name: str) -> int:
-        """Raise ValueError if no or several columns match the name or index."""
+        """Raise ValueError if no or several columns match."""
         name = name.strip()
         matches = [c.index for c in self.columns if plain_name(c.header) == plain_name(name)]
         if len(matches) == 1:

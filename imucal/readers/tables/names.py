@@ -50,7 +50,7 @@ class NamedColumn:
 
     @property
     def counts(self) -> list[int]:
-        """The non-empty cells as integers; empty if one is not an integer."""
+        """The non-empty cells, if all are integers."""
         filled = self.filled
         return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []
 
@@ -195,7 +195,7 @@ def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
 
 
 def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
-    """Remove the axis from the words; also return the index of the word after it."""
+    """Remove the axis; also return the index of the word after it."""
     for at in reversed(range(len(words))):
         if words[at] in _AXES:
             return words[:at] + words[at + 1 :], _AXES[words[at]], at
@@ -217,7 +217,7 @@ def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
 def _classify(
     words: list[str], axis: int | None, unit: str | None, *, place: int, omega: bool
 ) -> tuple[Role, list[str], str | None]:
-    """Return role, remaining words and unit of a name whose axis was before word `place`."""
+    """Return role, remaining words and unit; the axis was before word `place`."""
     if unit is None:
         for size in (3, 2, 1):
             tail = " ".join(words[-size:]) if len(words) > size else ""

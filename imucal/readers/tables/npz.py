@@ -18,7 +18,7 @@ _SUFFIX = ".npy"
 def npz_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     """Return the arrays of an NPZ file by name, and the names of Python objects, which are not loaded.
 
-    Raises ReadError if the disk is full, ValueError or an error of `zipfile` for a damaged member.
+    Raises ReadError if the disk is full, ValueError or an error of `zipfile` for damage.
     """
     arrays: dict[str, NDArray[Any]] = {}
     objects: dict[str, str] = {}

@@ -22,7 +22,7 @@ Part: TypeAlias = tuple[str, int, Iterable[NDArray[Any]]]
 
 
 class _Place(NamedTuple):
-    """An array in the file: first byte, shape with the cut axis first, type, and that axis."""
+    """An array in the file; its shape has the cut axis first."""
 
     start: int
     shape: tuple[int, ...]
@@ -30,7 +30,7 @@ class _Place(NamedTuple):
     axis: int
 
 
-#: Arrays by name: in the file, or the array itself for scalars and objects.
+#: Scalars and objects are not in the file.
 Passed: TypeAlias = dict[str, _Place | NDArray[Any]]
 
 

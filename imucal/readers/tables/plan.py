@@ -36,7 +36,6 @@ _CLOCKS = ("header", "log")
 
 _BY_NAME = "by name"
 
-#: Columns with the device or sensor of each row.
 _INSTANCE = listed(
     "i instance imu imu_id sensor sensor_id sensorid device device_id dev source src id unit_id topic frame "
     "frame_id child_frame_id name tag type stream channel"
@@ -57,7 +56,7 @@ _MAX_TAGS = 8
 class SensorPlan:
     """The columns of one sensor.
 
-    `stated` is the unit in the header or the dialect. `untimed` is the reason for a missing time.
+    `stated` is the unit in the header or the dialect; `untimed` is why it has no time.
     """
 
     triad: Triad
@@ -85,8 +84,8 @@ class TablePlan:
 def make_plan(table: NamedTable, options: ReadOptions, *, name: str = "", shape: str = "") -> TablePlan:
     """Choose the columns of a table from their names and first cells.
 
-    The `name` of the file or table may contain the sensor; `shape` describes the columns in messages. Raises
-    ChoiceError with a list of the columns if the choice is ambiguous.
+    The `name` of the file may contain the sensor; `shape` describes the columns in messages. Raises
+    ChoiceError if the choice is ambiguous.
     """
     name = name or PurePath(table.path).name
     if options.columns is None:
@@ -160,7 +159,7 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
     if options.time == "log":
         return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
-        # Prefer stamps even if constant: the clock then reports it and uses log time.
+        # Constant stamps are reported by the clock, which then uses log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
@@ -187,7 +186,7 @@ def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
 
 
 def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn]]:
-    """Yield sets of columns by axis; raises ChoiceError if two columns have the same axis."""
+    """Yield sets of columns by axis; raises ChoiceError for equal axes."""
     families: dict[tuple[str, ...], list[NamedColumn]] = {}
     for column in table.columns:
         if column.axis is not None and column.role in roles:
@@ -289,7 +288,7 @@ _MAX_SENSORS = 8
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
     """Return the sensors of bare columns x, y, z, and the reason; empty without such columns.
 
-    Raises ChoiceError if the sensor is unknown.
+    Raises ChoiceError.
     """
     axes = next(_whole(table, Role.VECTOR), None)
     if axes is None:
@@ -320,7 +319,7 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
 
 
 def _column_of_ids(table: NamedTable, triad: Triad) -> tuple[NamedColumn, str, str] | None:
-    """Return a column that may number the sensors (few whole numbers, which change often) and two numbers."""
+    """Return a column that may number the sensors, and two of its numbers, which change often."""
     for column in table.columns:
         cells, values = column.filled, [*dict.fromkeys(column.filled)]
         changes = sum(a != b for a, b in pairwise(cells))
@@ -353,9 +352,9 @@ def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
 
 
 def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
-    """Restrict columns to the rows of their sensor if a text column contains it; also return the reason.
+    """Restrict columns to the rows of their sensor if a text column contains it; return the reason, too.
 
-    Raises ChoiceError if rows of several sensors can't be separated.
+    Raises ChoiceError.
     """
     for column in table.columns:
         texts = [] if column.role is Role.TIME else sorted({*column.filled})
@@ -410,10 +409,7 @@ def _refuse_instances(table: NamedTable, found: Found) -> None:
 
 
 def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
-    """Return findings for missing sensors or axes if numeric columns are unused.
-
-    Unused columns x, y, z cause a warning; others cause an info.
-    """
+    """Return findings for missing sensors or axes if numeric columns are unused; warnings for x, y, z."""
     used = {index for triad in found.values() for index in triad.indices}
     left = [column for column in table.columns if column.index not in used and _may_be_samples(column)]
     if not left:

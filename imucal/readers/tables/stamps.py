@@ -36,7 +36,7 @@ def pair_stamps(
 ) -> IntArray:
     """Return ns from whole seconds, or times as `text`, and finer counts of `ns` ns.
 
-    Fine counts above a second are complete times. Without a unit the largest count determines it.
+    Without a unit the largest count determines it.
     """
     most = float(extremes(fine)[1]) if fine.size else 0.0
     if ns is None:
@@ -48,7 +48,7 @@ def pair_stamps(
 
 
 def text_stamps(columns: Sequence[IntArray], room: Room) -> IntArray:
-    """Return ns from parsed texts: one column, or dates, times, and optionally AM and PM."""
+    """Return ns from parsed texts: one column, or dates, times, and AM or PM."""
     if len(columns) == 1:
         return rolled(columns[0], DAY, room)
     date, time, *half = columns
@@ -72,10 +72,7 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
 
 
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
-    """Return counts without wraps at 8, 16, 24 or 32 bits, and the number of wraps.
-
-    Other steps back, such as a restart of the logger, stay.
-    """
+    """Return counts without wraps at 8, 16, 24 or 32 bits, and the number of wraps."""
     if counts.size < 2:
         return counts, 0
     lowest, highest = extremes(counts)
@@ -145,10 +142,7 @@ def _ns_of(values: Numbers, ns: int) -> IntArray:
 
 
 def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
-    """Return the most plausible unit of an IMU's times (or None), and all units that fit.
-
-    If several fit, the magnitude of a time since 1970 decides.
-    """
+    """Return the most plausible unit of an IMU's times (or None), and all units that fit."""
     rates = rates_by_unit(values)
     if not rates:
         return None, ()
@@ -173,7 +167,7 @@ def typical_step(values: Numbers) -> float:
     span = float(np.ptp(since)) if since.size else 0.0
     if not 0 < span < np.inf:
         return 0.0
-    # Scale to integers without exceeding a float's digits; a usual step is about 10 ms.
+    # Scale to integers without exceeding a float's digits.
     steps = np.abs(np.diff(since))
     digits = min(15 - np.ceil(np.log10(span)), np.rint(7 - np.log10(median(steps[steps > 0]))))
     scale = 1.0 if values.dtype.kind == "i" else 10.0**digits
@@ -237,8 +231,8 @@ class TimeChoice:
     """The time of a sensor's samples: indices of its columns, and its name in the log.
 
     A ``pair`` is seconds (or a text) with a finer column. `ns` per count (of the finer column) is None if the
-    data determine it. Dates with the year last begin with the month, or with the day if `by_day`; if the
-    cells do not decide (`open_date`), the month is assumed.
+    data determine it. Dates with the year last begin with the day if `by_day`; if the cells do not decide
+    (`open_date`), the month is assumed.
     """
 
     kind: TimeKind
@@ -275,7 +269,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     """Return the time in one column, in a coarse and a finer one, or in a date and a time of day.
 
-    Raises ChoiceError if the columns are not a time.
+    Raises ChoiceError.
     """
     columns = [table.columns[index] for index in indices]
     column = columns[0]
@@ -299,7 +293,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
 
 
 def why_no_time(table: NamedTable) -> str:
-    """Return why times in a table can't be used, and advice; empty if there are none."""
+    """Return why times in a table can't be used, and advice, or an empty text."""
     if parts := _parts_of_dates(table)[0]:
         names = ", ".join(column.header for column in parts)
         return f"{names}: parts of a date; write date and time in one column, such as 2026-11-22 10:00:00.01"
@@ -318,7 +312,7 @@ def _parts_of_dates(table: NamedTable) -> tuple[list[NamedColumn], list[NamedCol
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
-    """Return the time in the user's columns; raises ChoiceError if they are missing or not a time."""
+    """Return the time in the user's columns; raises ChoiceError."""
     try:
         indices = [table.index_of(part) for part in name.split("+")]
     except ValueError as error:
@@ -433,7 +427,7 @@ def _pair(coarse: NamedColumn, fine: NamedColumn) -> TimeChoice:
 
 
 def dates_and_times(table: NamedTable) -> Iterator[list[NamedColumn]]:
-    """Yield adjacent columns of dates and times of day, with a following column of AM and PM."""
+    """Yield adjacent columns of dates and times of day, perhaps with AM and PM."""
     for date, time in pairwise(table.columns):
         filled = time.filled
         if text_kind(date.cells) == "date" and filled and all(map(is_time_of_day, filled)):

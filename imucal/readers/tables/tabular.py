@@ -43,10 +43,10 @@ _RATE_TOLERANCE = 0.1
 
 _SECOND = 10**9
 
-#: In Hz, above any sensor's rate; and in ns (about 30 years, within 64 bits).
+#: Above any sensor's rate; and about 30 years, within 64 bits.
 _MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
 
-#: Slowest usual rate of IMUs, in Hz: used to guess units from the noise.
+#: Slowest usual rate of IMUs, to guess units from the noise.
 _MIN_RATE_HZ = 10.0
 
 #: With more repeated rows, the sensor is slower than the log; with fewer, samples were sent twice.
@@ -58,8 +58,8 @@ class SensorColumns:
     """The columns of one sensor as read, shape (n,) each, in units of the log.
 
     If `sparse`, rows without values belong to other sensors. `rows_left` is a hash of the mask of kept rows,
-    empty if all are kept. `table` is a name if the log has several tables, `source` describes the time. Rows
-    are duplicates if all values in `compared` repeat (None: the axes).
+    empty if all are kept. `table` is a name if the log has several tables. Rows are duplicates if all values
+    in `compared` repeat (None: the axes).
     """
 
     plan: SensorPlan
@@ -90,7 +90,7 @@ class SensorColumns:
 def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     """Return the clock of a sensor's samples from its time columns, or from a counter and a rate.
 
-    Raises ChoiceError if the time is ambiguous or missing; DataError if no rate can be measured.
+    Raises ChoiceError if the time is ambiguous or missing; DataError if it gives no rate.
     """
     plan, unit = columns.plan, work.options.time_unit
     if plan.time is None or (plan.time.kind == "counter" and unit is None):
@@ -187,10 +187,7 @@ def stamps_of(
 
 
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
-    """Return ns per count: given, from the log, or inferred; None if no unit gives the given rate.
-
-    Raises ChoiceError if the unit is ambiguous.
-    """
+    """Return ns per count; None if no unit gives the given rate. Raises ChoiceError if it is ambiguous."""
     rate = work.options.rate_hz
     unit, how = work.options.time_unit, "as given"
     if unit is None and time.ns is not None:
@@ -352,7 +349,7 @@ def with_more(
     """Return a ChoiceError for columns and for everything missing after the proposed choice."""
     lacking: list[ChoiceError] = [error]
     proposals = error.example.split(" or ")
-    # If the proposals are of different sensors, the rest depends on the user's choice.
+    # Otherwise the rest depends on the user's choice of the sensor.
     if error.example and len({tuple(re.findall("[ga][xyz]?=", text)) for text in proposals}) == 1:
         # Errors of the samples are reported when they are read.
         with suppress(ImucalError):
@@ -379,7 +376,7 @@ def contents_of(
     layout: str = "table",
     compression: str = "",
 ) -> LogContents:
-    """Return a description of a table; `found` is its recording, or the reason why it can't be read."""
+    """Return a description of a table, from its recording or the reason why it can't be read."""
     topic = TopicContents(name=path.name, type=layout, note=found if isinstance(found, str) else "")
     contents = LogContents(path=str(path), format=form, size_bytes=size, compression=compression)
     if isinstance(found, str):
@@ -397,7 +394,7 @@ def contents_of(
 
 
 def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
-    """Return a description made from the start of a table: without its duration, with `count` rows."""
+    """Return a description made from the start of a table, with `count` rows."""
     topics = tuple(replace(topic, count=count, duration_s=None) for topic in contents.topics)
     return replace(contents, topics=topics, duration_s=None)
 

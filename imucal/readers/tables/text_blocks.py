@@ -33,7 +33,7 @@ _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
 
 def kind_of(cells: Sequence[str], *, text: bool) -> Kind:
-    """Return the type of a column by its first cells; `text` for times in text."""
+    """Return the type of a column by its first cells; `text` for times."""
     if text or any(map(is_text_stamp, cells)):
         return text_kind(cells)
     filled = [cell.strip("\"'") for cell in cells if cell]
@@ -46,7 +46,7 @@ class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
     A row without a cell in a `needed` column is bad. `limit` is the largest size of a column in memory, in
-    bytes; `expected` is the number of rows. Dates with the year last begin with the day if `by_day`.
+    bytes. Dates with the year last begin with the day if `by_day`.
     """
 
     layout: TextLayout
@@ -117,7 +117,7 @@ class BlockReader:
             block = re.sub(rb"[ \t]+", b",", block)
         elif b" " in block:
             block = block.replace(mark + b" ", mark)
-            # Keep blanks inside a cell: joining two numbers would make another one.
+            # Joining two numbers would make another one.
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
         if self.layout.quoted:
@@ -131,10 +131,7 @@ class BlockReader:
         return block
 
     def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
-        """Return a block as a polars table of the needed columns; unreadable cells are null.
-
-        Rows with too many cells have a value in the column `_LONGER`.
-        """
+        """Return a block as a polars table; unreadable cells are null, and too long rows have `_LONGER`."""
         import polars as pl
 
         names = [*map(str, range(self.layout.width)), _LONGER]

@@ -42,18 +42,18 @@ _MARKS: dict[bytes, str] = {
     codecs.BOM_UTF16_BE: "utf-16-be",
 }
 
-#: Control characters, which text does not contain; crashes leave zeros.
+#: Control characters; crashes leave zeros in text.
 _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 
 #: Bytes examined to find the layout.
 _HEAD = 1 << 18
 #: Large for the parser's speed, small for memory, in bytes.
 _BLOCK = 4 << 20
-#: Fewest lines of a table in the head; more cells on fewer lines are too long rows.
+#: Fewest lines of a table in the head; many cells on fewer lines are too long rows.
 _MIN_LINES, _MAX_CELLS = 3, 1000
 #: In bytes.
 _MAX_LINE = 1 << 20
-#: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.
+#: In bytes: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
 
 #: Packages have their own error classes.
@@ -102,7 +102,7 @@ def read_fully(raw: BinaryIO, size: int) -> bytes:
 
 
 class CountedStream:
-    """A stream that can't be read again: counts and hashes the bytes as they are read."""
+    """A stream that can't be read again: counts and hashes the bytes."""
 
     def __init__(self, raw: BinaryIO) -> None:
         self._raw = raw
@@ -181,8 +181,8 @@ class LongerError(Exception):
 class TextSource(AbstractContextManager["TextSource"]):
     """An open log of lines.
 
-    `head` contains the first complete lines, decoded; `whole` is true if they are the entire log. `size` is
-    in bytes, None if unknown; `passed` counts the unpacked bytes in blocks so far.
+    `head` contains the first complete lines; `whole` is true if they are the entire log. `size` is in bytes,
+    None if unknown; `passed` counts the unpacked bytes so far.
     """
 
     def __init__(
@@ -233,7 +233,7 @@ class TextSource(AbstractContextManager["TextSource"]):
 
     @property
     def expected_rows(self) -> int:
-        """Estimated number of lines, slightly too high; 0 for compressed or unknown sizes."""
+        """Number of lines, slightly too high; 0 for compressed or unknown sizes."""
         if self.size is None or self.compression != "none" or not self.head:
             return 0
         length = sum(map(len, self.head)) / len(self.head) + 1
@@ -321,7 +321,7 @@ class TextSource(AbstractContextManager["TextSource"]):
 def open_text(path: Path, *, progress: Progress | None = None, most: int | None = None) -> TextSource:
     """Open a text log; ``-`` is standard input.
 
-    Raises ReadError if it can't be opened, is empty, or is not text. `blocks` raises LongerError after `most`
+    Raises ReadError if it can't be opened, is empty, or is not text; `blocks` raises LongerError after `most`
     unpacked bytes.
     """
     if str(path) == STANDARD_INPUT:

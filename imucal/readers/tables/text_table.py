@@ -81,7 +81,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
 
 
 def _other_rows(path: str, layout: TextLayout) -> str:
-    """Return advice for a table with a row per axis, or with two separators; otherwise an empty text."""
+    """Return advice for a table with a row per axis, or with two separators, or an empty text."""
     log, delimiter = shlex.quote(path), layout.delimiter
     if layout.width > _MAX_COLUMNS and all(row and not is_number(row[0]) for row in layout.rows):
         own = "" if delimiter == "," else f", delimiter={delimiter!r}"
@@ -120,7 +120,6 @@ def read_table(
     except ColumnsError as error:
         tried = partial(read_table, source, name=name, head=True)
         raise with_more(source.name, error, options, tried) from error
-    # Sensors in the same rows share a reader.
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
         groups.setdefault(sensor.triad.rows, []).append(sensor)
@@ -210,7 +209,7 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows after the header; return the last line if it may be truncated."""
+    """Read all rows; return the last line if it may be truncated."""
     cut, before = "", layout.start
     for block in blocks:
         *above, whole = block.split(b"\n", before) if before else [block]
@@ -220,7 +219,7 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
         end = whole.rfind(b"\n") + 1
         last = whole[end:].decode("utf-8", "replace")
         if last.strip():
-            # It is complete if it has all cells and its last cell is as long as usual.
+            # A complete line has all cells, and its last cell is as long as usual.
             cells, others = split_line(last, layout.delimiter), layout.cells(layout.width - 1)
             _, point, digits = cells[-1].partition(layout.decimal)
             longest = max((len(other.partition(".")[2]) for other in others), default=0)
@@ -358,7 +357,7 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
-    """Merge the sensors of several recordings; raises ChoiceError if their times do not overlap."""
+    """Merge the sensors of recordings; raises ChoiceError if their times do not overlap."""
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)

@@ -252,10 +252,7 @@ def _of_arrays(
 
 
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
-    """Return the columns of a record, matrix or vector; empty if it is not a table.
-
-    The longest of three or more dimensions contains the samples.
-    """
+    """Return the columns of a record or array; the longest of three or more dimensions is for samples."""
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
         return [column for label, part in parts for column in _of_array(label, part)]
@@ -290,8 +287,7 @@ def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColu
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read a table of typed columns.
 
-    Raises ChoiceError if columns, units or time are ambiguous, ReadError if the file can't be read, DataError
-    without samples.
+    Raises ChoiceError if columns, units or time are ambiguous, ReadError, or DataError without samples.
     """
     return _read(path, open_table(path), options)
 
@@ -332,7 +328,7 @@ def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:
 def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
     """Return a topic for each array length with a sensor; without one, the widest table.
 
-    Indices in a columns text refer to the widest (then longest) table.
+    Indices in a columns text refer to the widest table.
     """
     groups = _groups(path, table)
     topics = []
