@@ -27,7 +27,7 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
-#: Sufficient share of the required deviation: NEES is 1.2.
+#: Sufficient share of the deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
 #: Multiples of the required coefficient: for a note, and for a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
@@ -50,7 +50,7 @@ _NUMBER = re.compile(r"[^\s,\[\]\"']+")
 
 
 class Setting(NamedTuple):
-    """A key of a config file: line from 1, numbers as written, and text of the line."""
+    """A key of a config file: line from 1, and numbers as written."""
 
     file: str
     line: int
@@ -60,7 +60,7 @@ class Setting(NamedTuple):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """The numbers of the value; none if the value contains anything else."""
+        """None if the value contains anything but numbers."""
         found = tuple(map(_number, self.written))
         return found if all(map(math.isfinite, found)) else ()
 
@@ -68,7 +68,6 @@ class Setting(NamedTuple):
         return f"{where}: {self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
-        """Return whether this is the key `name` in any section."""
         return self.name == name or self.name.endswith((f"/{name}", f".{name}"))
 
     def with_number(self, value: str) -> str:
@@ -145,7 +144,6 @@ def _options(text: str) -> ExportOptions:
 
 
 def _names(key: Key) -> tuple[str, ...]:
-    """Return the names of a key: one, or one per axis."""
     return tuple(dict.fromkeys(key.name.format(i=i, axis=axis) for i, axis in enumerate("xyz")))
 
 
@@ -263,7 +261,6 @@ class _Wanted:
         return cls(key, axes, numbers, number, other, fitted)
 
     def judge(self, number: float) -> tuple[Verdict, str]:
-        """Return the verdict on a number, and a remark or an empty text."""
         if not 0 < number < math.inf:
             return "fail", "expected a positive number"
         over = (number / self.right) ** (1 / self.key.formula.power)
@@ -305,7 +302,6 @@ class _Wanted:
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
     def _mistake(self, number: float) -> str:
-        """Return the likely mistake behind a wrong number, or an empty text."""
         power = self.key.formula.power
 
         def off(other: float) -> float:
@@ -317,7 +313,6 @@ class _Wanted:
         return message if off(other) < math.log(near) else ""
 
     def _mistakes(self) -> Iterator[tuple[float, str]]:
-        """Yield common wrong numbers, each with its explanation."""
         key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
         symbol = key.symbol
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)

@@ -60,10 +60,7 @@ class FindingRules:
 
 @frozen
 class Baseline:
-    """Allowed relative changes of the coefficients of `terms`; None allows any change.
-
-    The report is None if the caller gives it.
-    """
+    """Allowed relative changes of the coefficients of `terms`; None allows any change."""
 
     report: Path | None = None
     terms: tuple[str, ...] = ("N", "B", "K")
@@ -97,7 +94,7 @@ LOG_QUANTITIES = tuple(_LOG_UNITS)
 
 
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
-#: Units of limits of a calibration, SI first.
+#: SI first.
 CALIBRATION_UNITS: dict[Sensor, dict[str, dict[str, float]]] = {
     Sensor.GYROSCOPE: {
         "scale": {"": 1.0, "%": 0.01, "ppm": 1e-6},
@@ -261,7 +258,7 @@ class _Value:
         return None if self.value is None else read(self)
 
     def table(self) -> dict[str, "_Value"]:
-        """Return the entries of a table by the symbols of terms: N for ARW and VRW, B for BI, K for RRW."""
+        """Return the entries of a table by the symbols of terms, such as N for ARW and VRW."""
         if not isinstance(self.value, dict):
             self.refuse(repr(self.value), "expected a table, such as { max = 1e-4 }")
         found: dict[str, _Value] = {}

@@ -116,7 +116,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     """Judge a report: a row for each limit and axis, and for each forbidden finding.
 
     `baseline` replaces the older report in the limits. Raises LimitsError if a baseline is missing, or if all
-    limits are for a calibration; ReadError if the report in the limits can't be read.
+    limits are for a calibration; ReadError if the older report can't be read.
     """
     if limits.calibration and not are_of_noise(limits):
         msg = (
@@ -178,7 +178,6 @@ def _wanted(report: Report, limits: Limits) -> Iterator[str]:
     yield from (where for where in sections if "_" in where)
     prefixes = tuple(f"{sensor.short}_" for sensor in Sensor if sensor in sections)
     for finding in report.all_findings:
-        # A finding may also be about a sensor as a whole.
         if finding.level == "error" and (finding.axis or "").startswith(prefixes):
             yield finding.axis or ""
 

@@ -45,7 +45,7 @@ _OF_LOG = tuple(field.name for field in fields(LogValue))
 
 
 class LogRows(Sequence[LogValue]):
-    """Values of many logs, created when one is needed: the key of a question needs only the `rows`."""
+    """Values of many logs, created when one is needed."""
 
     def __init__(self, rows: "pl.DataFrame") -> None:
         # A term without a square has no growth either.
@@ -193,7 +193,7 @@ def answer_text(question: Question) -> str:
 
 
 def answer_texts(questions: Sequence[Question]) -> list[str]:
-    """Return the answers to some questions as JSON; runs in a worker, too."""
+    """Return the answers as JSON; runs in a worker, too."""
     return [answer_text(question) for question in questions]
 
 
@@ -266,9 +266,9 @@ def unit_tests(
 
 
 def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[list[UnitQuestion]]:
-    """Yield groups of questions with the bins of their logs, for a limited number of logs."""
+    """Yield groups of questions with the bins of a limited number of logs."""
     groups: list[tuple[list[UnitQuestion], set[str]]] = []
-    # The axes of a unit have the same logs: read them once.
+    # The axes of a unit have the same logs.
     for question in sorted(questions, key=lambda one: one.logs):
         if not groups or len(groups[-1][1]) >= _LOGS_IN_MEMORY:
             groups.append(([], set()))

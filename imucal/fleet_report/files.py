@@ -140,8 +140,8 @@ def write_fleet(
 ) -> tuple[Path, ...]:
     """Write the report of a fleet; return the files, ``fleet.json`` first.
 
-    ``fleet.json`` is removed first and written last: if it exists, all files belong to one report. A picture
-    or page that can't be drawn is left out, and ``fleet.json`` contains a finding.
+    If ``fleet.json`` exists, all files belong to one report. A picture or page that can't be drawn is left
+    out, and ``fleet.json`` contains a finding.
 
     Parameters
     ----------

@@ -37,7 +37,6 @@ def sheet_unit(term: FleetTerm) -> DatasheetUnit:
 
 
 def _both(write: Callable[[Quantity], str], plain: Quantity, sheet: DatasheetUnit) -> Markup:
-    """Return a coefficient, given in SI, in both units."""
     return both_units(write(plain.scaled(sheet.factor, sheet.name)), write(plain))
 
 
@@ -48,7 +47,7 @@ def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -
 
 
 def loose_value(where: tuple[str, str], value: LogValue) -> Markup:
-    """Return the value of a log without a unit label for an axis and term, in both units."""
+    """Return the value of a log without a unit label, in both units."""
     axis, term = where
     sensor = next(s for s in Sensor if axis.startswith(s.short))
     law = TERMS[symbol_of(term)]
@@ -169,7 +168,6 @@ def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
 
 
 def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
-    """Return ``u07 (gyro_z N); u11 (gyro_x B, gyro_x K)``."""
     terms: dict[str, list[str]] = {}
     for unit, term in places:
         terms.setdefault(unit, []).append(f"{term.name} {term.term}")

@@ -47,7 +47,7 @@ _NEAR: Style = {"fontsize": SMALL_SIZE, "textcoords": "offset points"}
 _BAND_SDS = 2 * 1.96
 #: Factor by which a whisker or bound ends below the lowest value.
 _BELOW = 3.0
-#: Installed fonts with the signs of many languages; the last one has a box for any other.
+#: Installed fonts; the last one has a box for any other sign.
 _FONTS = (
     *("Noto Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei"),
     *("PingFang SC", "Hiragino Sans", "Apple SD Gothic Neo", "Microsoft YaHei", "Yu Gothic", "Malgun Gothic"),
@@ -169,7 +169,7 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
 
 
 def models_figure(models: Sequence[SensorModel]) -> "Figure":
-    """Return each term of each axis: a row per model, a dot per unit, the median and the next unit's band."""
+    """Return each term of each axis: a row per model, a dot per unit, median and band."""
     groups: dict[tuple[str, str], list[tuple[str, FleetTerm]]] = {}
     for model in models:
         for term in model.terms:

@@ -57,7 +57,7 @@ class FleetLog:
 
 @frozen
 class FleetTerm(TermAnswer):
-    """One noise term of one axis of a sensor model, such as ``N`` of the gyroscope's x, in the SI `unit`."""
+    """One noise term of one axis of a sensor model, in the SI `unit`."""
 
     sensor: Sensor
     axis: Axis
@@ -76,7 +76,6 @@ class FleetTerm(TermAnswer):
 
     @property
     def name(self) -> str:
-        """`gyro_x` … `accel_z`."""
         return f"{self.sensor.short}_{self.axis}"
 
     @property
@@ -258,7 +257,7 @@ def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) ->
 
 
 def labels_to_type(paths: Sequence[str]) -> str:
-    """Return a pattern of labels in which the last folder that differs, or the file name, is the unit."""
+    """Return a pattern of labels: the unit is the last folder that differs, or the file name."""
     places = [PurePosixPath(path.replace("\\", "/")) for path in paths]
     suffixes = {place.suffix for place in places}
     folders = {place.parent.name for place in places}
@@ -281,7 +280,7 @@ def _model(name: str, every: Iterable[FleetLog], terms: Iterable[tuple[str, Flee
 def _judged_together(
     found: Mapping[TermKey, tuple[LogRows, TermAnswer]], tests: Mapping[TermKey, Sequence[UnitLogs]]
 ) -> Iterator[tuple[str, FleetTerm]]:
-    """Yield the terms with the name of their model; tests of logs are adjusted for all units and terms."""
+    """Yield the terms by model; tests of logs are adjusted for all units and terms."""
     chances = iter(adjusted([test.p_value for key in found for test in tests.get(key, ())]))
     for key, (logs, answer) in found.items():
         values: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}

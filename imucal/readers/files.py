@@ -54,7 +54,7 @@ class LogFile:
         self._file.close()
 
     def scan_finding(self, reason: DamagedError, end: int) -> Finding:
-        """Return the finding for a file whose index is damaged; `end` is the last scanned byte."""
+        """Return the finding for a file scanned up to `end` because its index is damaged."""
         text = f"The index can't be used ({reason}); all records were scanned instead."
         if end < self.size:
             text += f" The last {self.size - end} of {self.size} bytes are cut off or damaged."

@@ -97,7 +97,7 @@ class _Values:
     log: Sequence[IntArray]
 
     def axes(self, sensor: SensorPlan, limit: int) -> list[FloatArray]:
-        """Return samples that may be scaled in place."""
+        """Return a sensor's samples; copies if in memory, because samples are scaled in place."""
         rows = [self.columns[index] for index in sensor.triad.indices]
         if not self.topic.held:
             return [np.asarray(row, np.float64) for row in rows]

@@ -212,7 +212,7 @@ def _temperature(
 def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
     """Join the clocks of parts on one grid; parts that overlap are placed one sample apart.
 
-    Errors of the rate must not accumulate.
+    Each part is placed relative to the end of the previous one, so errors of the rate do not accumulate.
     """
     total = sum(clock.grid_size for clock in clocks)
     tau = sum(clock.tau0 * clock.grid_size for clock in clocks) / total

@@ -66,7 +66,7 @@ def shown(url: str) -> str:
 
 
 def refused(url: str, text: str) -> ReadError:
-    """Return the error for a URL that can't be read; the text contains the problem and advice."""
+    """Return the error for a URL that can't be read."""
     return ReadError(f"{shown(url)}: {text}")
 
 
@@ -111,7 +111,7 @@ class RemoteFile:
 
     #: A secret if it is signed.
     url: str = field(repr=False)
-    #: ETag, or time of last change; empty if unknown.
+    #: Or the time of the last change; empty if unknown.
     etag: str
     #: In bytes; None if unknown.
     size: int | None
@@ -135,7 +135,6 @@ class RemoteLog:
     #: A secret if it is signed; print `shown` instead.
     url: str = field(repr=False)
     files: tuple[RemoteFile, ...]
-    #: Whether it is a folder, perhaps of one file.
     folder: bool = False
     keep: bool = True
 
@@ -149,7 +148,7 @@ class RemoteLog:
 
     @property
     def etag(self) -> str:
-        """ETag of the file, or a digest of all ETags; empty if one is missing."""
+        """Of the file, or a digest of all ETags; empty if one is missing."""
         tags = [file.etag for file in self.files]
         if not all(tags):
             return ""
@@ -180,7 +179,7 @@ _RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
 _DEFAULT_TIMEOUT_S = 30.0
 
-#: Names of errors of libraries, which may not be installed; the first match is used.
+#: Names, because the libraries may not be installed; the first match is used.
 _ERRORS = {
     "missing": "FileNotFoundError ResourceNotFoundError NoSuchBucket NoSuchKey",
     "forbidden": "PermissionError",
@@ -232,7 +231,7 @@ class Attempts:
     def __init__(self, url: str) -> None:
         self._url = url
         self._failed = 0
-        # The libraries of Google and Azure retry by themselves.
+        # Google's and Azure's libraries retry.
         self._waits = WAITS if scheme_of(url) in _RETRIED_HERE else ()
 
     def reset(self) -> None:

@@ -102,7 +102,6 @@ class Entry:
         return all(file.size in {None, size} for file, size in zip(log.files, sizes, strict=True))
 
     def remove(self) -> bool:
-        """Remove the copy unless it is in use; return whether it was removed."""
         try:
             with locked(self.lock, wait=False) as had:
                 if not had:
@@ -130,7 +129,7 @@ def _size(path: Path) -> int:
 
 
 def cache_folder() -> Path:
-    """Return ``IMUCAL_CACHE``, or the user's cache folder; raises ReadError if it is not writeable."""
+    """Return ``IMUCAL_CACHE``, or the user's cache folder; raises ReadError."""
     asked = os.environ.get(FOLDER, "").strip()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     root = Path(asked) if asked else (Path(base) if base else Path.home() / ".cache") / "imucal"
@@ -188,7 +187,7 @@ def _lacks(root: Path, wanted: int) -> bool:
 #: Called with the bytes done and the total (0 if unknown).
 Progress: TypeAlias = Callable[[int, int], None]
 
-#: With more changes during reading, the object is still being written.
+#: With more changes, the object is still being written.
 _MAX_CHANGES = 3
 
 
@@ -208,9 +207,9 @@ def fetched(
 ) -> Iterator[LocalCopy]:
     """Yield a copy of a remote log, from the cache or downloaded; it is not removed during use.
 
-    It stays in the cache unless `RemoteLog.keep` is false or `RemoteLog.etag` is empty. With `exact`, a
-    changed object is refused, because results would be stored under the wrong key. Raises ReadError if the
-    log is missing, can't be fetched or has changed, or if the disk is full.
+    It stays in the cache unless `RemoteLog.keep` is false or the ETag is empty. With `exact`, a changed
+    object is refused, because results would be stored under the wrong key. Raises ReadError if the log is
+    missing, can't be fetched or has changed, or if the disk is full.
     """
     asked = identify(log) if isinstance(log, str) else log
     for _ in range(_MAX_CHANGES):

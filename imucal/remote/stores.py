@@ -47,7 +47,7 @@ from imucal.remote.addresses import (
 
 
 def store_of(url: str) -> "Store":
-    """Return the store of a URL; raises ReadError for an unknown scheme or a missing package."""
+    """Return the store of a URL; raises ReadError."""
     scheme = scheme_of(url)
     if scheme in WEB:
         return HttpStore()
@@ -59,7 +59,7 @@ def store_of(url: str) -> "Store":
 
 
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
-#: In bytes, to identify an object and to recognise a web page.
+#: In bytes; enough to recognise a web page.
 _HEAD = 512
 _BLOCK = 1 << 20
 #: Largest listing, in bytes.
@@ -105,7 +105,7 @@ class HttpStore:
         return retried(file.url, part)
 
     def blocks(self, file: RemoteFile, start: int, stop: int | None = None) -> Iterator[bytes]:
-        """Yield bytes `start` to `stop` (None: the end); raises PassingError or ChangedError."""
+        """Raise PassingError or ChangedError."""
         part = f"bytes={start}-{'' if stop is None else stop - 1}" if start or stop else None
         with _open(file.url, part) as (status, headers, body):
             if (part and status != 206) or _tag(headers) != file.etag:
@@ -150,10 +150,7 @@ def _bad_redirect(url: str, where: str) -> ReadError:
 def _open(
     url: str, part: str | None = None, *, empty: bool = False
 ) -> Iterator[tuple[int, Message, IO[bytes]]]:
-    """Yield status, headers and body; errors are converted by `explained`.
-
-    `empty` allows a file without bytes.
-    """
+    """Yield status, headers and body; `empty` allows a file without bytes."""
     try:
         with build_opener(_WebRedirects).open(_request(url, part), timeout=timeout()) as response:
             yield response.status, response.headers, response
@@ -212,7 +209,7 @@ def _tag(headers: Message) -> str:
 
 
 def _links(folder: str) -> list[str]:
-    """Return the links in a folder's listing that point into that folder, sorted by name."""
+    """Return the links in a folder's listing that point into it, sorted by name."""
 
     def page() -> bytes:
         with _open(folder) as (_, _, body):
@@ -264,7 +261,7 @@ class ObjectStore:
                 yield self._part(file, at, min(at + _PART, size))
             except Exception as error:
                 raise explained(error, file.url) from error
-        # If the object was replaced meanwhile, parts may belong to two objects.
+        # Parts may belong to two objects.
         now = self.look_at(file.url)
         if now is None or (now.etag, now.size) != (file.etag, file.size):
             raise ChangedError
@@ -290,7 +287,6 @@ class ObjectStore:
         return f"{self._scheme}://{key}"
 
     def _asked(self, url: str, work: Callable[[], Result]) -> Result:
-        """Call the library with retries; its errors are converted by `explained`."""
 
         def attempt() -> Result:
             try:
@@ -302,7 +298,7 @@ class ObjectStore:
 
 
 def _entity_tag(info: dict[str, Any]) -> str:
-    """Return the ETag in quotes; Google and Azure sometimes omit them."""
+    """Google and Azure sometimes omit the quotes."""
     tag = info.get("ETag") or info.get("etag")
     if tag:
         return str(tag) if str(tag).startswith('"') else f'"{tag}"'
@@ -337,8 +333,7 @@ _LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED
 def expand(url: str) -> list[str]:
     """Return the URLs of the logs of a URL: itself, the matches of its wildcards, or a folder's logs.
 
-    A folder with ``metadata.yaml``, or with only tables, is one log. Raises ReadError without logs, or if the
-    store can't list them.
+    A folder with ``metadata.yaml``, or with only tables, is one log. Raises ReadError.
     """
     store = store_of(url)
     return [url] if _object_at(store, url) else _expanded(store, url)

@@ -116,7 +116,7 @@ def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
 def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     """Return the content of a png, svg or pdf file; a ValueError for other formats.
 
-    The same report always gives the same png. Its palette of 256 colours reduces the size to a third.
+    The same report always gives the same png; a palette of 256 colours reduces its size to a third.
     """
     check_format(form)
     maker = f"imucal {version}".strip()
@@ -283,7 +283,7 @@ def draw(
 ) -> Drawings:
     """Draw the pictures of a report in some formats.
 
-    `page` adds png if a page can show none of the formats. `paper` adds pictures such as ``gyro-paper.pdf``.
+    `page` adds png if a page can show none of them. `paper` adds pictures such as ``gyro-paper.pdf``.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):

@@ -51,7 +51,7 @@ _BAND = 2.0
 
 
 def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
-    """Return the picture of an axis's bias over time, in the units of data sheets."""
+    """Return the picture of an axis's bias over time."""
     shown = [part for part in parts.components if part.key != "level"]
     # A single part equals the bias, except for a level.
     shown = shown if len(shown) > 1 else []
@@ -110,7 +110,7 @@ class _View:
 
 
 def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
-    """Draw averages of the samples, and the bias with its band; return the entries of the legend."""
+    """Draw averages of the samples, and the bias with its band; return the legend's entries."""
     parts = view.parts
     width = max(1, round(parts.n / _AVERAGES))
     time, mean, count = averages(parts, width)
@@ -163,13 +163,12 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 
-#: The document marks the folder of a decomposition.
 SCHEMA, DOCUMENT = "imucal/decomposition/1", "decomposition.json"
 _ROWS = 10_000
 
 
 def check_folder(out: Path) -> None:
-    """Raise a WriteError if a folder contains foreign files or can't be written; call it before long work."""
+    """Raise a WriteError if a folder is foreign or can't be written; call it before long work."""
     try:
         held, home = held_by(out), home_of(out)
     except OSError as error:
@@ -190,8 +189,8 @@ def write_decomposition(
 ) -> tuple[Path, ...]:  # fmt: skip
     """Write the files of one axis into a folder, each complete or not at all; return their paths.
 
-    With `arrays`, NAME.npz has the rate of the samples. The table has a row every `every_s` seconds, by
-    default at most 10 000 rows. `source` is the log's name. Raises WriteError if a file can't be written.
+    With `arrays`, NAME.npz has the rate of the samples. The table has at most 10 000 rows by default.
+    `source` is the log's name. Raises WriteError.
     """
     name = parts.series.name
     made: dict[str, Callable[[], bytes]] = {f"{name}.csv": lambda: table(parts, every_s=every_s).encode()}

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Of the first point and of the others: fewer show single spikes, more hide the lowest slope.
+#: Fewer show single spikes, more hide the lowest slope.
 _MIN_FIRST_ORDINATES, _MIN_ORDINATES = 6.0, 12.0
 
 
@@ -55,8 +55,7 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
     """Return an axis's spectrum; neighbouring bins are merged until each point averages 12 ordinates.
 
     The ratio to the model is averaged, because averages of a steep density would be too high. Limits are
-    chi-squared, with one degree of freedom per ordinate. Source: Blackman & Tukey (1958), The Measurement of
-    Power Spectra, sec. B.18.
+    chi-squared. Source: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18.
     """
     from scipy.special import chdtri
 
@@ -75,13 +74,12 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
 
 
 def _shape(axis: AxisReport, frequency: FloatArray) -> FloatArray:
-    """Return the model's density, or 1 where there is no model."""
     density = axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)
     return density if np.all(density > 0) else np.ones(frequency.size)
 
 
 def _firsts(count: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Return the first bin of each merged bin; the last merged bin includes the remainder."""
+    """Return the first bin of each merged bin; the last one includes the remainder."""
     firsts, held = [0], 0.0
     for index, ordinates in enumerate(count.tolist()):
         if held >= (_MIN_FIRST_ORDINATES if len(firsts) == 1 else _MIN_ORDINATES):
@@ -97,7 +95,7 @@ _BAND: Style = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
 
 
 class Drawn(NamedTuple):
-    """An estimate to draw as a line, with its value or its bound."""
+    """An estimate to draw as a line."""
 
     estimate: Estimate
     term: NoiseTerm
@@ -150,12 +148,12 @@ def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) 
     return "\n".join(lines)
 
 
-#: Factor below the curve down to which the plot includes read-offs.
+#: Factor below the curve down to which read-offs are visible.
 _DEEPEST = 40.0
 
 
 def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
-    """Draw one axis's curve, model and terms; return the entries of the legend."""
+    """Draw one axis's curve, model and terms; return the legend's entries."""
     curve, rate, factor = fit.curve, fit.rate_hz, units.level.factor
     shown, terms = shown_points(curve), drawn_terms(fit)
     y_limits = _y_limits(curve.adev[shown] * factor, [each.term.read_off()[1] * factor for each in terms])
@@ -211,7 +209,7 @@ def style_allan(axes: "Axes", unit: str, tau: FloatArray, y_limits: tuple[float,
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
-    """Return the indices of points with at least 2 degrees of freedom; all if fewer than 2 have these."""
+    """Return the indices of points with at least 2 degrees of freedom; all if there are fewer than 2."""
     positive = curve.avar > 0
     sure = positive & ~(curve.edf < 2)
     return np.flatnonzero(sure if np.count_nonzero(sure) >= 2 else positive).astype(np.int64)
@@ -248,7 +246,7 @@ def _points(axes: "Axes", fit: NoiseFit, shown: IntArray, factor: float) -> list
     used, unused = np.intersect1d(shown, fit.used), np.setdiff1d(shown, fit.used)
     if used.size:
         name = f"Allan deviation ({curve.estimator})"
-        # Above the labels' white boxes, which would hide points.
+        # Above the labels' white boxes.
         entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **DOTS)
     if known.size:
         name = f"its {100 * fit.level:.4g} % interval"
@@ -291,7 +289,7 @@ _NAMED_LINES = 3
 
 
 def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
-    """Draw one axis's spectrum, model and terms; return the entries of the legend."""
+    """Draw one axis's spectrum, model and terms; return the legend's entries."""
     smooth, factor = smooth_spectrum(axis), units.density.factor
     frequency, root = smooth.frequency, smooth.root * factor
     _style_psd(axes, units, axis.spectrum.frequency, root)

@@ -94,7 +94,7 @@ def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> Non
 
 
 def _mark(axes: "Axes", main: DriftOf, heights: list[float], asked: set[float]) -> None:
-    """Label value and dominant term at the `asked` times; shade times beyond the length of the record."""
+    """Label value and dominant term at the `asked` times; shade times beyond the record."""
     small: Style = {"fontsize": SMALL_SIZE, "ha": "right"}
     for point, height in zip(main.points, heights, strict=True):
         if point.time_s in asked and math.isfinite(height):

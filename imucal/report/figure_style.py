@@ -1,8 +1,8 @@
 """The style of pictures: colours, text sizes, ticks of logarithmic scales, header and footer.
 
-Colours are from Okabe & Ito (2008), "Color universal design", darkened so that text on white is legible
-(contrast above 4.5). Every colour also has its own line style or marker. All minor ticks are one artist:
-matplotlib's own take ten times as long.
+Colours are from Okabe & Ito (2008), "Color universal design", darkened for a contrast with white above 4.5.
+Every colour also has its own line style or marker. All minor ticks are one artist, because matplotlib's own
+are slow.
 """
 
 import math
@@ -58,7 +58,7 @@ def draw_ticks(axes: "Axes") -> None:
         axis.set_minor_locator(NullLocator())
         for place in minor:
             part = math.log(place / low) / math.log(high / low)
-            # The plot is wider than high, so equal lengths are different fractions.
+            # The plot is wider than high.
             marks.append([(part, 0.0), (part, 1.5 * _MINOR)] if horizontal else [(0.0, part), (_MINOR, part)])
     axes.add_collection(
         LineCollection(marks, colors=FRAME, linewidths=0.7, transform=axes.transAxes, zorder=1.5),
@@ -83,7 +83,6 @@ def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
 
 
 def _multiples(low: float, high: float, digits: Iterable[int]) -> list[float]:
-    """Return all ``digit * 10^e`` between two limits, in increasing order."""
     powers = [10.0**e for e in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
     return [digit * power for power, digit in product(powers, digits) if low <= digit * power <= high]
 
@@ -165,7 +164,7 @@ def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, fl
 
 
 def stroked(stroke: Stroke, **style: object) -> Style:
-    """Return the style of a line with the colour and dashes of a stroke."""
+    """Return the style of a line with a stroke's colour and dashes."""
     return {"color": stroke.light, **style, **({"dashes": stroke.dashes} if stroke.dashes else {})}
 
 

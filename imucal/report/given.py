@@ -45,7 +45,7 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
         if sensor in models:
             estimates = _estimates(NoiseModel.parse(models[sensor], sensor))
             one = given_axis(sensor, "x", estimates, rate_hz=rate_hz, duration_s=_RECORD_S, method=GIVEN)
-            # No samples were recorded; all axes share one result.
+            # All axes share one result.
             axes += [replace(one, axis=letter, samples=0) for letter in get_args(Axis)]
     message = "; ".join(f"{models[sensor]} ({sensor})" for sensor in Sensor if sensor in models)
     return Report(

@@ -1,7 +1,4 @@
-"""`report.html`: one page that contains everything and opens without a network.
-
-Only the interactive plots need a script, which is compressed in the page.
-"""
+"""`report.html`: one page that contains everything and opens without a network."""
 
 import base64
 import json
@@ -34,9 +31,9 @@ from imucal.report.result import AxisReport, Overview, Report
 from imucal.units import duration, pretty
 
 _FINE = 60
-#: Gaps closer than this fraction of the recording are drawn as one.
+#: As a fraction of the recording: closer gaps are drawn as one.
 _MERGED = 1 / 500
-#: Least distance of an outlier from its neighbours, in robust deviations.
+#: Least distance of an outlier, in robust deviations.
 _STANDS_OUT = 8.0
 _NEIGHBOURS = 25
 
@@ -132,7 +129,7 @@ def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, 
 
 
 def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
-    """Return the model and its terms as smooth lines, and the read-off point of each coefficient."""
+    """Return the model and its terms as smooth lines, and each coefficient's read-off point."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
     m, total = smooth_adev(axis.fit, curve.m[shown_points(curve)], _FINE)
     grid, root = smooth_root(axis, _FINE)
@@ -171,7 +168,7 @@ def _psd(axis: AxisReport) -> JsonObject:
 
 
 def _gaps(axis: AxisReport) -> list[list[float]]:
-    """Return start and end of the gaps in s; neighbours that a plot can't separate are merged."""
+    """Return start and end of the gaps in s; close neighbours are merged."""
     merged: list[list[float]] = []
     for gap in axis.gaps:
         start, end = gap.start_s, gap.start_s + gap.duration_s
@@ -237,6 +234,6 @@ def _recorded(report: Report) -> Iterator[str]:
 
 
 def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:
-    """Return a section, or a notice that explains why it is missing, so that the page is still written."""
+    """Return a section, or a notice that explains why it is missing."""
     body, failed = try_side_work(make, None, what=f"This section is missing: {title}", code="not-drawn")
     return Markup('<p class="notice">{}</p>').format(failed[0].text) if failed else body

@@ -1,6 +1,6 @@
 """`report.json` and `signal.json`: SI units, keys in a stable order; written and read back.
 
-Increase the number in `SCHEMA` if an old reader would misunderstand a change.
+A change that an old reader would misunderstand needs another number in `SCHEMA`.
 """
 
 import json
@@ -57,7 +57,7 @@ SCHEMA = "imucal/report/2"
 _READABLE = ("imucal/report/1", SCHEMA)
 #: Pictures need the raw signals, scripts do not.
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
-#: Digits of spectra and signals: enough for pictures, and half the size.
+#: Enough for pictures, and half the size.
 _DIGITS = 8
 
 

@@ -114,7 +114,7 @@ class Node:
         return array
 
     def _of(self, expected: str, *kinds: type[A]) -> A:
-        """Return the value if it has an expected type; a boolean is not a number."""
+        """Raise an error for other types; a boolean is not a number."""
         if isinstance(self.value, bool) or not isinstance(self.value, kinds):
             self._refuse(expected)
         return self.value
@@ -160,7 +160,7 @@ class Layout(Generic[A]):
         return self.make(**found)
 
     def write(self, value: A, **others: object) -> JsonObject:
-        """Return an object; `others` contains values of keys that are not attributes."""
+        """Return an object; `others` contains keys that are not attributes."""
         found: JsonObject = {}
         for key in self.keys:
             held = getattr(value, key.attribute) if key.attribute else None
@@ -213,8 +213,7 @@ def layout_of(make: type[A], keys: str, **read: Reader) -> Layout[A]:
     """Return the layout of a dataclass and register it for values that contain the class.
 
     A key has the form ``name?=attribute~like``. With the question mark it may be missing, and None is not
-    written. Without ``=`` the attribute has the name of the key; with ``=`` alone there is no attribute.
-    `read` has readers of types that `READERS` lacks.
+    written. With ``=`` alone there is no attribute. `read` has readers of types that `READERS` lacks.
     """
     types: dict[str, Any] = {each.name: each.type for each in fields(make)}  # type: ignore[arg-type]
     made = []

@@ -83,7 +83,7 @@ def place_labels(
     anchors = [axes.transData.transform(np.column_stack([label.x, label.y])) for label in labels]
     room.taken += [_Box(x, y, x, y).grown(4 * scale) for (x, y), *more in anchors if not more]
     written = []
-    # Marks near a side first; labels of lines are more flexible.
+    # Labels of lines are more flexible than marks.
     pairs = zip(labels, anchors, strict=True)
     for label, points in sorted(pairs, key=lambda pair: (len(pair[1]) > 1, room.freedom(pair[1]))):
         anchor, box = room.best(points, _size(axes, label.text, fontsize, renderer))
@@ -150,7 +150,6 @@ class _Room:
         cost += _TAKEN * sum(box.overlaps(other) for other in self.taken)
         if cost:
             return cost
-        # The leader starts in its own anchor's box.
         leader = _leader(anchor, box)
         others = [other for other in self.taken if not other.holds(anchor[None, :])]
         crossed = sum(other.holds(leader) for other in others)

@@ -46,7 +46,7 @@ def _environment(package: str) -> "Environment":
 
 
 def _shown(value: object) -> object:
-    """Return a value for a page; control characters and changes of the text direction are escaped."""
+    """Escape control characters and changes of the text direction."""
     if value is None:
         return ""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value

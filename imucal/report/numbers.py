@@ -63,7 +63,7 @@ class Quantity:
 
     @property
     def size(self) -> float:
-        """Magnitude of the value, otherwise of the bound; it determines the power of ten."""
+        """Magnitude that determines the power of ten."""
         return abs(self.high if self.value is None else self.value)
 
 
@@ -79,14 +79,14 @@ def term_name(symbol: str, sensor: Sensor | None) -> str:
 
 
 def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
-    """Return an estimate's coefficient in SI; without a unit if the sensor is unknown."""
+    """Return a coefficient in SI; without a unit if the sensor is unknown."""
     unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""
     found = Quantity.of(estimate, unit)
     return found if found.value is not None else replace(found, drawn=estimate.drawn)
 
 
 def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
-    """Return the coefficient in the unit of data sheets; in SI if the sensor is unknown."""
+    """Return a coefficient in the unit of data sheets; in SI if the sensor is unknown."""
     if sensor is None:
         return si(estimate, sensor)
     unit = TERMS[estimate.symbol].datasheet_unit(sensor)
@@ -107,7 +107,7 @@ def drifted(point: DriftPoint, unit: str) -> Quantity:
 
 
 def minimum(fit: NoiseFit) -> Quantity:
-    """Return the curve's minimum and its interval, in SI; biased low, as the lowest of many points."""
+    """Return the curve's minimum and its interval, in SI; it is biased low."""
     adev, tau = fit.curve.minimum
     low, high = fit.curve.confidence_interval(fit.level)
     at = int(np.flatnonzero(fit.curve.tau == tau)[0])
@@ -139,9 +139,9 @@ def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
 
 
 def alternatives(estimate: Estimate) -> str:
-    """Return ``or GM`` if another term fits as well, otherwise an empty text.
+    """Return ``or GM`` if another term fits as well, otherwise an empty text; ``T > 310 s`` may follow.
 
-    With ``or GM, T > 310 s``, the terms do not differ for times up to T.
+    The terms do not differ for times up to T.
     """
     text = f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
     return f"{text}, T > {seconds(estimate.horizon_s)}" if math.isfinite(estimate.horizon_s) else text
@@ -164,7 +164,7 @@ def decimals(quantity: Quantity) -> int:
     if half <= 1e-4 * abs(quantity.value):
         return _places(quantity.value, 5)
     exponent = math.floor(math.log10(half))
-    # 950 and more round up to 1000, which leaves two digits.
+    # 950 and more round up to 1000.
     places = -exponent + (half / 10.0**exponent < 3.55)
     return max(places, _places(quantity.value, 2))
 
@@ -180,15 +180,15 @@ def power_of_ten(quantity: Quantity) -> int:
 def engineering_exponent(quantities: Iterable[Quantity]) -> int:
     """Return one exponent, a multiple of three, that fits the largest value.
 
-    Bounds count only if there is no value: they may be far above the values. The exponent is 0 in data-sheet
-    units, because 0.0059 m/s/√h is easier to read than 5.9 in a unit of 1e-3 m/s/√h.
+    Bounds count only if there is no value. The exponent is 0 in data-sheet units, because 0.0059 m/s/√h is
+    easier to read than 5.9 in a unit of 1e-3 m/s/√h.
     """
     known = [q for q in quantities if math.isfinite(q.size) and q.size > 0]
     sizes = [q.size for q in known if q.value is not None] or [q.size for q in known]
     if not sizes or known[0].unit in DATASHEET_UNITS:
         return 0
     size = math.log10(max(sizes))
-    # Half a decade of tolerance: 0.54e-3 is easier to read than 540e-6.
+    # Half a decade of tolerance: 0.54e-3 is better than 540e-6.
     return 0 if -2 <= size < 5 else 3 * math.floor((size + 0.5) / 3)
 
 
@@ -277,7 +277,7 @@ def _bound(high: float) -> str:
 def rounded_up(bound: float, digits: int) -> str:
     """Return a bound rounded up to `digits` digits, so that it remains valid."""
     places = digits - 1 - math.floor(math.log10(bound))
-    # The rounding error of a binary fraction must not turn 0.12 into 0.13.
+    # A rounding error must not turn 0.12 into 0.13.
     raised = math.ceil(bound * 10.0**places * (1 - 1e-12)) / 10.0**places
     return _fixed(raised, places)
 

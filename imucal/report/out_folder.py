@@ -28,7 +28,7 @@ class OutFolder:
     `write` first writes all files, and forces them to disk, in a scratch folder on the same file system. A
     new folder then appears in one step. In an existing one, each file is replaced in one step and the
     document comes last; until then it contains only its schema and the key ``incomplete``. An earlier
-    failure, Ctrl-C included, changes nothing. If two processes write, one waits.
+    failure changes nothing.
 
     - `what`: name of the results in messages, such as ``imucal report``
     - `document`: file that marks the folder as ours, with its `schema`
@@ -48,7 +48,7 @@ class OutFolder:
         return f"the {self.what.removeprefix('imucal ')}"
 
     def refuse_foreign(self, names: Iterable[str] = ()) -> None:
-        """Raise a WriteError unless the folder is missing, empty or ours, and files may have the names."""
+        """Raise a WriteError for a foreign folder, or foreign files with these names."""
         with self._translated():
             # Look for files first: a folder of another run appears in one step.
             held = held_by(self.path)
@@ -95,7 +95,6 @@ class OutFolder:
 
     @contextmanager
     def _scratch(self) -> Iterator[Path]:
-        """Yield a scratch folder on the same file system, and remove it."""
         home = self.path if self.path.is_dir() else self.path.parent
         home.mkdir(parents=True, exist_ok=True)
         sweep(path for path in home.iterdir() if _SCRATCH.fullmatch(path.name))

@@ -31,7 +31,6 @@ from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
 _Row: TypeAlias = tuple[str, list[str]]
-#: Level, code, advice and the part of the log to keep.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 _NOTHING = "–"
@@ -50,7 +49,7 @@ def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
 
 
 def _states(seen: View, key: str) -> list[tuple[float, float] | None]:
-    """Return phi and q of a Gauss-Markov term for each axis, at the sampling rate; None if it is missing."""
+    """Return phi and q of a Gauss-Markov term for each axis, at the sampling rate, or None."""
     found = []
     for fit in seen.fits:
         estimate = next((e for e in fit.estimates if key == f"{e.key} T"), None)
@@ -65,7 +64,7 @@ def findings_section(report: Report) -> Markup:
 
 
 def listed_findings(found: Iterable[tuple[str, Finding]]) -> Markup:
-    """Return pairs of axis and finding as a list: errors first, one entry per advice."""
+    """Return axes and findings as a list: errors first, one entry per advice."""
     grouped: dict[_Kind, dict[str, list[str]]] = {}
     for axis, finding in found:
         kind = (finding.level, finding.code, finding.advice, finding.keep_s)
@@ -208,7 +207,7 @@ def _segments_row(
 
 
 def _ticks(reach: float) -> list[float]:
-    """Return the labelled percentages: zero and a round one on each side."""
+    """Return zero and a round percentage on each side."""
     above = 100 * math.expm1(reach)
     step = next(s for s in (200, 100, 50, 20, 10, 5, 2, 1, 0.5) if s <= above)
     return [step, 0.0, -step if step < 100 else -50.0]
@@ -232,7 +231,7 @@ def _x(segments: Segments, seconds: FloatArray) -> list[float]:
 
 
 def drift_section(report: Report) -> Markup | None:
-    """Return the drift of dead reckoning after a rest, for the worst axes; None if the data are not noise."""
+    """Return the drift of dead reckoning after a rest, for the worst axes; None without noise."""
     if not report.verdict.usable or not report.axes:
         return None
     found = drift(report)
@@ -243,7 +242,7 @@ def drift_section(report: Report) -> Markup | None:
 
 
 def downstream_section(report: Report) -> Markup:
-    """Return the numbers for config files with their formulas; none if the data are not noise."""
+    """Return the numbers for config files with their formulas, only if the data are noise."""
     if not report.verdict.usable:
         message = f"{report.verdict.sentence}. No filter should be given its numbers."
         return Markup("<p>{}</p>").format(message)
@@ -289,7 +288,7 @@ def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str]
 
 
 def _floors(fit: NoiseFit, units: SheetUnits) -> list[Markup]:
-    """Return B, 0.664 B, the curve's minimum, and the minimum divided by 0.664."""
+    """Return B, 0.664 B, the curve's minimum, and the minimum over 0.664."""
     flicker = (units.estimate(fit["B"], fit.sensor), numbers.si(fit["B"], fit.sensor))
     lowest = (units.minimum(fit), numbers.minimum(fit))
     columns = [

@@ -39,7 +39,7 @@ class Overview(ReadOnlyArrays):
 
     @classmethod
     def of(cls, series: AxisSeries, *, stretches: int = 1000) -> "Overview":
-        """Return the extremes of up to `stretches` equal stretches of time, without a copy of the samples."""
+        """Return the extremes of up to `stretches` equal stretches of time."""
         clock = series.clock
         size = clock.grid_size
         if not size:
@@ -139,7 +139,7 @@ class Report(Displayed):
 
     @property
     def verdict(self) -> NoiseVerdict:
-        """Whether the data are stationary noise, and how precise N is: its widest relative interval."""
+        """Whether the data are stationary noise, and how precise N is."""
         errors = {axis.name: axis.white_error for axis in self.axes if np.isfinite(axis.white_error)}
         failed = (f.axis for f in self.findings if f.code in _WITHOUT_RESULT and f.level == "error")
         names = [*(axis.name for axis in self.axes), *(name for name in failed if name)]
@@ -149,7 +149,7 @@ class Report(Displayed):
 
     @property
     def _too_short(self) -> bool:
-        """Whether a record too short for the coasting times of filters shows neither B nor K on any axis."""
+        """Whether a too short record shows neither B nor K on any axis."""
         slow = [term for axis in self.axes for term in axis.fit.estimates if term.key in {"B", "K"}]
         unseen = bool(slow) and all(term.value is None for term in slow)
         return unseen and any(axis.samples and axis.duration_s < _MIN_LENGTH_S for axis in self.axes)

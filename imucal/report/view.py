@@ -1,7 +1,4 @@
-"""One view of results: ordered rows with a cell for each axis, in data-sheet units and in SI.
-
-The terminal, the page, notebooks, data frames and pictures all show these rows.
-"""
+"""One view of results for all outputs: rows with a cell for each axis, in data-sheet units and in SI."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -44,7 +41,7 @@ class Shown:
 
 @frozen
 class Column:
-    """A row in one convention; the values are multiples of ``10**exponent`` units."""
+    """A row in one convention; values are multiples of ``10**exponent`` units."""
 
     unit: str
     exponent: int
@@ -55,7 +52,7 @@ class Column:
 class Row:
     """A quantity on every axis of a view; None if an axis does not have it.
 
-    `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``. The keys ``GM1 T`` and
+    `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``; ``GM1 T`` and
     ``minimum`` have no symbol. Rows are sorted by `place`.
     """
 
@@ -66,7 +63,7 @@ class Row:
     place: float = len(TERMS)
 
     def column(self, *, datasheet: bool) -> Column:
-        """Return the texts in data-sheet units or in SI; they share one power of ten."""
+        """Return the texts, which share one power of ten."""
         cells = [(cell.sheet if datasheet else cell.si, cell.note) if cell else None for cell in self.cells]
         quantities = [cell[0] for cell in cells if cell]
         exponent = numbers.engineering_exponent(quantities)
@@ -88,7 +85,7 @@ def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
 
 @frozen
 class View:
-    """The results of one sensor as rows; `names` are the names of the columns, such as x, y and z."""
+    """The results of one sensor as rows; `names` are the columns, such as x, y and z."""
 
     sensor: Sensor | None
     names: tuple[str, ...]

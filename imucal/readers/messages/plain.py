@@ -54,7 +54,10 @@ _ENCAPSULATIONS = {
 
 
 def is_reachable(paths: Sequence[str], fields: Sequence[Field]) -> bool:
-    """Return whether `BinaryDecoder` supports all paths: numbers and times before a list with texts."""
+    """Return whether `BinaryDecoder` supports all paths.
+
+    It supports numbers, times, and elements of arrays, before the first list of structures with texts.
+    """
     known = {entry.path: entry for entry in fields}
 
     def reached(path: str) -> bool:

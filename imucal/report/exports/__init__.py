@@ -32,7 +32,7 @@ _FAMILIES = (
 )
 TARGETS: dict[str, Target] = {target.name: target for target in read_targets(_FAMILIES)}
 
-#: Names of other programs that are no typing errors -> text of the error message.
+#: Names of other programs -> text of the error message.
 _OTHERS = {
     "isaac": "Isaac ROS is isaac-ros, Isaac Sim is isaac-sim",
     "orbslam2": "ORB-SLAM2 uses no IMU",
@@ -43,10 +43,7 @@ _OTHERS = {
 
 
 def find_target(name: str) -> Target:
-    """Return a format by its name or an alias, ignoring case and hyphens.
-
-    Raises ValueError, with the nearest name as a suggestion, if there is none.
-    """
+    """Return a format by its name or an alias; raises ValueError with the nearest name."""
     by_key = {
         name_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)
     }
@@ -84,7 +81,7 @@ def export(
 def _is_slip(typed: str, name: str) -> bool:
     """Return whether one letter is missing, extra or wrong, or two neighbours are swapped.
 
-    Two wrong letters or another digit mean another program: LVI-SAM is not LIO-SAM. Short names must match.
+    Two wrong letters or another digit mean another program: LVI-SAM is not LIO-SAM.
     """
     if min(len(typed), len(name)) < 5 or re.sub(r"\D", "", typed) != re.sub(r"\D", "", name):
         return False

@@ -31,9 +31,9 @@ Basis: TypeAlias = Literal["covered", "as-fitted"]
 
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
 COVERING = ("N", "K")
-#: States of a flicker bank per decade, and how far its shortest T is below the time of equal white noise.
+#: States per decade of a flicker bank, and ratio of the time of equal white noise to its shortest T.
 _PER_DECADE, _MARGIN = 1.5, 10.0
-#: Ratio of the limits of N above which N is too uncertain for a filter.
+#: At a larger ratio of its limits, N is too uncertain for a filter.
 _VAGUE = 10.0
 #: In s: long enough that a random walk stays one.
 NOMINAL_TIME_S = 3600.0
